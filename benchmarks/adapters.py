@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from firmware_sim.wire.adapter import ADAPTERS
+from firmware_sim.wire.adapter import ADAPTER_CLASSES
 from handctl.cli.main import main
 from handctl.cli.runs import demo
 
@@ -59,7 +59,11 @@ def _print_outcomes() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
     parser.add_argument(
-        "--adapters", nargs="+", choices=list(ADAPTERS), default=list(ADAPTERS), help="classes of adapters"
+        "--adapters",
+        nargs="+",
+        choices=list(ADAPTER_CLASSES),
+        default=list(ADAPTER_CLASSES),
+        help="classes of adapters",
     )
     parser.add_argument("--rates", nargs="+", type=float, default=[250.0, 333.0, 500.0], help="control rates [Hz]")
     parser.add_argument("--seeds", type=int, default=1, help="number of runs for each adapter and rate (default: 1)")

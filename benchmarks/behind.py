@@ -16,7 +16,7 @@ from lockstep import SCENES, record_rollout, repeat_rollout, sum_of_shortest
 from stack import RATES, Stack
 
 from handctl.campaign.stage import hand_with_protocol
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 
 SECONDS = 3.0
 QUICK_SECONDS = 1.2
@@ -33,7 +33,7 @@ def main() -> None:
     seconds = QUICK_SECONDS if args.quick else SECONDS
     rows = []
     for hand in RATES:
-        for protocol in GUARDED:
+        for protocol in GUARDED_PROTOCOLS:
             for scene in SCENES:
                 rows.append(measure(hand, protocol, scene, seconds))
                 if not args.json:

@@ -15,13 +15,13 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from handctl.campaign.stage import TASK, hand_with_protocol, homed_run
+from handctl.campaign.stage import CAMPAIGN_TASK, hand_with_protocol, homed_run
 from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.safety.action import Action
 from handctl.session.plan import highest_rate_of_buses
-from handctl.session.simulate import Simulation
+from handctl.session.simulate import SimulatedRun
 
 FAULT_S = 2.0
 """Time from the fault until the operator stops the run [s]."""
@@ -61,7 +61,7 @@ FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 
 def task() -> dict[str, Any]:
     """Return the task of the campaign, with an added phase in which the tension rises to 90 N and stays there."""
-    other = copy.deepcopy(TASK)
+    other = copy.deepcopy(CAMPAIGN_TASK)
     hold = other["phase"][-1]
     hold["duration_s"] = 1.5
     rise = {"kind": "hold", "name": "rise", "tension_N": HOLD_N, "rate_N_per_s": FAST_RISE_N_PER_S, "duration_s": 60.0}
@@ -79,7 +79,7 @@ def is_at_stage(stage: str, out: Any, first: int) -> bool:
     return bool(out.phase == "rise" and tension > (40.0 if stage == RISING else 0.95 * HOLD_N))
 
 
-def run_with_fault(simulation: Simulation, text: str) -> dict[str, Any]:
+def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
     """Inject a fault and run to the end.
 
     The result has the identifiers of the reported faults, the delay of the reaction [ms], and the
@@ -162,7 +162,9 @@ def main() -> None:
     """Measure all faults and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
-    parser.add_argument("--protocol", default="mit", choices=GUARDED, help="protocol of the drives (default: mit)")
+    parser.add_argument(
+        "--protocol", default="mit", choices=GUARDED_PROTOCOLS, help="protocol of the drives (default: mit)"
+    )
     parser.add_argument("--seeds", type=int, default=1, help="number of runs for each fault (default: 1)")
     parser.add_argument("--only", default="", help="only faults whose name contains this text")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")

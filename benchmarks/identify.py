@@ -32,10 +32,10 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.excite import ExciteProgram
 from handctl.runtime.hold_limit import HoldLimit
-from handctl.session.plan import Plan, highest_rate_of_buses
+from handctl.session.plan import RunPlan, highest_rate_of_buses
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.simulate import Simulator
-from handctl.tune.identify.excitation import excitation, is_sprung
+from handctl.session.simulate import SimulatorSettings
+from handctl.tune.identify.excitation import excitation_steps, has_springs
 from handctl.tune.identify.identify import TendonResult, identify_tendons
 
 Row = dict[str, Any]
@@ -57,7 +57,7 @@ DETUNABLE = ("motion.position_error_m", "motion.speed_error_m_s", "motion.force_
 def gains_for(hand: Hand, digit: str, seed: int) -> Gains:
     """Return the gains with which a digit is moved: detuned gains if it has springs, otherwise the packaged gains."""
     packaged = packaged_gains(hand.name)
-    return draw_gains(packaged, seed) if is_sprung(hand, digit) else packaged
+    return draw_gains(packaged, seed) if has_springs(hand, digit) else packaged
 
 
 def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
@@ -113,11 +113,11 @@ def excite_and_fit(
         folder: folder for the log.
     """
     hand = load_hand(hand_name)
-    plan = Plan(hand, gains, highest_rate_of_buses(bus_loads(hand)), ())
+    plan = RunPlan(hand, gains, highest_rate_of_buses(bus_loads(hand)), ())
     log = folder / f"{seed}.mcap"
-    controller = make_controller(plan, ExciteProgram(excitation(hand, (digit,))), None, arm_at_once=True)
+    controller = make_controller(plan, ExciteProgram(excitation_steps(hand, (digit,))), None, arm_at_once=True)
     began = time.process_time()
-    with Simulator(hand_name, None, seed, factors, homed=True).clock(plan.period_ns) as clock:
+    with SimulatorSettings(hand_name, None, seed, factors, homed=True).clock(plan.period_ns) as clock:
         held = HoldLimit()
         outcome = run_lockstep(plan, controller, log, clock, held)
     row: Row = {"seed": seed, "digit": digit, "simulated_s": outcome.state.k * 1e-9 * plan.period_ns}
@@ -137,7 +137,7 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
     Return error and coverage of every parameter, or the reason of a failure.
     """
     hand = load_hand(hand_name)
-    sprung = is_sprung(hand, digit)
+    sprung = has_springs(hand, digit)
     factors = draw_plant(seed, sprung)
     result, row = excite_and_fit(hand_name, digit, seed, factors, gains_for(hand, digit, seed), folder)
     if not result:

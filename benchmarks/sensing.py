@@ -21,7 +21,7 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 
 PAGE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"
 RATE_HZ = {"jamia": 500.0, "n_plus_1": 250.0}
@@ -110,7 +110,9 @@ def run(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") ->
     """Run the grasp on a homed hand."""
     record = SensingRun()
     names = model.hand.digit_names
-    with Simulator(model.hand, scene, seed, homed=True).against(homed_controller(model, TaskProgram(task))) as run:
+    with SimulatorSettings(model.hand, scene, seed, homed=True).against(
+        homed_controller(model, TaskProgram(task))
+    ) as run:
         run.record = False
         plant = run.peer.world.plant
         if fault:

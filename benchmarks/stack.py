@@ -14,7 +14,7 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 
 RATES = {"jamia": 500.0, "jamia11": 200.0}
 """Default control rate of each hand on one classical bus [Hz]."""
@@ -63,7 +63,7 @@ class Stack:
             program = TaskProgram(load_task(path))
         controller = make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
         self._open = ExitStack()
-        self.simulation = self._open.enter_context(Simulator(hand, scene.scene, homed=True).against(controller))
+        self.simulation = self._open.enter_context(SimulatorSettings(hand, scene.scene, homed=True).against(controller))
         self.simulation.record = False
         self.peer = self.simulation.peer
         self.engine = self.peer.world.plant.engine

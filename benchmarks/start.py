@@ -98,9 +98,9 @@ def cpu_of(pid: int) -> float:
 
 def until_first_frame(hand: str, folder: Path) -> Start:
     """Return the wall time and CPU time from the start of ``handctl run`` to its first frame."""
-    from handctl.runtime.buses.local import connect
+    from handctl.runtime.buses.local import connect_to_hub
 
-    listener = connect(BUS)
+    listener = connect_to_hub(BUS)
     words = ["run", "--hand", hand, "--bus", f"local:{BUS}", "--log", str(folder / "run.mcap")]
     begin = time.monotonic()
     run = subprocess.Popen(

@@ -28,10 +28,10 @@ from handctl.core.model import HandModel
 from handctl.hand.description import Hand
 from handctl.session.plan import highest_rate_of_buses
 from handctl.tune.loops.design import linear_factors, worst_margins
-from handctl.tune.scoring import Score, score_exercise
+from handctl.tune.scoring import GainScore, score_exercise
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.search import SearchPlan, SearchResult, run_search
-from handctl.tune.search.workers import Workers, make_workers
+from handctl.tune.search.workers import SearchWorkers, make_workers
 
 PLANT = {"stiffness": 0.7, "friction": 1.3, "mass": 1.3, "spring": 1.1, "motor_inertia": 0.7, "damping": 1.3}
 """Factors on the parameters of the true plant. They were fixed before anything was tuned."""
@@ -99,7 +99,7 @@ def compare(
         jobs = [
             _judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, searches), _best(detuned, informed))
         ]
-        scores = [Score(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])]
+        scores = [GainScore(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])]
     finally:
         crew.close()
     names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
@@ -114,7 +114,7 @@ def compare(
         "plants": plants,
         "search_s": spent,
         "on_the_real_plant": {
-            name: {"cost": cost, **{key: getattr(score, key) for key in Score.__dataclass_fields__}}
+            name: {"cost": cost, **{key: getattr(score, key) for key in GainScore.__dataclass_fields__}}
             for name, cost, score in zip(names, costs, scores, strict=True)
         },
         "cost_of_not_knowing": costs[2] / costs[3],
@@ -122,7 +122,7 @@ def compare(
     }
 
 
-def _searched(plan: SearchPlan, storage: Path, crew: Workers) -> tuple[SearchResult, float]:
+def _searched(plan: SearchPlan, storage: Path, crew: SearchWorkers) -> tuple[SearchResult, float]:
     began = time.monotonic()
 
     def show(result: SearchResult) -> None:
@@ -149,8 +149,8 @@ def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
     return plan.job(0, {}) | table
 
 
-def _with_model(hand: Hand, model: HandModel) -> Score:
-    """Score the controller of the identified hand on the true plant, and compute its margins."""
+def _with_model(hand: Hand, model: HandModel) -> GainScore:
+    """GainScore the controller of the identified hand on the true plant, and compute its margins."""
     margins = worst_margins(model, (linear_factors(dict.fromkeys(PLANT, 1.0)),))
     return replace(score_exercise(hand, model, PLANT, JUDGE_SEED), shortfall=margins.shortfall)
 

@@ -11,10 +11,10 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 
 model = HandModel.of(load_hand("jamia"), Gains(), 500.0)
-with Simulator("jamia", seed=1, homed=True).against(homed_controller(model, LiveProgram())) as run:
+with SimulatorSettings("jamia", seed=1, homed=True).against(homed_controller(model, LiveProgram())) as run:
     run.until(lambda out: out.phase == "live", 5.0)
     run.tick(requests=(json.dumps({"do": "move", "angle_deg": {"index": 60.0}, "duration_s": 1.0}),))
     run.until(lambda out: out.telemetry.q[0] > 0.5, 2.0)

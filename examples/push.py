@@ -14,7 +14,7 @@ from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 
 SCENE = """
 name = "push"
@@ -50,7 +50,7 @@ hand = load_hand("jamia")
 for stiffness in (0.0, 30.0):
     controller = make_controller(hand, Gains(), 500.0, TaskProgram(task(stiffness)), None, arm_at_once=True)
     force, place = [], []
-    with Simulator(hand, SCENE, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, SCENE, homed=True).against(controller) as run:
         for entry, _ in run.ticks(START_S + LARGEST_N / RATE_N_PER_S):
             force.append(max(0.0, RATE_N_PER_S * (entry.t_ns / 1e9 - START_S)))
             place.append(run.peer.world.plant.engine.object_pose()[0])

@@ -19,7 +19,7 @@ import numpy as np
 import handctl
 from handctl.client import Fingertips
 from handctl.hand.digit import DigitModel
-from handctl.hand.kinematics import to_palm
+from handctl.hand.kinematics import to_palm_frame
 from handctl.log.read.reader import RunLog
 
 RATE_HZ = 50.0
@@ -48,7 +48,7 @@ def human_tip(name, t):
 def retarget(digit, name, t):
     """Return the position of a human fingertip in the robot's palm frame, scaled by the lengths of both fingers [m]."""
     scale = sum(digit.lengths) / (HAND_LENGTH_M * sum(SEGMENTS[name]))
-    return to_palm(digit, scale * human_tip(name, t))
+    return to_palm_frame(digit, scale * human_tip(name, t))
 
 
 with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:

@@ -6,7 +6,7 @@ Then start: python single_motor.py
 The shaft of a real motor must be free. Set its torque limit and its bus in the lines below.
 """
 
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.registry import make_drive
 from handctl.hand.file.sections import Motor
 from handctl.runtime.buses.open import open_bus
@@ -28,9 +28,9 @@ with bus_lock(BUS):  # one host at a time
     bus = open_bus(BUS, 0, 1_000_000, stamp=clock.of)
     rig = DriveRig(make_drive(MOTOR, 0), bus, clock)
     try:
-        if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
+        if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             raise SystemExit(f"the drive is not ready: {rig.state.error_text or rig.state.phase.name}")
-        if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 1.0):
+        if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0):
             raise SystemExit(f"the drive does not enable: {rig.state.error_text or rig.state.phase.name}")
         goal = rig.state.position + 1.0
         for tick in range(400):  # 2 s

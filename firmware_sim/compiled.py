@@ -23,17 +23,17 @@ import numpy as np
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-Argument: TypeAlias = "str | type[ctypes.Structure] | np.dtype[Any]"
+ArgumentType: TypeAlias = "str | type[ctypes.Structure] | np.dtype[Any]"
 """Type of an argument of a kernel, see ``compiled``."""
 
-_KERNELS: dict[str, dict[str, tuple[Argument, ...] | None]] = {}
+_KERNEL_ARGUMENTS: dict[str, dict[str, tuple[ArgumentType, ...] | None]] = {}
 """Argument types of each kernel, by module and kernel name.
 
 None for a kernel that only other kernels call.
 """
 
 
-def compiled(*arguments: Argument) -> Callable[[F], F]:
+def compiled(*arguments: ArgumentType) -> Callable[[F], F]:
     """Register a function as a kernel.
 
     Args:
@@ -42,15 +42,15 @@ def compiled(*arguments: Argument) -> Callable[[F], F]:
     """
 
     def note(function: F) -> F:
-        _KERNELS.setdefault(function.__module__, {})[function.__name__] = arguments
+        _KERNEL_ARGUMENTS.setdefault(function.__module__, {})[function.__name__] = arguments
         return function
 
     return note
 
 
-def inner(function: F) -> F:
+def kernel_helper(function: F) -> F:
     """Register a function as a kernel that only other kernels call."""
-    _KERNELS.setdefault(function.__module__, {})[function.__name__] = None
+    _KERNEL_ARGUMENTS.setdefault(function.__module__, {})[function.__name__] = None
     return function
 
 
@@ -61,7 +61,7 @@ def call(function: int, first: int, second: int) -> None:
 
     Raises:
         NotImplementedError: always when called from Python. Compiled kernels call the form from
-            ``_intrinsic`` instead.
+            ``_call_intrinsic`` instead.
     """
     raise NotImplementedError("only compiled kernels can call an address")
 
@@ -95,12 +95,12 @@ def machine_code(module: ModuleType) -> Any:
     """
     from numba import njit
 
-    names = dict(vars(module), call=_intrinsic(), rows_at=_rows_at())
+    names = dict(vars(module), call=_call_intrinsic(), rows_at=_rows_at())
     imported = _imported_kernels(module)
     for name, owner in imported.items():
         names[name] = getattr(machine_code(owner), vars(module)[name].__name__)
-    digest = _digest(set(imported.values()))
-    for name, arguments in _KERNELS[module.__name__].items():
+    digest = _source_digest(set(imported.values()))
+    for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
         kernel = FunctionType(vars(module)[name].__code__, names, name)  # calls compiled kernels, not Python functions
         # The qualified name is a part of numba's cache key. With the digest, a change in an
         # imported kernel changes the key.
@@ -108,8 +108,8 @@ def machine_code(module: ModuleType) -> Any:
         if arguments is None:
             names[name] = njit(error_model="numpy")(kernel)
         else:
-            names[name] = _compile(tuple(map(_numba_type, arguments)), kernel)
-    return SimpleNamespace(**{name: names[name] for name in _KERNELS[module.__name__]})
+            names[name] = _compile_kernel(tuple(map(_numba_type, arguments)), kernel)
+    return SimpleNamespace(**{name: names[name] for name in _KERNEL_ARGUMENTS[module.__name__]})
 
 
 def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
@@ -117,12 +117,12 @@ def _imported_kernels(module: ModuleType) -> dict[str, ModuleType]:
     imported = {}
     for name, value in vars(module).items():
         owner = value.__module__ if isinstance(value, FunctionType) else module.__name__
-        if owner != module.__name__ and value.__name__ in _KERNELS.get(owner, {}):
+        if owner != module.__name__ and value.__name__ in _KERNEL_ARGUMENTS.get(owner, {}):
             imported[name] = sys.modules[owner]
     return imported
 
 
-def _digest(modules: set[ModuleType]) -> str:
+def _source_digest(modules: set[ModuleType]) -> str:
     """Return a digest of the sources of modules and of all modules with imported kernels.
 
     Empty for no modules.
@@ -138,7 +138,7 @@ def _digest(modules: set[ModuleType]) -> str:
     return "_" + hashlib.sha256(b"".join(sources)).hexdigest()[:12] if sources else ""
 
 
-def _compile(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
+def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
     """Compile a kernel. Store the code for the next process, if a cache folder can be written."""
     from numba import njit
 
@@ -151,16 +151,16 @@ def _compile(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
 def use(module: ModuleType) -> None:
     """Replace the kernels of a module by their compiled forms, in this process, for callers through the module.
 
-    Kernels for other kernels only (``inner``) stay Python functions, because Python code also calls
+    Kernels for other kernels only (``kernel_helper``) stay Python functions, because Python code also calls
     them with objects.
     """
     compiled_kernels = machine_code(module)
-    for name, arguments in _KERNELS[module.__name__].items():
+    for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
         if arguments is not None:
             setattr(module, name, getattr(compiled_kernels, name))
 
 
-def _numba_type(name: Argument) -> Any:
+def _numba_type(name: ArgumentType) -> Any:
     """Return numba's type for the type of a kernel argument."""
     from numba import from_dtype, types
 
@@ -173,7 +173,7 @@ def _numba_type(name: Argument) -> Any:
     return {"real": real, "count": count, "flag": types.boolean, "address": types.intp}[name]
 
 
-def _intrinsic() -> Any:
+def _call_intrinsic() -> Any:
     """Build the compiled form of ``call``.
 
     The function's address is an argument of the compiled code. Code with a constant address could

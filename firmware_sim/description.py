@@ -29,7 +29,7 @@ In hand files of schema 2, a single number stands for equal values of all links.
 """
 
 
-POWERS = 6
+POWER_COUNT = 6
 """Number of polynomial coefficients of a moment arm that depends on the joint angle."""
 TABLE_POWERS = 4
 """Maximum number of polynomial coefficients that are fitted to a table of moment arms."""
@@ -120,7 +120,7 @@ class ArmCurve:
     Attributes:
         low: smallest joint angle [rad].
         high: largest joint angle [rad].
-        powers: ``POWERS`` coefficients of the polynomial that gives the arm [m] from the angle
+        powers: ``POWER_COUNT`` coefficients of the polynomial that gives the arm [m] from the angle
             [rad]. The constant comes first.
     """
 
@@ -358,7 +358,7 @@ def load_hand(name_or_path: str) -> Hand:
     """
     path = find_hand(name_or_path)
     try:
-        return _hand(_resolved(tomllib.loads(path.read_text("utf-8"))), path.parent)
+        return _hand(_resolved_file(tomllib.loads(path.read_text("utf-8"))), path.parent)
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # A number is too long, or the file is not UTF-8.
@@ -367,7 +367,7 @@ def load_hand(name_or_path: str) -> Hand:
         raise SimulatorError(f"{path}: not a complete hand: missing or wrong key {error}") from error
 
 
-def _resolved(raw: dict[str, Any]) -> dict[str, Any]:
+def _resolved_file(raw: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a hand file of schema 2, in which values replace the defaults and templates."""
     if raw.get("schema") != 2:
         return raw
@@ -406,12 +406,12 @@ def _with_template(raw: dict[str, Any], kind: str, entry: dict[str, Any]) -> dic
     """Return an entry with missing keys filled from the template, then from the defaults of the entry's kind."""
     default = raw.get("default", {}).get(kind, {})
     template = raw[f"{kind}_template"][entry["template"]] if "template" in entry else {}
-    return _merged(_merged(default, template), entry)
+    return _merged_tables(_merged_tables(default, template), entry)
 
 
-def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+def _merged_tables(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     """Return two tables merged key by key. Where both have a value, ``above`` decides."""
-    tables = {key: _merged(below[key], value) for key, value in above.items()
+    tables = {key: _merged_tables(below[key], value) for key, value in above.items()
               if isinstance(value, dict) and isinstance(below.get(key), dict)}  # fmt: skip
     return below | above | tables
 
@@ -525,7 +525,7 @@ def _curve(raw: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve
     powers = raw.get("polynomial_m")
     if powers is None:
         powers = _fit_polynomial([math.radians(angle) for angle in raw["angle_deg"]], raw["arm_m"])
-    return ArmCurve(*limits, (*powers, *(0.0,) * (POWERS - len(powers))))
+    return ArmCurve(*limits, (*powers, *(0.0,) * (POWER_COUNT - len(powers))))
 
 
 def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.bus.records import RECORD, to_frames, to_records
+from firmware_sim.bus.records import FRAME_DTYPE, to_frames, to_records
 from firmware_sim.compiled import addresses, machine_code
 from firmware_sim.nodes import cyclic
 from firmware_sim.nodes.cia402.kernels import Cia402Struct
 from firmware_sim.nodes.cyclic import ANSWERS, IN_ORDER, NEXT_FRAME, SENT, WAKE_NS, Receiver
 from firmware_sim.nodes.mit.codec import MitStruct
 from firmware_sim.nodes.odrive.kernels import OdriveStruct
-from firmware_sim.nodes.protocol_spec import SENSORS
-from firmware_sim.nodes.sensors import CHANNELS, SensorStruct
+from firmware_sim.nodes.protocol_spec import SENSOR_NODE_KIND
+from firmware_sim.nodes.sensors import CHANNELS_PER_FRAME, SensorStruct
 
 INITIAL_CAPACITY = 64
 """Initial capacity of the array for the answers of a tick [frames]."""
 
 
-class Exchange:
+class TickExchange:
     """The computation of the answers of a tick, for a world with node states in array rows.
 
     Attributes:
@@ -49,7 +49,7 @@ class Exchange:
         if sensor:
             orders = world.sensor_orders
             bias = sensor.bias
-            self._max_answers += sum(-(-len(order) // CHANNELS) for order in orders)
+            self._max_answers += sum(-(-len(order) // CHANNELS_PER_FRAME) for order in orders)
         self._max_answers += len(world.row_of)
         self._draws = 2 * len(orders[0]) + len(orders[1])
         self._drive_structs = tuple(
@@ -57,7 +57,7 @@ class Exchange:
         )
         self._sensor_arrays = rows.get(SensorStruct, np.empty(0, SensorStruct)), *orders, bias
         self.sends_unsolicited = True
-        self._sent = np.empty(INITIAL_CAPACITY, RECORD)
+        self._sent = np.empty(INITIAL_CAPACITY, FRAME_DTYPE)
         noise = (sensor.noise.numbers, sensor.noise.bounds) if sensor else (np.empty(0), np.zeros(2, np.int64))
         self._sample_arrays = *noise, *world.plant.sampled
         self._table: Any = None
@@ -71,7 +71,7 @@ class Exchange:
         """Answer the frames that the host has sent in a tick.
 
         Args:
-            frames: frames of the host, an array of ``RECORD``.
+            frames: frames of the host, an array of ``FRAME_DTYPE``.
             t_ns: start of the tick [ns].
             last_ns: maximum delay of an answer after the start of the tick [ns].
 
@@ -81,7 +81,7 @@ class Exchange:
         """
         world = self._world
         progress = self._progress
-        answers = np.empty(self._capacity, RECORD)
+        answers = np.empty(self._capacity, FRAME_DTYPE)
         if not frames.flags.writeable:
             frames = frames.copy()
         progress[:SENT] = 0
@@ -115,7 +115,7 @@ class Exchange:
     def _enlarged(self, answers: Any) -> Any:
         """Return the array of answers, copied into an array of twice the capacity."""
         self._capacity = 2 * len(answers)
-        return np.concatenate((answers, np.empty(len(answers), RECORD)))
+        return np.concatenate((answers, np.empty(len(answers), FRAME_DTYPE)))
 
     def _appended(self, answers: Any, frames: list[Frame]) -> Any:
         """Return the array of answers with more frames appended."""
@@ -143,7 +143,7 @@ class Exchange:
                 id(node): node.cyclic_ids if compiled else () for node, compiled in zip(nodes, by_kernel, strict=True)
             }
             for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
-                accepting = [node for node in nodes if _accepts(node, can_id)]
+                accepting = [node for node in nodes if _does_node_accept(node, can_id)]
                 # A node without a row also accepts this identifier, so Python must handle these
                 # frames.
                 if not all(can_id in cyclic_ids[id(node)] for node in accepting):
@@ -158,8 +158,8 @@ class Exchange:
         self._identifiers_seen = self._identifiers()
         self._table = table
         self._receivers = np.array(receivers, Receiver)
-        rows = [world.row_of.get(id(node), (SENSORS, 0)) for nodes in world.nodes for node in nodes]
-        self._drive_rows = np.array([(*row, -1) for row in rows if row[0] != SENSORS], Receiver)
+        rows = [world.row_of.get(id(node), (SENSOR_NODE_KIND, 0)) for nodes in world.nodes for node in nodes]
+        self._drive_rows = np.array([(*row, -1) for row in rows if row[0] != SENSOR_NODE_KIND], Receiver)
         arrays = (
             self._progress,
             table,
@@ -209,7 +209,7 @@ class Exchange:
             self._build_table()
         # A drive sends at most two frames at a time: heartbeat and encoder estimates.
         while self._progress[SENT] + 2 * len(self._drive_rows) > len(self._sent):
-            self._sent = np.concatenate((self._sent, np.empty(len(self._sent), RECORD)))
+            self._sent = np.concatenate((self._sent, np.empty(len(self._sent), FRAME_DTYPE)))
         rotors = self._world.plant.sampled[3]
         return bool(
             self._kernels.send_due(self._drive_rows, *self._drive_structs, rotors, now_ns, self._sent, self._progress)
@@ -226,12 +226,12 @@ class Exchange:
 
     def merged(self, first: Any, second: Any) -> Any:
         """Return the frames of two arrays in one array, sorted by time."""
-        out = np.empty(len(first) + len(second), RECORD)
+        out = np.empty(len(first) + len(second), FRAME_DTYPE)
         self._kernels.merge(first, second, out)
         return out
 
 
-def _accepts(node: Any, can_id: int) -> bool:
+def _does_node_accept(node: Any, can_id: int) -> bool:
     """Check whether a node may answer an identifier."""
     accepted_ids = getattr(node, "accepted_ids", node.ids)
     return accepted_ids is None or can_id in accepted_ids

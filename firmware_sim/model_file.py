@@ -13,7 +13,7 @@ from firmware_sim.description import SimulatorError
 from firmware_sim.model_meshes import BodyMesh, mjcf_meshes, rotation_of, urdf_files, urdf_meshes
 from firmware_sim.printing import one_line
 
-ROOTS = {"urdf": "robot", "mjcf": "mujoco"}
+ROOT_TAGS = {"urdf": "robot", "mjcf": "mujoco"}
 """Tag of the first XML element of each format."""
 MODEL_SUFFIXES = (".urdf", ".xml")
 """Suffixes of model files that MuJoCo reads."""
@@ -97,17 +97,17 @@ def _root(path: str, kind: str) -> ET.Element:
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}; expected a readable file") from None
     except (ET.ParseError, UnicodeError, ValueError) as error:
-        raise SimulatorError(f"{path}: not XML: {error}; expected {_form(kind)}") from None
+        raise SimulatorError(f"{path}: not XML: {error}; expected {_form_text(kind)}") from None
     if any("xacro" in str(part.tag) for part in root.iter()):
         raise SimulatorError(f"{path}: xacro; expected the URDF that the command xacro makes of it")
-    if root.tag != ROOTS[kind]:
-        other = next((f": give it with --{name}" for name, tag in ROOTS.items() if tag == root.tag), "")
-        raise SimulatorError(f"{path}: its first element is <{root.tag}>; expected {_form(kind)}{other}")
+    if root.tag != ROOT_TAGS[kind]:
+        other = next((f": give it with --{name}" for name, tag in ROOT_TAGS.items() if tag == root.tag), "")
+        raise SimulatorError(f"{path}: its first element is <{root.tag}>; expected {_form_text(kind)}{other}")
     return root
 
 
-def _form(kind: str) -> str:
-    return f"{kind.upper()}, with the first element <{ROOTS[kind]}>"
+def _form_text(kind: str) -> str:
+    return f"{kind.upper()}, with the first element <{ROOT_TAGS[kind]}>"
 
 
 def _check_joint_types(root: ET.Element, path: str) -> None:
@@ -377,11 +377,11 @@ def _tendons(model: Any, notes: list[str]) -> list[dict[str, Any]]:
             if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON
             and model.actuator_trnid[actuator, 0] == tendon
         ]
-        found.append({"name": name, "arms": arms, **_pull(model, motors)})
+        found.append({"name": name, "arms": arms, **_pull_direction(model, motors)})
     return found
 
 
-def _pull(model: Any, motors: list[int]) -> dict[str, Any]:
+def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
     """Return the name of a tendon's only actuator, and the maximum tension [N] if the actuator controls tension."""
     if len(motors) != 1:
         return {"motor": None, "tension_max": None}

@@ -38,7 +38,7 @@ class ClockReadings:
     plant_s: float
 
 
-class Pace:
+class PaceCounter:
     """Counter of the clock's slips that measures and reports the pace of the simulation.
 
     Attributes:
@@ -105,7 +105,7 @@ class Pace:
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
         """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
-        capacity = _ratio(self._start, self._at(plant_ns))
+        capacity = _pace_ratio(self._start, self._at(plant_ns))
         return {
             "time_scale": self._time_scale,
             "advice": self.advice,
@@ -121,7 +121,7 @@ class Pace:
         """Update the advised pace from the pace since the last report."""
         measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
         advice = ADVISED_FRACTION * min(
-            measured, CORE_FRACTION * _ratio(self._mark, now) * (1 if len(_cores()) == 1 else 2)
+            measured, CORE_FRACTION * _pace_ratio(self._mark, now) * (1 if len(_usable_cores()) == 1 else 2)
         )
         self.advice = rounded_down(advice) if self.advice is None else min(self.advice, rounded_down(advice))
 
@@ -138,12 +138,12 @@ def rounded_down(pace: float) -> float:
     return float(f"{math.floor(pace / step + 1e-9) * step:.6g}")
 
 
-def _ratio(first: ClockReadings, last: ClockReadings) -> float:
+def _pace_ratio(first: ClockReadings, last: ClockReadings) -> float:
     """Return the plant time per computing time, infinite for no computing time."""
     cpu_s = last.cpu_s - first.cpu_s
     return (last.plant_s - first.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
 
 
-def _cores() -> set[int]:
+def _usable_cores() -> set[int]:
     """Return the processor cores that this process may use."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else {0, 1}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from firmware_sim.description import SimulatorError
 
-_PRIVATE = 0o700
+_PRIVATE_MODE = 0o700
 """File mode of a directory with access only for the owner."""
 _PATH_MAX = 103
 """Maximum length of a Unix socket's path that all systems allow [bytes]."""
@@ -38,7 +38,7 @@ def run_dir() -> Path:
         for path in [*reversed(folder.parents), folder][
             1:
         ]:  # top down: in a checked directory, no other user can replace an entry.
-            _check(path, mine=len(folder.parts) - len(path.parts) < own_parts)
+            _check_directory(path, mine=len(folder.parts) - len(path.parts) < own_parts)
     except OSError as error:
         raise SimulatorError(f"run directory {folder}: {error.strerror}; HANDCTL_RUN_DIR names another") from error
     return folder
@@ -55,11 +55,11 @@ def _parent_dir(folder: Path, own_parts: int) -> Path:
     parent = folder.parents[own_parts - 1]
     for path in (*parent.parents, parent):
         if path.is_symlink() and path.lstat().st_uid:
-            raise _refusal(path, "is a link of a user")
+            raise _path_error(path, "is a link of a user")
     return parent
 
 
-def _check(path: Path, mine: bool) -> None:
+def _check_directory(path: Path, mine: bool) -> None:
     """Make a missing directory, and refuse a directory that another user can change.
 
     Args:
@@ -70,21 +70,21 @@ def _check(path: Path, mine: bool) -> None:
         SimulatorError: see ``run_dir``.
     """
     with suppress(FileExistsError):
-        path.mkdir(mode=_PRIVATE)
+        path.mkdir(mode=_PRIVATE_MODE)
     status = path.lstat()
     if stat.S_ISLNK(status.st_mode):
-        raise _refusal(path, "is a link")
+        raise _path_error(path, "is a link")
     if status.st_uid != os.geteuid() and (mine or status.st_uid):
-        raise _refusal(path, f"belongs to another user ({status.st_uid})")
+        raise _path_error(path, f"belongs to another user ({status.st_uid})")
     # A directory that others may write is safe with the sticky bit. As in /tmp, only owners can
     # replace their entries.
     if status.st_mode & 0o022 and (mine or not status.st_mode & stat.S_ISVTX):
-        raise _refusal(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
+        raise _path_error(path, f"is open to others (mode {stat.S_IMODE(status.st_mode):04o})")
     if mine and status.st_mode & 0o077:
-        path.chmod(_PRIVATE)
+        path.chmod(_PRIVATE_MODE)
 
 
-def _refusal(path: Path, problem: str) -> SimulatorError:
+def _path_error(path: Path, problem: str) -> SimulatorError:
     """Build the error for a directory that cannot be a run directory."""
     expected = "expected a directory of mode 0700 that belongs to you; HANDCTL_RUN_DIR names another"
     return SimulatorError(f"run directory {path}: {problem}; {expected}")

@@ -9,7 +9,7 @@ LEFT_OUT = " [...] "
 """Text in place of the middle of a message that is too long."""
 
 
-def printable(text: str) -> str:
+def printable_text(text: str) -> str:
     """Replace characters that cannot be printed by escape sequences.
 
     Examples are line ends and terminal escapes.
@@ -27,7 +27,7 @@ def one_line(text: str) -> str:
     """
     if len(text) > 4 * MAX_MESSAGE_LENGTH:  # escape sequences never make a text shorter
         text = text[: 2 * MAX_MESSAGE_LENGTH] + text[-2 * MAX_MESSAGE_LENGTH :]
-    line = printable(text)
+    line = printable_text(text)
     if len(line) <= MAX_MESSAGE_LENGTH:
         return line
     end = MAX_MESSAGE_LENGTH // 3

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-PRIORITY = 50
+REALTIME_PRIORITY = 50
 """Real-time priority of the simulator.
 
 The controller has 60, and is therefore never delayed by the simulator.
@@ -29,7 +29,7 @@ def take_priority() -> bool:
     if not sys.platform.startswith("linux"):
         return False
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(REALTIME_PRIORITY))
     except OSError:
         return False
     return True

@@ -8,15 +8,15 @@ from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.records import to_frames, to_records
 from firmware_sim.bus.timed_lockstep import TimedLockstep
 from firmware_sim.description import load_hand
-from firmware_sim.plant.perturb import perturbed
+from firmware_sim.plant.perturb import perturbed_hand
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.serials import with_serial_numbers
 from firmware_sim.truth import TruthWriter
-from firmware_sim.wire.options import parse
+from firmware_sim.wire.options import parse_wire_options
 from firmware_sim.world import make_world
 
 
-class Rig:
+class LockstepHand:
     """A simulated hand in lockstep with a caller.
 
     If the seeds and the frames are equal, the answers and the truth file are equal, byte for byte.
@@ -47,7 +47,7 @@ class Rig:
                 hand without an object.
             seed: seed of all random numbers: noise, initial slack and encoder offsets.
             truth_path: path of the truth file, None to write no truth file.
-            perturb: factors that multiply plant parameters, see ``perturb.KEYS``.
+            perturb: factors that multiply plant parameters, see ``perturb.PERTURBATION_KEYS``.
             period_ns: length of a tick [ns].
             homed: True to start with taut tendons and with the encoders at ``zero_rad`` of the hand
                 file.
@@ -58,12 +58,12 @@ class Rig:
         Raises:
             SimulatorError: the hand, the scene, a factor or a word of the wire is wrong.
         """
-        hand = with_serial_numbers(perturbed(load_hand(hand_path), perturb or {}), serials)
+        hand = with_serial_numbers(perturbed_hand(load_hand(hand_path), perturb or {}), serials)
         self.world = make_world(hand, load_scene(scene), seed, homed)
         assert self.world.exchange
         self._exchange = self.world.exchange
         self._period_ns = period_ns
-        self.wired = None if wire is None else TimedLockstep(self.world, parse(wire))
+        self.wired = None if wire is None else TimedLockstep(self.world, parse_wire_options(wire))
         self._exchange.sends_unsolicited = self.wired is None
         self._truth: TruthWriter | None = None
         if truth_path is not None:
@@ -76,11 +76,11 @@ class Rig:
 
         Args:
             t_ns: start of the tick [ns], not before the previous tick.
-            frames: frames of the host as a contiguous array of ``records.RECORD``. Their times are
+            frames: frames of the host as a contiguous array of ``records.FRAME_DTYPE``. Their times are
                 ignored.
 
         Returns:
-            The answers as an array of ``records.RECORD``. On each bus, the times form a sequence
+            The answers as an array of ``records.FRAME_DTYPE``. On each bus, the times form a sequence
             within the tick. With simulated wires, the array has the frames that have arrived by the
             end of the tick, and error frames of the host's controllers.
         """

@@ -10,10 +10,10 @@ from collections.abc import Collection
 from typing import Protocol
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.bus.ports import Port
+from firmware_sim.bus.ports import BusPort
 from firmware_sim.bus.timed_port import TimedPort
 from firmware_sim.faults.socket import FaultSocket
-from firmware_sim.pace import Pace
+from firmware_sim.pace import PaceCounter
 from firmware_sim.priority import RealTimePriority
 
 MAX_TURN_NS = 1_000_000
@@ -65,7 +65,7 @@ class ServerClock(Protocol):
         ...
 
 
-class Served(Protocol):
+class ServedNodes(Protocol):
     """The nodes that a server serves: those of a hand, or drives on a bench.
 
     Attributes:
@@ -104,7 +104,7 @@ class Served(Protocol):
         ...
 
 
-class Server:
+class BusServer:
     """The loop that advances a world by a clock, and exchanges frames through the ports of the buses.
 
     Attributes:
@@ -116,8 +116,8 @@ class Server:
 
     def __init__(
         self,
-        world: Served,
-        ports: list[Port],
+        world: ServedNodes,
+        ports: list[BusPort],
         clock: ServerClock,
         faults: FaultSocket | None = None,
         priority: RealTimePriority | None = None,
@@ -133,7 +133,7 @@ class Server:
         """
         self._faults = faults
         self._priority = priority
-        self.pace = Pace(world.t_ns, time_scale=clock.scale)
+        self.pace = PaceCounter(world.t_ns, time_scale=clock.scale)
         self._world = world
         self._ports = ports
         self._clock = clock

@@ -23,11 +23,11 @@ from pathlib import Path
 
 from firmware_sim.description import SimulatorError
 
-VERSION = 1
-GATE, PAUSED, SENT, ANSWERED, REACHED = 1, 2, 3, 4, 5
+CLOCK_FILE_VERSION = 1
+GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5
 """Indices of the integers in the file."""
-COUNT = 6
-OPEN_GATE = 2**63 - 1
+INTEGER_COUNT = 6
+OPEN_GATE_NS = 2**63 - 1
 """Value of the gate if there is no controller."""
 MAX_GATE_WAIT_NS = 120_000_000
 """Longest wait at the gate, as wall time [ns].
@@ -59,7 +59,7 @@ class SharedClock:
         """
         self.scale = scale
         self._path: Path | None = None
-        self._numbers = memoryview(array("q", [VERSION, OPEN_GATE, *[0] * (COUNT - 2)]))
+        self._numbers = memoryview(array("q", [CLOCK_FILE_VERSION, OPEN_GATE_NS, *[0] * (INTEGER_COUNT - 2)]))
 
     def publish(self, path: Path) -> None:
         """Create the file of the clock, for sharing with a controller.
@@ -84,22 +84,22 @@ class SharedClock:
 
     def now_ns(self) -> int:
         """Return the present time [ns], or the gate if the gate is earlier."""
-        now, gate = time.monotonic_ns() - self._numbers[PAUSED], self._numbers[GATE]
+        now, gate = time.monotonic_ns() - self._numbers[PAUSED_INDEX], self._numbers[GATE_INDEX]
         if gate < now <= gate + MAX_GATE_WAIT_NS:
             now = gate
         return int(now * self.scale)
 
     def ticks_sent(self) -> int:
         """Return the number of ticks for which the controller has sent all frames."""
-        return self._numbers[SENT]
+        return self._numbers[SENT_INDEX]
 
     def note_answered(self, ticks: int) -> None:
         """Report the number of ticks whose frames have all been answered."""
-        self._numbers[ANSWERED] = ticks
+        self._numbers[ANSWERED_INDEX] = ticks
 
     def note_reached(self, t_ns: int) -> None:
         """Report the time that the plant has reached [ns]."""
-        self._numbers[REACHED] = int(t_ns / self.scale)
+        self._numbers[REACHED_INDEX] = int(t_ns / self.scale)
 
     def close(self) -> None:
         """Remove the file of the clock.

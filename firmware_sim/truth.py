@@ -24,7 +24,7 @@ _ROWS_BUFFERED = 256
 """Number of rows collected before a write to the file."""
 
 
-class Truth(NamedTuple):
+class TruthFile(NamedTuple):
     """The content of a truth file.
 
     Attributes:
@@ -43,7 +43,7 @@ class Truth(NamedTuple):
         return self.values[:, self.header["columns"].index(name)]
 
 
-def columns(plant: Plant) -> list[tuple[str, str]]:
+def truth_columns(plant: Plant) -> list[tuple[str, str]]:
     """List the name and the unit of every column of a plant's truth file."""
     hand = plant.hand
     named = [(f"tension/{tendon.name}", "N") for tendon in hand.tendons]
@@ -81,7 +81,7 @@ class TruthWriter:
             plant: plant to record.
             header: additional content of the header line.
         """
-        named = columns(plant)
+        named = truth_columns(plant)
         self._header = {
             "columns": [name for name, _ in named],
             "units": [unit for _, unit in named],
@@ -139,7 +139,7 @@ class TruthWriter:
         self._file.close()
 
 
-def read_truth(path: str | Path) -> Truth:
+def read_truth(path: str | Path) -> TruthFile:
     """Read a truth file. An incomplete last row is ignored.
 
     Raises:
@@ -151,4 +151,4 @@ def read_truth(path: str | Path) -> Truth:
     header = json.loads(head)
     row = np.dtype([("t_ns", "<i8"), ("v", "<f8", (len(header["columns"]),))])
     rows = np.frombuffer(body, row, count=len(body) // row.itemsize)
-    return Truth(header, rows["t_ns"], rows["v"])
+    return TruthFile(header, rows["t_ns"], rows["v"])

@@ -15,13 +15,13 @@ from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.records import to_frames, to_records
 from firmware_sim.compiled import array_of, use
 from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
-from firmware_sim.exchange import Exchange
-from firmware_sim.faults.active import Faults
-from firmware_sim.nodes import PROTOCOLS, noise, sensors
-from firmware_sim.nodes.cia404.node import Amplifiers
+from firmware_sim.exchange import TickExchange
+from firmware_sim.faults.active import ActiveFaults
+from firmware_sim.nodes import PROTOCOL_SPECS, noise, sensors
+from firmware_sim.nodes.cia404.node import LoadCellAmplifiers
 from firmware_sim.nodes.cyclic import NEVER_NS
 from firmware_sim.nodes.mit import codec as mit_codec
-from firmware_sim.nodes.protocol_spec import SENSORS, DriveNode, Node
+from firmware_sim.nodes.protocol_spec import SENSOR_NODE_KIND, DriveNode, SimulatedNode
 from firmware_sim.nodes.sensors import SensorNode, SensorNodeRow, SensorStruct
 from firmware_sim.plant.mjcf import shapes
 from firmware_sim.plant.plant import STEP_NS, Plant
@@ -36,7 +36,7 @@ It is small against PMAX and the 3 rad of a grasp.
 """
 
 
-class World:
+class SimulatedWorld:
     """The plant and the simulated nodes of one hand.
 
     If the world is not homed, it starts as a hand at power-up. Each tendon is slack by 1 to 3 mm,
@@ -90,7 +90,7 @@ class World:
         rng = random.Random(f"encoders {seed}")
         spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
         self.encoder_offset = {motor.name: motor.zero + rng.uniform(-spread, spread) for motor in hand.motors}
-        self.nodes: list[list[Node]] = [[] for _ in hand.buses]
+        self.nodes: list[list[SimulatedNode]] = [[] for _ in hand.buses]
         self.row_of: dict[int, tuple[int, int]] = {}
         rows: dict[type, Any] = {}
         self._motor_nodes = self._build_drives(compiled, rows)
@@ -102,11 +102,11 @@ class World:
             self.nodes[self._bus_index(hand.sensors.bus)] += self.sensor_nodes
         self._nodes_by_bus = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
         self._without_row = [node for _, node in self._nodes_by_bus if id(node) not in self.row_of]
-        self._by_id: list[dict[int, list[tuple[Node, frozenset[int] | None]]]]
-        self.exchange = Exchange(self, rows) if compiled else None
+        self._by_id: list[dict[int, list[tuple[SimulatedNode, frozenset[int] | None]]]]
+        self.exchange = TickExchange(self, rows) if compiled else None
         self.refresh_identifiers()
         self._unsolicited: list[Frame] = []
-        self.faults = Faults(self)
+        self.faults = ActiveFaults(self)
         self._truth: TruthWriter | None = None
         self.slip_ns = 0
 
@@ -128,12 +128,12 @@ class World:
         """
         nodes: dict[str, DriveNode] = {}
         for motor in self.hand.motors:
-            if motor.protocol not in PROTOCOLS:
-                names = ", ".join(PROTOCOLS)
+            if motor.protocol not in PROTOCOL_SPECS:
+                names = ", ".join(PROTOCOL_SPECS)
                 raise SimulatorError(
                     f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {names}"
                 )
-        for protocol, kind in PROTOCOLS.items():
+        for protocol, kind in PROTOCOL_SPECS.items():
             motors = [motor for motor in self.hand.motors if motor.protocol == protocol]
             memory: Any = (kind.row * len(motors))() if compiled and kind.row else [None] * len(motors)
             for number, (motor, row) in enumerate(zip(motors, memory, strict=True)):
@@ -149,7 +149,9 @@ class World:
                 rows[kind.row.layout] = array_of(memory, kind.row.layout)
         return nodes
 
-    def _build_sensor_node(self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]) -> SensorNode | Amplifiers:
+    def _build_sensor_node(
+        self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]
+    ) -> SensorNode | LoadCellAmplifiers:
         """Build the sensor node (with a row if kernels are compiled), or the amplifiers."""
         plant = self.plant
         joints = self.hand.joints
@@ -158,7 +160,7 @@ class World:
         joint_order = np.array([joints.index(name) for name in spec.joints], np.int64)
         self.sensor_orders = tendon_order, joint_order
         if spec.node_ids:
-            return Amplifiers(spec, lambda: plant.cells()[tendon_order], self.seed)
+            return LoadCellAmplifiers(spec, lambda: plant.cells()[tendon_order], self.seed)
         arguments = spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed
         if not compiled:
             return SensorNode(*arguments)
@@ -166,21 +168,21 @@ class World:
         node: SensorNodeRow = memory[0]
         node.prepare(*arguments)
         rows[SensorStruct] = array_of(memory, SensorStruct)
-        self.row_of[id(node)] = SENSORS, 0
+        self.row_of[id(node)] = SENSOR_NODE_KIND, 0
         return node
 
     def motor_spec(self, name: str) -> MotorSpec:
         """Return the description of a motor by the name of the motor."""
         return next(motor for motor in self.hand.motors if motor.name == name)
 
-    def node_of(self, name: str) -> Node:
+    def node_of(self, name: str) -> SimulatedNode:
         """Return the drive node of a motor by the name of the motor."""
         return self._motor_nodes[name]
 
     def host_frame(self, name: str) -> Frame:
         """Build a frame without effect, sent only by the host of a motor."""
         spec = self.motor_spec(name)
-        can_id, data = PROTOCOLS[spec.protocol].host_frame(spec.node_id)
+        can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, self._bus_index(spec.bus), self.t_ns)
 
     def record(self, truth: TruthWriter) -> None:
@@ -223,7 +225,7 @@ class World:
         """Return True if a node may answer the frame. The answer would sample the plant."""
         return bool(self._by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0]))
 
-    def _receivers(self, bus: int, can_id: int) -> list[tuple[Node, frozenset[int] | None]]:
+    def _receivers(self, bus: int, can_id: int) -> list[tuple[SimulatedNode, frozenset[int] | None]]:
         """Return the nodes that may answer an identifier, each with the present identifiers."""
         receivers = [(node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids]
         self._by_id[bus][can_id] = receivers
@@ -331,7 +333,7 @@ class World:
         return unsolicited
 
     def take_unsolicited_records(self) -> Any:
-        """Return the unsolicited frames as an array of ``records.RECORD``.
+        """Return the unsolicited frames as an array of ``records.FRAME_DTYPE``.
 
         It is valid until the next frame is sent.
         """
@@ -378,7 +380,7 @@ def make_world(
     homed: bool = False,
     origin_ns: int = 0,
     compiled: bool = True,
-) -> World:
+) -> SimulatedWorld:
     """Build the world of a hand that was read from a file, and report wrong values as SimulatorError.
 
     Args:
@@ -393,7 +395,7 @@ def make_world(
         SimulatorError: numbers or names in the description of the hand do not make a plant.
     """
     try:
-        return World(hand, scene, seed, homed, origin_ns, compiled)
+        return SimulatedWorld(hand, scene, seed, homed, origin_ns, compiled)
     except SimulatorError:
         raise
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:

@@ -6,14 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from fuzz.drives import DRIVES
+from fuzz.drives import FUZZED_DRIVES
 
 OUTPUT_FOLDER = Path("build/fuzz")
-DONE = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) inputs accepted)?")
-COVERED = re.compile(r"cov: (\d+) ft: (\d+)")
-NAMES = (*DRIVES, "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
+DONE_PATTERN = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) inputs accepted)?")
+COVERAGE_PATTERN = re.compile(r"cov: (\d+) ft: (\d+)")
+TARGET_NAMES = (*FUZZED_DRIVES, "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
          "log", "log-bytes", "request", "fault")  # fmt: skip
-LONGEST = {**dict.fromkeys(DRIVES, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
+MAX_INPUT_BYTES = {**dict.fromkeys(FUZZED_DRIVES, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
            "task": 128, "trajectory": 128, "gains": 128, "calibration": 128, "hand-text": 1 << 14, "log": 4096,
            "log-bytes": 1 << 16}  # fmt: skip
 """Maximum length of the inputs of each target [bytes].
@@ -22,22 +22,24 @@ No initial input is longer.
 """
 
 
-def arguments() -> argparse.Namespace:
+def parsed_arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
-    parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"parsers: {', '.join(NAMES)} (default: all)")
+    parser.add_argument(
+        "targets", nargs="*", metavar="TARGET", help=f"parsers: {', '.join(TARGET_NAMES)} (default: all)"
+    )
     parser.add_argument(
         "--seconds", type=int, default=10, help="duration for each target (default: %(default)s; 0: no limit)"
     )
     parser.add_argument("--runs", type=int, default=-1, help="inputs for each target (default: limited by time)")
     parser.add_argument("--blind", action="store_true", help="do not measure which branches an input reaches (faster)")
     args = parser.parse_args()
-    if unknown := set(args.targets) - set(NAMES):
-        parser.error(f"no target {sorted(unknown)[0]!r}; expected one of {', '.join(NAMES)}")
+    if unknown := set(args.targets) - set(TARGET_NAMES):
+        parser.error(f"no target {sorted(unknown)[0]!r}; expected one of {', '.join(TARGET_NAMES)}")
     return args
 
 
-def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
+def fuzz_target(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
     """Fuzz a target in a process.
 
     Return the line to print about the target, and False if the target failed.
@@ -46,16 +48,16 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
     crashes = OUTPUT_FOLDER / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
     crashes.mkdir(parents=True, exist_ok=True)
-    limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={LONGEST[name]}"]
+    limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={MAX_INPUT_BYTES[name]}"]
     limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={crashes}/"]
     command = [sys.executable, "-m", "fuzz.one", name, str(corpus), *limits]
     if blind:
         command = [sys.executable, "-m", "fuzz.blind", name, str(corpus), str(crashes), str(seconds), str(runs)]
-        command.append(str(LONGEST[name]))
+        command.append(str(MAX_INPUT_BYTES[name]))
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     (OUTPUT_FOLDER / f"{name}.txt").write_text(done.stdout + done.stderr)
-    count = DONE.search(done.stderr)
-    covered = COVERED.findall(done.stderr)
+    count = DONE_PATTERN.search(done.stderr)
+    covered = COVERAGE_PATTERN.findall(done.stderr)
     if done.returncode or not count:
         return f"{name:13} FAILED  see {OUTPUT_FOLDER / name}.txt and {crashes}/", False
     number = int(count[1])
@@ -69,10 +71,10 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
 
 def main() -> int:
     """Fuzz all selected targets, and return the exit code."""
-    args = arguments()
+    args = parsed_arguments()
     passed = True
-    for name in args.targets or NAMES:
-        line, good = fuzzed(name, args.seconds, args.runs, args.blind)
+    for name in args.targets or TARGET_NAMES:
+        line, good = fuzz_target(name, args.seconds, args.runs, args.blind)
         print(line, flush=True)
         passed = passed and good
     return 0 if passed else 1

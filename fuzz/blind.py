@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from fuzz.targets import TARGETS, seeds
+from fuzz.targets import TARGET_FACTORIES, seeds
 
 REPORT_PERIOD_S = 30.0
 INPUTS_PER_CLOCK_READ = 256
@@ -87,7 +87,7 @@ def main() -> None:
     corpus_inputs += [seed[: int(longest)] for seed in seeds(name, folder)] or [bytes(8)]
     start = time.monotonic()
     inputs = changed_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
-    number, taken = fuzz(TARGETS[name](folder), inputs, Path(crashes), float(seconds), int(runs))
+    number, taken = fuzz(TARGET_FACTORIES[name](folder), inputs, Path(crashes), float(seconds), int(runs))
     took = round(time.monotonic() - start)
     count = len(corpus_inputs)
     print(f"Done {number} runs in {took} second(s), {taken} inputs accepted, corpus of {count} inputs", file=sys.stderr)

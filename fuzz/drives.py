@@ -5,10 +5,10 @@ The list has a drive for each protocol, and one for each set of options that cha
 
 from typing import NamedTuple
 
-from handctl.drives.registry import PROTOCOLS
+from handctl.drives.registry import PROTOCOL_ENTRIES
 
 
-class Fuzzed(NamedTuple):
+class FuzzedDrive(NamedTuple):
     """A drive whose replies are fuzzed.
 
     Attributes:
@@ -22,9 +22,9 @@ class Fuzzed(NamedTuple):
     without: str = "-"
 
 
-DRIVES = {
-    **{name: Fuzzed(name) for name in PROTOCOLS},
-    "odrive-0.5": Fuzzed("odrive", 'firmware = "0.5"\n', "endpoint_"),
-    "odrive-cyclic": Fuzzed("odrive", "encoder_period_ms = 10\ntorque_feedback = true\n"),
-    "cia402-sync": Fuzzed("cia402", "sync = true\n"),
+FUZZED_DRIVES = {
+    **{name: FuzzedDrive(name) for name in PROTOCOL_ENTRIES},
+    "odrive-0.5": FuzzedDrive("odrive", 'firmware = "0.5"\n', "endpoint_"),
+    "odrive-cyclic": FuzzedDrive("odrive", "encoder_period_ms = 10\ntorque_feedback = true\n"),
+    "cia402-sync": FuzzedDrive("cia402", "sync = true\n"),
 }

@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from fuzz.mutate import Source, mutated, paths_of_values
+from fuzz.mutate import ByteSource, mutated_content, paths_of_values
 from handctl.controller.bus_load import bus_loads
-from handctl.core.gains.gains import Gains, GainsFile, Provenance
+from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance
 from handctl.core.identified import identified_hand
 from handctl.document import validate_content
 from handctl.drives.registry import make_drive
@@ -31,9 +31,9 @@ from handctl.programs.calibration import calibration_from
 from handctl.programs.task import Task, trajectory_from
 from handctl.session.tasks import check_task_for_hand
 
-Target = Callable[[bytes], bool]
-Content = Mapping[str, Any]
-TASKS = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
+FuzzTarget = Callable[[bytes], bool]
+FileContent = Mapping[str, Any]
+TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 
 
 def construct_all(hand: Hand) -> None:
@@ -45,21 +45,21 @@ def construct_all(hand: Hand) -> None:
     bus_loads(hand)
 
 
-def hand(folder: Path) -> Target:
+def hand(folder: Path) -> FuzzTarget:
     """Return the target for a packaged hand with up to four changes."""
     contents = [hand_content(name) for name in packaged_hands()]
     paths = [list(paths_of_values(content)) for content in contents]
 
     def target(data: bytes) -> bool:
-        source = Source(data)
+        source = ByteSource(data)
         i = source.number(len(contents))
-        content = mutated(contents[i], paths[i], source)
+        content = mutated_content(contents[i], paths[i], source)
         return _is_accepted(lambda: construct_all(hand_from_content(content, "fuzzed")))
 
     return target
 
 
-def hand_text(folder: Path) -> Target:
+def hand_text(folder: Path) -> FuzzTarget:
     """Return the target for a hand file that consists of any bytes."""
     return _text(folder / "hand.toml", lambda path: construct_all(load_hand(str(path))))
 
@@ -70,7 +70,7 @@ def check_one_line(error: Exception) -> None:
     assert "\n" not in str(error), str(error)
 
 
-def _text(path: Path, load: Callable[[Path], object]) -> Target:
+def _text(path: Path, load: Callable[[Path], object]) -> FuzzTarget:
     def target(data: bytes) -> bool:
         path.write_bytes(data)
         return _is_accepted(lambda: load(path))
@@ -95,7 +95,7 @@ In all other inputs, a parsed document is changed, because parsing is slow.
 """
 
 
-def _document(path: Path, contents: list[Content], use: Callable[[Content], object]) -> Target:
+def _document(path: Path, contents: list[FileContent], use: Callable[[FileContent], object]) -> FuzzTarget:
     """Return the target for a document.
 
     Inputs are any bytes, or a valid document with up to four changes.
@@ -104,12 +104,12 @@ def _document(path: Path, contents: list[Content], use: Callable[[Content], obje
     noise = _text(path, lambda file: use(read_toml(file)))
 
     def target(data: bytes) -> bool:
-        source = Source(data)
+        source = ByteSource(data)
         kind = source.number(DOCUMENTS_PER_TEXT)
         if kind == 1:
             return noise(data[source.at :])
         i = source.number(len(contents))
-        content = mutated(contents[i], paths[i], source)
+        content = mutated_content(contents[i], paths[i], source)
         if kind == 2:
             return noise(toml_text(content).encode("utf-8", "surrogatepass"))
         return _is_accepted(lambda: use(content))
@@ -117,10 +117,10 @@ def _document(path: Path, contents: list[Content], use: Callable[[Content], obje
     return target
 
 
-def task(folder: Path) -> Target:
+def task_target(folder: Path) -> FuzzTarget:
     """Return the target for a task that must fit a hand."""
     jamia = load_hand("jamia")
-    contents = [tomllib.loads(path.read_text()) for path in sorted(TASKS.glob("*.toml"))]
+    contents = [tomllib.loads(path.read_text()) for path in sorted(TASKS_FOLDER.glob("*.toml"))]
     return _document(
         folder / "task.toml",
         list(contents),
@@ -128,8 +128,8 @@ def task(folder: Path) -> Target:
     )
 
 
-def trajectory(folder: Path) -> Target:
-    """Return the fuzz target that reads a trajectory file and checks it against a hand."""
+def trajectory_target(folder: Path) -> FuzzTarget:
+    """Return the fuzz target that reads a trajectory_target file and checks it against a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {"schema": 1, "name": "t", "time_s": [0.3 * i for i in range(8)], "angle_deg": {"index": angles}}
@@ -140,10 +140,10 @@ def trajectory(folder: Path) -> Target:
     )
 
 
-def gains(folder: Path) -> Target:
+def gains_target(folder: Path) -> FuzzTarget:
     """Return the target for a gains file with provenance."""
     packaged = Gains().model_dump(by_alias=True)
-    content = packaged | {"provenance": Provenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()}
+    content = packaged | {"provenance": GainsProvenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()}
     del content["provenance"]["restores"]
     validate_content(content, GainsFile, "packaged")
     return _document(
@@ -151,7 +151,7 @@ def gains(folder: Path) -> Target:
     )
 
 
-def calibration(folder: Path) -> Target:
+def calibration_target(folder: Path) -> FuzzTarget:
     """Return the target for a calibration with identified values, and for the resulting hand."""
     jamia = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
@@ -165,7 +165,7 @@ def calibration(folder: Path) -> Target:
         "identified": {jamia.tendon_names[0]: identified},
     }
 
-    def use(content: Content) -> None:
+    def use(content: FileContent) -> None:
         loaded = calibration_from(content, jamia, "fuzzed")
         loaded.tare(jamia), loaded.zero(jamia)
         identified_hand(jamia, loaded.identified)

@@ -12,17 +12,17 @@ import sys
 import tempfile
 from pathlib import Path
 
-from fuzz.soak import SIZE_MIB_PER_H, TASK, Sample, sample, slope
+from fuzz.soak import SIZE_MIB_PER_H, SOAK_TASK, MemorySample, memory_sample, memory_slope
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.types import TickIn, TickOut
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
-from handctl.runtime.mailbox import STOP
-from handctl.session.plan import Plan
+from handctl.runtime.mailbox import STOP_REQUEST
+from handctl.session.plan import RunPlan
 from handctl.session.run import run_lockstep
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 
 EVERY_S = 30.0
 WARM_S = 600.0
@@ -34,18 +34,18 @@ class MemorySampler:
 
     def __init__(self, until_s: float) -> None:
         """Start without samples, and with the time at which the run must end [s]."""
-        self.samples: list[Sample] = []
+        self.samples: list[MemorySample] = []
         self.until_s = until_s
 
     def poll_requests(self) -> tuple[str, ...]:
         """Return a request to stop once the time of the run is over."""
-        return (STOP,) if self.samples and self.samples[-1].t >= self.until_s else ()
+        return (STOP_REQUEST,) if self.samples and self.samples[-1].t >= self.until_s else ()
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
         """Take a sample of the memory every ``EVERY_S``."""
         t = entry.t_ns / 1e9
         if not self.samples or t - self.samples[-1].t >= EVERY_S:
-            self.samples.append(sample(os.getpid(), t))
+            self.samples.append(memory_sample(os.getpid(), t))
             print(f"{t:8.0f} s  {self.samples[-1].rss:.2f} MiB", file=sys.stderr, flush=True)
 
 
@@ -57,16 +57,16 @@ def main() -> int:
     )
     args = parser.parse_args()
     hand = load_hand("jamia")
-    plan = Plan(hand, Gains(), 500.0, ())
-    simulator = Simulator("jamia", "none", 1, homed=True)
+    plan = RunPlan(hand, Gains(), 500.0, ())
+    simulator = SimulatorSettings("jamia", "none", 1, homed=True)
     with tempfile.TemporaryDirectory() as folder, simulator.clock(plan.period_ns) as clock:
         task = Path(folder) / "long.toml"
-        task.write_text(TASK)
+        task.write_text(SOAK_TASK)
         program = TaskProgram(load_task(task))
         looks = MemorySampler(args.hours * 3600)
         controller = make_controller(hand, plan.gains, 500.0, program, None, arm_at_once=True)
         outcome = run_lockstep(plan, controller, Path(folder) / "long.mcap", clock, looks)
-    grows = slope(looks.samples, WARM_S)
+    grows = memory_slope(looks.samples, WARM_S)
     print(json.dumps({"ticks": outcome.stats.ticks, "failure": outcome.state.failure, "rss_slope_mib_per_h": grows}))
     return int(bool(outcome.state.failure) or grows is None or grows > SIZE_MIB_PER_H)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from fuzz import files
-from fuzz.mutate import Source
+from fuzz.mutate import ByteSource
 from handctl.core.types import TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.chunk_reader import schemas_and_channels
@@ -19,18 +19,18 @@ from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.recover import recover_log
-from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
-from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
+from handctl.log.topics.chain import CHAIN_TOPIC as CHAIN_TOPIC
+from handctl.log.topics.clock_pairs import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 from tests.log import synthetic
 
-Target = Callable[[bytes], bool]
-EDITS = 4
-TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
+FuzzTarget = Callable[[bytes], bool]
+MAX_EDITS = 4
+KEPT_TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
 """Topics of the log to keep: those that a reader decodes, and /rosout, which a reader skips."""
 PER_TOPIC_RECORDS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
 """Kinds of records that follow after the chunks and exist once for each topic."""
-MAGIC = b"\x89MCAP0\r\n"
+MCAP_MAGIC = b"\x89MCAP0\r\n"
 NUMERIC_START_BYTES = 48
 """Length of the numeric fields at the start of a record [bytes].
 
@@ -54,10 +54,10 @@ def read_all(path: Path) -> None:
     with RunLog(path) as log:
         log.field(TELEMETRY_FIELDS[0]), log.field(TELEMETRY_FIELDS[-1])
         len(log), list(log.ticks()), log.events, log.phases, log.gaps, log.clock_pairs
-        list(log.digests()), list(log.messages()), list(log.packed())
+        list(log.tick_digests()), list(log.messages()), list(log.packed())
 
 
-def small(folder: Path, seconds: float = 0.3) -> Path:
+def small_log(folder: Path, seconds: float = 0.3) -> Path:
     """Write a small but complete log with a few ticks."""
     path = folder / "small.mcap"
     synthetic.write(path, synthetic.header(rate_hz=10, attachments={}), seconds)
@@ -73,19 +73,19 @@ def _read(path: Path) -> bool:
     return True
 
 
-def log(folder: Path) -> Target:
+def log(folder: Path) -> FuzzTarget:
     """Return the target for a log with changed records, inside and outside of chunks.
 
     Most have a valid length.
     """
-    parts = _parts(small(folder))
+    parts = _parts(small_log(folder))
     joined = [_join_records(i, part) for i, part in enumerate(parts)]
     path = folder / "log.mcap"
 
     def target(data: bytes) -> bool:
-        source = Source(data)
+        source = ByteSource(data)
         changed = dict[int, list[bytes]]()
-        for _ in range(EDITS):
+        for _ in range(MAX_EDITS):
             if source.empty:
                 break
             i = source.number(len(parts))
@@ -109,7 +109,7 @@ def _parts(path: Path) -> list[list[bytes]]:
     contents = [bytes(file.content(place)) for place in result.chunks]
     file.close()
     channels = schemas_and_channels(contents[0]).channels
-    schemas = {number: schema for number, schema, topic, _, _ in channels if topic in TOPICS}
+    schemas = {number: schema for number, schema, topic, _, _ in channels if topic in KEPT_TOPICS}
     chunks = [[record for record in _records(content) if _is_of_channels(record, schemas)] for content in contents]
     head = list(_records(raw[8 : result.chunks[0].offset]))
     tail = list(_records(raw[result.chunks[-1].end : -8]))
@@ -131,23 +131,23 @@ def _is_of_channels(record: bytes, kept: dict[int, int]) -> bool:
     return number in (kept.values() if record[0] == Opcode.SCHEMA else kept)
 
 
-CHECKED = (Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
+CHECKED_OPCODES = (Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
 """Kinds of records that end with a checksum. A checksum of zero means no checksum."""
 
 
 def _without_checksum(record: bytes) -> bytes:
-    return record[:-4] + bytes(4) if record[0] in CHECKED else record
+    return record[:-4] + bytes(4) if record[0] in CHECKED_OPCODES else record
 
 
 def _join_records(i: int, records: list[bytes]) -> bytes:
     """Join the records of part ``i`` as a log has them: head with magic bytes, uncompressed chunk, or end."""
     content = b"".join(records)
     if i == 0:
-        return MAGIC + content
-    return content + MAGIC if records[-1][:1] == bytes([Opcode.FOOTER]) else _chunk(content)
+        return MCAP_MAGIC + content
+    return content + MCAP_MAGIC if records[-1][:1] == bytes([Opcode.FOOTER]) else _chunk(content)
 
 
-def _changed_record(record: bytes, source: Source) -> bytes:
+def _changed_record(record: bytes, source: ByteSource) -> bytes:
     """Return a record with changed content. The length of one in eight records is wrong."""
     body = bytearray(record[9:])
     kind = source.number(8)
@@ -165,7 +165,7 @@ def _chunk(content: bytes) -> bytes:
     return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
 
 
-def log_bytes(folder: Path) -> Target:
+def log_bytes(folder: Path) -> FuzzTarget:
     """Return the target for any bytes as a log.
 
     The reader and the recovery of logs get the bytes.

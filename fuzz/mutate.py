@@ -11,11 +11,11 @@ UNUSUAL_VALUES = (
     float("nan"), float("inf"), -0.0, 0, -1, 1, True, "", "x\ny", [], {}, [[]], [{}], 2**70, 1e308, -1e-320, 1e9,
     {"name": 3}, [1, 2, 3, 4], "main", "mit", "index", 10**400,
 )  # fmt: skip
-OPERATIONS = 8
-Path = tuple[Any, ...]
+OPERATION_COUNT = 8
+KeyPath = tuple[Any, ...]
 
 
-def paths_of_values(node: Any, path: Path = ()) -> Iterator[Path]:
+def paths_of_values(node: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
     """Yield the paths of all values below a node of a document.
 
     Tables and lists also count as values.
@@ -26,7 +26,7 @@ def paths_of_values(node: Any, path: Path = ()) -> Iterator[Path]:
         yield from paths_of_values(value, (*path, key))
 
 
-class Source:
+class ByteSource:
     """The bytes of a fuzzer, which are consumed from the front.
 
     Zeros follow after the end.
@@ -52,7 +52,7 @@ class Source:
         return self.at >= len(self.data)
 
 
-def value(source: Source, old: Any) -> Any:
+def value(source: ByteSource, old: Any) -> Any:
     """Return a replacement for a value: an unusual value, random bits, or the scaled old value."""
     kind = source.number(5)
     if kind == 0:
@@ -66,7 +66,9 @@ def value(source: Source, old: Any) -> Any:
     return UNUSUAL_VALUES[source.number(len(UNUSUAL_VALUES))]
 
 
-def mutated(content: Mapping[str, Any], paths: list[Path], source: Source, max_changes: int = 4) -> dict[str, Any]:
+def mutated_content(
+    content: Mapping[str, Any], paths: list[KeyPath], source: ByteSource, max_changes: int = 4
+) -> dict[str, Any]:
     """Return a copy of a document in which some values are changed, removed, renamed or repeated.
 
     Args:
@@ -82,11 +84,11 @@ def mutated(content: Mapping[str, Any], paths: list[Path], source: Source, max_c
         path = paths[source.number(len(paths))]
         parent = _copied_node(made, path[:-1])
         if parent is not None:
-            _change(parent, path[-1], source)
+            _change_entry(parent, path[-1], source)
     return made
 
 
-def _copied_node(root: dict[str, Any], path: Path) -> Any:
+def _copied_node(root: dict[str, Any], path: KeyPath) -> Any:
     """Copy the nodes on a path, and return the last one.
 
     Return None if this node no longer exists.
@@ -105,12 +107,12 @@ def _copied_node(root: dict[str, Any], path: Path) -> Any:
     return node
 
 
-def _change(parent: Any, key: Any, source: Source) -> None:
+def _change_entry(parent: Any, key: Any, source: ByteSource) -> None:
     try:
         old = parent[key]
     except (LookupError, TypeError):
         return
-    operation = source.number(OPERATIONS)
+    operation = source.number(OPERATION_COUNT)
     if operation == 0:
         del parent[key]
     elif operation == 1 and isinstance(parent, dict):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import atheris
 
-ROOT = Path(__file__).parents[1]
+REPOSITORY_ROOT = Path(__file__).parents[1]
 
 
 def compiled_modules() -> list[str]:
@@ -15,8 +15,8 @@ def compiled_modules() -> list[str]:
 
     They must not be instrumented, because numba cannot compile instrumented code.
     """
-    paths = [path for path in (ROOT / "firmware_sim").rglob("*.py") if "\n@compiled(" in path.read_text()]
-    return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in paths]
+    paths = [path for path in (REPOSITORY_ROOT / "firmware_sim").rglob("*.py") if "\n@compiled(" in path.read_text()]
+    return [".".join(path.relative_to(REPOSITORY_ROOT).with_suffix("").parts) for path in paths]
 
 
 def main() -> None:
@@ -26,12 +26,12 @@ def main() -> None:
     """
     name, corpus, *options = sys.argv[1:]
     with atheris.instrument_imports(include=["handctl", "firmware_sim"], exclude=compiled_modules()):
-        from fuzz.targets import TARGETS, seeds
+        from fuzz.targets import TARGET_FACTORIES, seeds
     shared = Path("/dev/shm")
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))
     for i, seed in enumerate(seeds(name, folder)):
         (Path(corpus) / f"seed-{i}").write_bytes(seed)
-    target = TARGETS[name](folder)
+    target = TARGET_FACTORIES[name](folder)
     verdicts = Counter[bool]()
 
     def count_verdict(data: bytes) -> None:

@@ -22,10 +22,10 @@ from typing import NamedTuple
 import numpy as np
 
 from firmware_sim.description import load_hand as load_simulated
-from firmware_sim.faults.text import KINDS, instances
+from firmware_sim.faults.text import FAULT_KINDS, instances_of_component
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.runtime.mailbox import Watcher
+from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, write_homed
 
 SIZE_MIB_PER_H = 1.0
@@ -38,10 +38,10 @@ MIN_SLOPE_TIME_S = 1800.0
 """Shortest time of samples from which a growth per hour is computed [s]."""
 ACCEPTED_EXITS = (0, 1, 71)
 """Accepted exit codes of a controller: done, ended by a named fault, or ended without confirmation from all drives."""
-TASK = LONG.replace("duration_s = 60.0", "duration_s = 3600.0")
+SOAK_TASK = LONG.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 
-class Sample(NamedTuple):
+class MemorySample(NamedTuple):
     """Time [s], memory [MiB] and number of open descriptors of a process together with its children."""
 
     t: float
@@ -49,7 +49,7 @@ class Sample(NamedTuple):
     descriptors: int
 
 
-def sample(pid: int, t: float) -> Sample:
+def memory_sample(pid: int, t: float) -> MemorySample:
     """Sample the memory and descriptors of a process and its children at time ``t`` [s]."""
     pids = [pid, *map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())]
     rss = descriptors = 0
@@ -57,10 +57,10 @@ def sample(pid: int, t: float) -> Sample:
         status = Path(f"/proc/{one}/status").read_text()
         rss += next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0)
         descriptors += len(os.listdir(f"/proc/{one}/fd"))
-    return Sample(t, rss / 1024, descriptors)
+    return MemorySample(t, rss / 1024, descriptors)
 
 
-def slope(samples: list[Sample], warm_s: float = WARM_S) -> float | None:
+def memory_slope(samples: list[MemorySample], warm_s: float = WARM_S) -> float | None:
     """Return the growth of the memory after the warm-up [MiB/h], or None if the samples cover too short a time.
 
     The slope is fitted to the largest value in each window of ``WINDOW_S``. Memory that is freed
@@ -75,7 +75,7 @@ def slope(samples: list[Sample], warm_s: float = WARM_S) -> float | None:
     return float(np.polyfit([one.t / 3600 for one in peaks], [one.rss for one in peaks], 1)[0])
 
 
-class Soak:
+class SoakTest:
     """The processes of simulator and controller, and the records of their memory, exits and errors."""
 
     def __init__(self, seed: int, scale: float) -> None:
@@ -85,7 +85,7 @@ class Soak:
         """
         self.chance = random.Random(seed)
         self.scale = str(scale)
-        self.lives: dict[str, list[list[Sample]]] = {"simulator": [], "controller": []}
+        self.lives: dict[str, list[list[MemorySample]]] = {"simulator": [], "controller": []}
         self.counts = Counter[str]()
         self.wrong: list[str] = []
         self.number = 0
@@ -113,7 +113,7 @@ class Soak:
         self.controller = start_handctl("run", *words, *log)
         self.lives["controller"].append([])
         self.counts["controllers"] += 1
-        watcher = Watcher(BUS)
+        watcher = StatusWatcher(BUS)
         until = time.monotonic() + 60.0
         while time.monotonic() < until and self.controller.poll() is None:
             line = watcher.fresh_line(0.2)
@@ -163,9 +163,17 @@ class Soak:
     def fault(self) -> str:
         """Inject a random fault, and return the text of the fault."""
         hand = load_simulated("jamia")
-        kind = self.chance.choice([one for one in KINDS if any(instances(c, hand, one) for c in KINDS[one].components)])
+        kind = self.chance.choice(
+            [
+                one
+                for one in FAULT_KINDS
+                if any(instances_of_component(c, hand, one) for c in FAULT_KINDS[one].components)
+            ]
+        )
         places = [
-            (component, name) for component in KINDS[kind].components for name in instances(component, hand, kind)
+            (component, name)
+            for component in FAULT_KINDS[kind].components
+            for name in instances_of_component(component, hand, kind)
         ]
         component, name = self.chance.choice(places)
         text = f"{kind} {component}={name} for={self.chance.choice((1, 20, 200, 2000))}ms"
@@ -178,11 +186,11 @@ class Soak:
         """Sample memory and descriptors of simulator and controller."""
         for name, process in (("simulator", self.simulator), ("controller", self.controller)):
             if process is not None and process.poll() is None:
-                self.lives[name][-1].append(sample(process.pid, t))
+                self.lives[name][-1].append(memory_sample(process.pid, t))
 
     def judged(self) -> dict[str, object]:
         """Return the result of the soak: counts, growth of memory, numbers of descriptors, and all errors."""
-        slopes = {name: [slope(one) for one in lives if one] for name, lives in self.lives.items()}
+        slopes = {name: [memory_slope(one) for one in lives if one] for name, lives in self.lives.items()}
         known_slopes = {name: [one for one in found if one is not None] for name, found in slopes.items()}
         for name, found in known_slopes.items():
             self.wrong += [f"{name} grows by {one:.2f} MiB/h" for one in found if one > SIZE_MIB_PER_H]
@@ -219,8 +227,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
         os.environ["HANDCTL_RUN_DIR"] = folder
         os.chdir(folder)
-        Path("long.toml").write_text(TASK)
-        soak = Soak(args.seed, args.time_scale)
+        Path("long.toml").write_text(SOAK_TASK)
+        soak = SoakTest(args.seed, args.time_scale)
         start = time.monotonic()
         try:
             soak.start_simulator()

@@ -5,8 +5,8 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-REASONS = Path("docs/evidence/mutation.md")
-SURVIVED, UNTESTED, NOT_RUN = (0,), (5, 33), (None, 2, 34)
+REASONS_DOCUMENT = Path("docs/evidence/mutation.md")
+SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES = (0,), (5, 33), (None, 2, 34)
 """Exit codes of mutants in the records of mutmut: no test failed, no selected test calls the function, or not run."""
 
 
@@ -15,13 +15,15 @@ def main() -> int:
 
     Return 1 if a surviving mutant has no reason, or if no mutant was run to the end.
     """
-    reasons = REASONS.read_text() if REASONS.exists() else ""
+    reasons = REASONS_DOCUMENT.read_text() if REASONS_DOCUMENT.exists() else ""
     unexplained = list[str]()
     all_judged = 0
     for path in sorted(Path("mutants/src").rglob("*.meta")):
         codes: dict[str, int | None] = json.loads(path.read_text())["exit_code_by_key"]
         count = Counter(codes.values())
-        survived, untested, not_run = (sum(count[code] for code in kind) for kind in (SURVIVED, UNTESTED, NOT_RUN))
+        survived, untested, not_run = (
+            sum(count[code] for code in kind) for kind in (SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES)
+        )
         judged = len(codes) - not_run
         if not judged:
             continue
@@ -30,7 +32,9 @@ def main() -> int:
         name = str(path.relative_to("mutants/src/handctl")).removesuffix(".py.meta")
         left = f"{survived:4} survived {untested:4} untested {not_run:4} not run"
         print(f"{name:32} {killed:4} of {judged:4} killed {100 * killed / judged:5.1f} %  {left}")
-        unexplained += [key for key, code in codes.items() if code in SURVIVED + UNTESTED and f"`{key}`" not in reasons]
+        unexplained += [
+            key for key, code in codes.items() if code in SURVIVED_CODES + UNTESTED_CODES and f"`{key}`" not in reasons
+        ]
     for key in unexplained:
         print(f"no reason: {key}   (mutmut show {key})")
     if not all_judged:

@@ -4,34 +4,34 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fuzz import files, logs, texts, wire
-from fuzz.drives import DRIVES
+from fuzz.drives import FUZZED_DRIVES
 from handctl.hand.load import PACKAGED_HANDS_FOLDER
 
-Target = Callable[[bytes], bool]
-TARGETS: dict[str, Callable[[Path], Target]] = {
-    **{name: wire.drive(name) for name in DRIVES},
-    "sensor-node": wire.sensors,
+FuzzTarget = Callable[[bytes], bool]
+TARGET_FACTORIES: dict[str, Callable[[Path], FuzzTarget]] = {
+    **{name: wire.drive_target_factory(name) for name in FUZZED_DRIVES},
+    "sensor-node": wire.sensor_target,
     "hand": files.hand,
     "hand-text": files.hand_text,
-    "task": files.task,
-    "trajectory": files.trajectory,
-    "gains": files.gains,
-    "calibration": files.calibration,
+    "task": files.task_target,
+    "trajectory": files.trajectory_target,
+    "gains": files.gains_target,
+    "calibration": files.calibration_target,
     "log": logs.log,
     "log-bytes": logs.log_bytes,
-    "request": texts.request,
-    "fault": texts.fault,
+    "request": texts.request_target,
+    "fault": texts.fault_target,
 }
 
 
 def seeds(name: str, folder: Path) -> list[bytes]:
     """Return valid inputs with which the corpus of a target starts."""
-    if name in DRIVES:
-        return wire.answers(name, folder)
+    if name in FUZZED_DRIVES:
+        return wire.recorded_inputs(name, folder)
     if name == "hand-text":
         return [path.read_bytes() for path in PACKAGED_HANDS_FOLDER.glob("*.toml")]
     if name == "log-bytes":
-        return [logs.small(folder).read_bytes()]
+        return [logs.small_log(folder).read_bytes()]
     if name == "request":
         return [b'{"do": "arm"}', b'{"do": "move", "angle_deg": {"index": 20}}', b'{"do": "gains", "set": {"a": 1}}']
     if name == "fault":

@@ -5,15 +5,15 @@ from pathlib import Path
 
 from firmware_sim.description import SimulatorError
 from firmware_sim.description import load_hand as load_simulated
-from firmware_sim.faults.text import KINDS, parse_fault
+from firmware_sim.faults.text import FAULT_KINDS, parse_fault
 from fuzz.files import check_one_line
-from fuzz.mutate import Source
+from fuzz.mutate import ByteSource
 from handctl.programs.requests import parse_request
 
-Target = Callable[[bytes], bool]
+FuzzTarget = Callable[[bytes], bool]
 
 
-def request(folder: Path) -> Target:
+def request_target(folder: Path) -> FuzzTarget:
     """Return the target for requests that a running controller gets from its mailbox."""
 
     def target(data: bytes) -> bool:
@@ -26,11 +26,12 @@ def request(folder: Path) -> Target:
     return target
 
 
-WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "size", "p", "at", "for", "seed", "3", "main",
+FAULT_TEXT_WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "size", "p", "at", "for", "seed",
+    "3", "main",
          "index_tendon", "thumb", "sensors", "3s", "20ms", "0x10", "nan", "1e400", "-1", "0.5", "1_0", "٣")  # fmt: skip
 
 
-def fault(folder: Path) -> Target:
+def fault_target(folder: Path) -> FuzzTarget:
     """Return the target for texts of faults.
 
     Inputs are any bytes, or words that such texts have.
@@ -38,13 +39,14 @@ def fault(folder: Path) -> Target:
     hand = load_simulated("jamia")
 
     def target(data: bytes) -> bool:
-        source = Source(data)
+        source = ByteSource(data)
         if source.number(2):
             text = data[source.at :].decode("utf-8", "replace")
         else:
-            text = list(KINDS)[source.number(len(KINDS))]
+            text = list(FAULT_KINDS)[source.number(len(FAULT_KINDS))]
             while not source.empty:
-                text += f" {WORDS[source.number(len(WORDS))]}={WORDS[source.number(len(WORDS))]}"
+                key = FAULT_TEXT_WORDS[source.number(len(FAULT_TEXT_WORDS))]
+                text += f" {key}={FAULT_TEXT_WORDS[source.number(len(FAULT_TEXT_WORDS))]}"
         try:
             parse_fault(text, hand)
         except SimulatorError as error:

@@ -11,27 +11,27 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from fuzz.drives import DRIVES
-from handctl.core.schema import Block
-from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
+from fuzz.drives import FUZZED_DRIVES
+from handctl.core.schema import BlockArray
+from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from tests.drives.protocol_bench import Bench, hand_file
 from tests.drives.wired import Wired
 
-Target = Callable[[bytes], bool]
+FuzzTarget = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
 """Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
-SILENCE = 240
+SILENCE_BYTE = 240
 """Smallest third byte that puts a long silence before its frame."""
-MARKS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
+IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
-CLEAR = 0x40
+CLEAR_BIT = 0x40
 """Bit of the third byte that makes the target clear an error."""
-LONGEST = 64
+MAX_PAYLOAD_BYTES = 64
 
 
-def frames(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame, int]]:
+def frames_of_input(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame, int]]:
     """Yield the frames of an input, each with its third byte.
 
     Most have an identifier of the node.
@@ -43,10 +43,10 @@ def frames(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame,
             return
         pick, shape, more = data[at : at + 3]
         can_id = ours[pick % len(ours)] if pick < 240 else (pick << 3 ^ more) & 0x7FF
-        size = 8 if shape & 3 else more % (LONGEST + 1)
+        size = 8 if shape & 3 else more % (MAX_PAYLOAD_BYTES + 1)
         payload = data[at + 3 : at + 3 + size]
-        t_ns += LONG_SILENCE_NS if more >= SILENCE else STEP_NS
-        yield Frame(can_id | MARKS[shape >> 5], payload, FDF | BRS if size > 8 else 0, 0, t_ns), more
+        t_ns += LONG_SILENCE_NS if more >= SILENCE_BYTE else STEP_NS
+        yield Frame(can_id | IDENTIFIER_FLAGS[shape >> 5], payload, FDF | BRS if size > 8 else 0, 0, t_ns), more
         at += 3 + size
 
 
@@ -59,37 +59,39 @@ class RecordedState(NamedTuple):
 
 
 def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]:
-    """Return a drive of ``DRIVES``, and its recorded states from silence until it makes torque."""
-    fuzzed = DRIVES[name]
+    """Return a drive of ``FUZZED_DRIVES``, and its recorded states from silence until it makes torque."""
+    fuzzed = FUZZED_DRIVES[name]
     path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(line for line in lines if not line.startswith(fuzzed.without)))
     bench = Bench(path)
     motor = bench.drives[0]
     seen = list[RecordedState]()
-    while bench.states[0].phase != Phase.ENABLED:
+    while bench.states[0].phase != DrivePhase.ENABLED:
         received = tuple(frame for frame in bench.incoming if frame.can_id in motor.node_ids)
         if received or not seen:
             seen.append(RecordedState(bench.states[0], bench.k * bench.period_ns, received))
-        ready = all(state.phase >= Phase.READY for state in bench.states)
+        ready = all(state.phase >= DrivePhase.READY for state in bench.states)
         bench.tick(DriveTarget.ENABLE if ready else DriveTarget.POLL)
     seen.append(RecordedState(bench.states[0], bench.k * bench.period_ns, ()))
     bench.rig.close()
     return motor, seen
 
 
-def answers(name: str, folder: Path) -> list[bytes]:
+def recorded_inputs(name: str, folder: Path) -> list[bytes]:
     """Return the recorded frames of a drive up to torque, coded as inputs of the target."""
     motor, seen = path_to_torque(name, folder)
-    ours = identifiers(motor, seen)
+    ours = selectable_identifiers(motor, seen)
     inputs = []
     for i, (_, _, received) in enumerate(seen):
-        parts = [bytes((ours.index(one.can_id), *_shape(one.data))) + one.data for one in received[:MAX_FRAMES]]
+        parts = [
+            bytes((ours.index(one.can_id), *_payload_header(one.data))) + one.data for one in received[:MAX_FRAMES]
+        ]
         inputs.append(bytes((i,)) + b"".join(parts))
     return [data for data in inputs if len(data) > 1]
 
 
-def identifiers(motor: Drive, seen: Sequence[RecordedState]) -> list[int]:
+def selectable_identifiers(motor: Drive, seen: Sequence[RecordedState]) -> list[int]:
     """Return the identifiers among which a byte of an input selects, at most 256.
 
     The identifiers of the recorded frames come first.
@@ -98,17 +100,17 @@ def identifiers(motor: Drive, seen: Sequence[RecordedState]) -> list[int]:
     return [*sorted(received), *sorted(motor.node_ids - received)][:256]
 
 
-def _shape(payload: bytes) -> tuple[int, int]:
+def _payload_header(payload: bytes) -> tuple[int, int]:
     """Return the two bytes that precede a payload in an input: shape and third byte."""
     return (1, int(DriveTarget.POLL)) if len(payload) == 8 else (0, len(payload))
 
 
-def drive(name: str) -> Callable[[Path], Target]:
-    """Return the function that makes the target for a drive of ``DRIVES``."""
+def drive_target_factory(name: str) -> Callable[[Path], FuzzTarget]:
+    """Return the function that makes the target for a drive of ``FUZZED_DRIVES``."""
 
-    def make(folder: Path) -> Target:
+    def make(folder: Path) -> FuzzTarget:
         motor, seen = path_to_torque(name, folder)
-        ours = identifiers(motor, seen)
+        ours = selectable_identifiers(motor, seen)
         return lambda data: _feed_drive(motor, seen[data[0] % len(seen)] if data else seen[0], ours, data)
 
     return make
@@ -121,26 +123,26 @@ def _feed_drive(motor: Drive, begin: RecordedState, ours: Sequence[int], data: b
     """
     state = begin.state
     taken = False
-    for frame, more in frames(data, ours, begin.t_ns):
+    for frame, more in frames_of_input(data, ours, begin.t_ns):
         after = motor.receive(state, frame)
         taken = taken or after is not state
-        state, sent = _advance(motor, after, frame.t_ns + STEP_NS, more)
-        assert max((len(one.data) for one in sent), default=0) <= LONGEST
-        assert state.phase in Phase
+        state, sent = _advance_drive(motor, after, frame.t_ns + STEP_NS, more)
+        assert max((len(one.data) for one in sent), default=0) <= MAX_PAYLOAD_BYTES
+        assert state.phase in DrivePhase
     motor.clear(state)
     return taken
 
 
-def _advance(motor: Drive, state: DriveState, t_ns: int, more: int) -> tuple[DriveState, tuple[Frame, ...]]:
-    if state.phase == Phase.FAULT:
+def _advance_drive(motor: Drive, state: DriveState, t_ns: int, more: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    if state.phase == DrivePhase.FAULT:
         motor.cause(state.error)
-        if more & CLEAR:
+        if more & CLEAR_BIT:
             return motor.clear(state)
     target = DRIVE_TARGETS[more % len(DRIVE_TARGETS)]
     return motor.advance(state, t_ns, target, 0.1 if target == DriveTarget.ENABLE else 0.0)
 
 
-def sensors(folder: Path) -> Target:
+def sensor_target(folder: Path) -> FuzzTarget:
     """Return the target for the sensor node, with increasing tick numbers."""
     bench = Bench(hand_file(folder, ["mit"]))
     bench.rig.close()
@@ -149,14 +151,14 @@ def sensors(folder: Path) -> Target:
     return lambda data: _feed_sensor_node(wired, wired.block.copy(), ours, data)
 
 
-def _feed_sensor_node(wired: Wired, begin: Block, ours: Sequence[int], data: bytes) -> bool:
+def _feed_sensor_node(wired: Wired, begin: BlockArray, ours: Sequence[int], data: bytes) -> bool:
     """Feed frames to the decoder of the sensor node, from the state ``begin``.
 
     Return True if any frame counted.
     """
     wired.block[:] = begin
     taken = 0
-    for frame, more in frames(data, ours, STEP_NS):
+    for frame, more in frames_of_input(data, ours, STEP_NS):
         wired.sync(more)
         wired.receive([frame]).observe()
         taken += int(wired.view("group_answered").sum()) + wired.number("stale_now") + wired.misread

@@ -18,14 +18,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-TERMS = tomllib.loads(Path(__file__).with_name("language_terms.toml").read_text(encoding="utf-8"))
-LIMITS = Path(__file__).with_name("language_limits.toml")
-FOLDERS = ("src", "firmware_sim", "tests", "benchmarks", "fuzz", "tools")
+REPOSITORY_ROOT = Path(__file__).parents[1]
+LANGUAGE_TERMS = tomllib.loads(Path(__file__).with_name("language_terms.toml").read_text(encoding="utf-8"))
+LIMITS_FILE = Path(__file__).with_name("language_limits.toml")
+COUNTED_FOLDERS = ("src", "firmware_sim", "tests", "benchmarks", "fuzz", "tools")
 DOCUMENTS = "documents"
 """Name under which all Markdown files are counted together."""
 
-PER = {
+QUANTITY_PER_COUNT = {
     "names": ("name words", 1000),
     "openers": ("docstrings", 100),
     "what": ("words", 1000),
@@ -41,25 +41,25 @@ PER = {
 
 A count without such a quantity is absolute.
 """
-LONG = 100
+LONG_LINE_CHARACTERS = 100
 """Number of characters above which a line counts as long."""
-ROUNDING = 2
+LIMITS_PER_UNIT = 2
 """Limits are multiples of 1 / ROUNDING, so that a single sentence does not exceed a limit."""
 
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
-_PROSE = {name: re.compile(pattern, re.IGNORECASE) for name, pattern in TERMS["prose"].items()}
-_VERBS = set(TERMS["verbs"]["words"].split())
+_PROSE = {name: re.compile(pattern, re.IGNORECASE) for name, pattern in LANGUAGE_TERMS["prose"].items()}
+_VERBS = set(LANGUAGE_TERMS["verbs"]["words"].split())
 _CODE = re.compile(r"^```.*?^```|`[^`\n]*`|^\|.*?$|\*\*[^*\n]+:\*\*", re.MULTILINE | re.DOTALL)
 """Parts of a Markdown document that are not prose: blocks of code, quoted code, rows of tables, labels in bold."""
 
 
 @dataclass
-class Tally:
+class FolderTally:
     """Counts of one folder.
 
     Attributes:
-        counts: number of findings for each key of ``PER``.
-        totals: total of each unit in ``PER``, such as words. A ratio is a count divided by its total.
+        counts: number of findings for each key of ``QUANTITY_PER_COUNT``.
+        totals: total of each unit in ``QUANTITY_PER_COUNT``, such as words. A ratio is a count divided by its total.
         places: ``file:line: finding`` of each count.
     """
 
@@ -74,12 +74,12 @@ class Tally:
             self.places[count].append(f"{place}: {finding}")
 
     def ratio(self, count: str) -> float:
-        """Return a count divided by its quantity, as ``PER`` defines."""
-        quantity, factor = PER[count]
+        """Return a count divided by its quantity, as ``QUANTITY_PER_COUNT`` defines."""
+        quantity, factor = QUANTITY_PER_COUNT[count]
         return factor * self.counts[count] / max(self.totals[quantity], 1) if quantity else self.counts[count]
 
 
-def count_prose(tally: Tally, text: str, place: str) -> None:
+def count_prose(tally: FolderTally, text: str, place: str) -> None:
     """Count the words and the patterns of dialect in a docstring or document."""
     tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
     for name, pattern in _PROSE.items():
@@ -87,7 +87,7 @@ def count_prose(tally: Tally, text: str, place: str) -> None:
         tally.add(name, place, f"{len(matches)} in the text", len(matches))
 
 
-def count_module(tally: Tally, tree: ast.Module, text: str, name: str) -> None:
+def count_module(tally: FolderTally, tree: ast.Module, text: str, name: str) -> None:
     """Count findings in the names, docstrings and lines of a module.
 
     Args:
@@ -99,14 +99,19 @@ def count_module(tally: Tally, tree: ast.Module, text: str, name: str) -> None:
     lines = [line for line in text.splitlines() if line.strip()]
     tally.totals["lines"] += len(lines)
     for number, line in enumerate(text.splitlines(), 1):
-        tally.add("long_lines", f"{name}:{number}", f"{len(line)} characters", len(line) > LONG)
+        tally.add("long_lines", f"{name}:{number}", f"{len(line)} characters", len(line) > LONG_LINE_CHARACTERS)
     for node in ast.walk(tree):
         place = f"{name}:{getattr(node, 'lineno', 1)}"
         for defined in _defined(node):
             words = [word.lower() for word in _WORD.findall(defined)]
             tally.totals["name words"] += len(words)
             for word in words:
-                tally.add("names", place, f"{defined}: say {TERMS['names'].get(word)}", word in TERMS["names"])
+                tally.add(
+                    "names",
+                    place,
+                    f"{defined}: say {LANGUAGE_TERMS['names'].get(word)}",
+                    word in LANGUAGE_TERMS["names"],
+                )
         tally.add("tuples", place, "assignments in parallel", _is_parallel(node))
         _count_docstring(tally, node, place)
     for text in _attribute_docs(tree):
@@ -131,7 +136,7 @@ def _is_parallel(node: ast.AST) -> bool:
     return False
 
 
-def _count_docstring(tally: Tally, node: ast.AST, place: str) -> None:
+def _count_docstring(tally: FolderTally, node: ast.AST, place: str) -> None:
     """Count the docstring of a module, class or function.
 
     Docstrings of functions must begin with a verb.
@@ -163,9 +168,9 @@ def comments(text: str) -> int:
     return sum(token.type == tokenize.COMMENT and not re.search("noqa|type:|fmt:", token.string) for token in tokens)
 
 
-def count_folder(folder: Path) -> Tally:
+def count_folder(folder: Path) -> FolderTally:
     """Count the findings in all modules of a folder."""
-    tally, classes = Tally(), defaultdict(list)
+    tally, classes = FolderTally(), defaultdict(list)
     for path in sorted(folder.rglob("*.py")):
         text, name = path.read_text(encoding="utf-8"), path.relative_to(folder.parent).as_posix()
         tree = ast.parse(text)
@@ -179,30 +184,30 @@ def count_folder(folder: Path) -> Tally:
     return tally
 
 
-def count_documents(root: Path) -> Tally:
+def count_documents(root: Path) -> FolderTally:
     """Count the findings in the Markdown documents at the top of the project and in ``docs``."""
-    tally = Tally()
+    tally = FolderTally()
     for path in sorted([*root.glob("*.md"), *root.glob("docs/**/*.md")]):
         count_prose(tally, _CODE.sub(" ", path.read_text(encoding="utf-8")), path.relative_to(root).as_posix())
     return tally
 
 
-def count_all(root: Path) -> dict[str, Tally]:
+def count_all(root: Path) -> dict[str, FolderTally]:
     """Count the findings in every folder and in the documents."""
-    folders = {name: count_folder(root / name) for name in FOLDERS if (root / name).is_dir()}
+    folders = {name: count_folder(root / name) for name in COUNTED_FOLDERS if (root / name).is_dir()}
     return folders | {DOCUMENTS: count_documents(root)}
 
 
-def ratios(tally: Tally) -> dict[str, float]:
+def ratios(tally: FolderTally) -> dict[str, float]:
     """Return all ratios whose quantity a tally has, each rounded up to a multiple of one half."""
-    measured = [count for count, (quantity, _) in PER.items() if not quantity or tally.totals[quantity]]
-    return {count: -(-round(tally.ratio(count) * ROUNDING, 6) // 1) / ROUNDING for count in measured}
+    measured = [count for count, (quantity, _) in QUANTITY_PER_COUNT.items() if not quantity or tally.totals[quantity]]
+    return {count: -(-round(tally.ratio(count) * LIMITS_PER_UNIT, 6) // 1) / LIMITS_PER_UNIT for count in measured}
 
 
 Limits = dict[str, dict[str, float]]
 
 
-def excesses(tallies: dict[str, Tally], limits: Limits) -> Iterator[str]:
+def excesses(tallies: dict[str, FolderTally], limits: Limits) -> Iterator[str]:
     """Yield a line for each count above its limit.
 
     If a folder has no limits in the file, its limits are zero.
@@ -211,12 +216,16 @@ def excesses(tallies: dict[str, Tally], limits: Limits) -> Iterator[str]:
         for count, ratio in ratios(tally).items():
             limit = limits.get(name, {}).get(count, 0.0)
             if ratio > limit:
-                unit = f" per {PER[count][1]} {PER[count][0]}" if PER[count][0] else ""
+                unit = (
+                    f" per {QUANTITY_PER_COUNT[count][1]} {QUANTITY_PER_COUNT[count][0]}"
+                    if QUANTITY_PER_COUNT[count][0]
+                    else ""
+                )
                 where = f"python tools/language.py --places {count} {name}"
                 yield f"{name}: {count} {ratio:g}{unit}, at most {limit:g}; see {where}"
 
 
-def lowered_limits(tallies: dict[str, Tally], limits: Limits) -> Limits:
+def lowered_limits(tallies: dict[str, FolderTally], limits: Limits) -> Limits:
     """Return new limits: the current counts, or the old limits where these are lower."""
     return {
         name: {count: min(ratio, limits.get(name, {}).get(count, ratio)) for count, ratio in ratios(tally).items()}
@@ -234,10 +243,10 @@ def to_toml(limits: Limits) -> str:
     return head + "".join(sections)
 
 
-def print_table(tallies: dict[str, Tally]) -> None:
+def print_table(tallies: dict[str, FolderTally]) -> None:
     """Print a table of all counts, with a row for each count and a column for each folder."""
     print(f"{'':30}" + "".join(f"{name:>13}" for name in tallies))
-    for count, (quantity, factor) in PER.items():
+    for count, (quantity, factor) in QUANTITY_PER_COUNT.items():
         label = f"{count} / {factor} {quantity}" if quantity else count
         cells = (f"{tally.ratio(count):.1f}" if count in ratios(tally) else "-" for tally in tallies.values())
         print(f"{label:30}" + "".join(f"{cell:>13}" for cell in cells))
@@ -253,19 +262,19 @@ def main(words: list[str] | None = None) -> int:
     tighten = "lower the limit of each rule to its present number of findings"
     parser.add_argument("--tighten", action="store_true", help=tighten)
     args = parser.parse_args(words)
-    tallies = count_all(ROOT)
+    tallies = count_all(REPOSITORY_ROOT)
     if args.table:
         print_table(tallies)
         return 0
     if args.places:
         count, folder = args.places
-        if count not in PER or folder not in tallies:
-            parser.error(f"--places takes one of {', '.join(PER)} and one of {', '.join(tallies)}")
+        if count not in QUANTITY_PER_COUNT or folder not in tallies:
+            parser.error(f"--places takes one of {', '.join(QUANTITY_PER_COUNT)} and one of {', '.join(tallies)}")
         print(*tallies[folder].places[count], sep="\n")
         return 0
-    limits: Limits = tomllib.loads(LIMITS.read_text(encoding="utf-8")) if LIMITS.exists() else {}
+    limits: Limits = tomllib.loads(LIMITS_FILE.read_text(encoding="utf-8")) if LIMITS_FILE.exists() else {}
     if args.tighten:
-        LIMITS.write_text(to_toml(lowered_limits(tallies, limits)), encoding="utf-8")
+        LIMITS_FILE.write_text(to_toml(lowered_limits(tallies, limits)), encoding="utf-8")
         return 0
     lines = list(excesses(tallies, limits))
     print(*lines, sep="\n", end="\n" * bool(lines), file=sys.stderr)

@@ -2,12 +2,12 @@
 
 from typing import Any
 
-BOOST = {
+SEARCH_BOOSTS = {
     "how-to/stop.md": 10.0, "how-to/why-a-run-ended.md": 3.0, "how-to/adapters.md": 3.0, "reference/topics.md": 4.0,
     "reference/faults.md": 3.0, "how-to/adding-a-drive.md": 2.0, "how-to/other-tools.md": 3.0,
 }  # fmt: skip
 """Factor that multiplies the search score of a page."""
-EXCLUDED = ("evidence/lookups.md",)
+EXCLUDED_PAGES = ("evidence/lookups.md",)
 """Pages that the search leaves out, because they quote questions without answering them."""
 
 
@@ -17,8 +17,8 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
     Front matter in the page could do so too, but GitHub would show it.
     """
     path = page.file.src_uri
-    if path in BOOST:
-        page.meta.setdefault("search", {"boost": BOOST[path]})
-    if path in EXCLUDED:
+    if path in SEARCH_BOOSTS:
+        page.meta.setdefault("search", {"boost": SEARCH_BOOSTS[path]})
+    if path in EXCLUDED_PAGES:
         page.meta.setdefault("search", {"exclude": True})
     return markdown

@@ -47,13 +47,13 @@ def enabled(motors):
     from handctl.core.types import Mode
     from handctl.hand.load import load_hand
     from handctl.programs.grasp import TaskProgram
-    from handctl.session.simulate import Simulator, homed_controller
+    from handctl.session.simulate import SimulatorSettings, homed_controller
     from handctl.session.tasks import find_task
 
     name = {4: "jamia", 11: "jamia11"}[motors]
     model = HandModel.of(load_hand(name), Gains(), RATE_HZ)
     controller = homed_controller(model, TaskProgram(find_task(Path("grasp"), model.hand)[0]))
-    with Simulator(name, homed=True).against(controller) as run:
+    with SimulatorSettings(name, homed=True).against(controller) as run:
         assert run.until(lambda out: out.mode == Mode.ACTIVE, 20.0)
         run.tick()
         return controller, run.state
@@ -69,7 +69,7 @@ class Ours:
 
         from handctl.core import wire
         from handctl.drives.contract import DriveTarget
-        from handctl.drives.records import WORDS
+        from handctl.drives.records import WORDS_PER_RECORD
         from handctl.runtime.buses.open import open_bus
 
         self.controller, state = enabled(motors)
@@ -77,7 +77,7 @@ class Ours:
         self.want = DriveTarget.ENABLE
         self.start = wire.begin_tick
         self.np = np
-        self.shape = 1 + motors, WORDS
+        self.shape = 1 + motors, WORDS_PER_RECORD
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
         self.t_ns = self.state.k * round(1e9 / RATE_HZ)
 

@@ -7,7 +7,7 @@ import numpy as np
 from grasps.objects import CASES
 from grasps.trial import simulate, task_program
 from handctl.programs.grasp import TaskProgram
-from handctl.programs.task import Hold
+from handctl.programs.task import HoldPhase
 
 PAPER_KG = 0.915
 """Payload in the source paper [kg], from 18 N and friction 0.5. Source: section 5 of the paper."""
@@ -54,7 +54,7 @@ def _at(hand: str, tension: float) -> TaskProgram:
     program = task_program("grasp", hand, hold_s=60.0)
     phases = [
         phase.model_copy(update={"tension_N": tension, "slip_limit_N": None, "stiffness_N_per_mm": 0.0})
-        if isinstance(phase, Hold)
+        if isinstance(phase, HoldPhase)
         else phase
         for phase in program.task.phase
     ]

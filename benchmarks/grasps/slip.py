@@ -7,7 +7,7 @@ import numpy as np
 from grasps.objects import CASES
 from grasps.trial import simulate, task_program
 from handctl.programs.grasp import TaskProgram
-from handctl.programs.task import Hold
+from handctl.programs.task import HoldPhase
 
 START_S = 6.0
 RATE_N_PER_S = 2.0
@@ -29,7 +29,9 @@ def pull(job: tuple[str, bool, int]) -> dict[str, Any]:
     scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
     program = task_program("grasp", hand, hold_s=60.0)
     change = {"tension_N": TENSION_N, "slip_limit_N": LIMIT_N if answered else None}
-    phases = [phase.model_copy(update=change) if isinstance(phase, Hold) else phase for phase in program.task.phase]
+    phases = [
+        phase.model_copy(update=change) if isinstance(phase, HoldPhase) else phase for phase in program.task.phase
+    ]
     program = TaskProgram(program.task.model_copy(update={"phase": tuple(phases)}))
     run = simulate(hand, program, scene, seed=seed, timeout=LAST_S)
     after = np.flatnonzero(run.t >= START_S)

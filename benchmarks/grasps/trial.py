@@ -12,13 +12,13 @@ from handctl.controller.bus_load import bus_loads
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Mode
+from handctl.core.types import Mode, TickEvent
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
-from handctl.programs.task import Hold
+from handctl.programs.task import HoldPhase
 from handctl.session.plan import highest_rate_of_buses
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task
 
 TIMEOUT_S = 120.0
@@ -69,7 +69,7 @@ class Run:
     q: np.ndarray
     normal: np.ndarray
     turn: np.ndarray
-    events: list[tuple[int, Event]] = field(default_factory=list)
+    events: list[tuple[int, TickEvent]] = field(default_factory=list)
     failure: str = ""
     dropped_at: float | None = None
 
@@ -81,7 +81,9 @@ def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgr
     """
     packaged_task, _ = find_task(Path(task), load_hand(hand))
     phases = [
-        phase.model_copy(update={"duration_s": hold_s}) if hold_s is not None and isinstance(phase, Hold) else phase
+        phase.model_copy(update={"duration_s": hold_s})
+        if hold_s is not None and isinstance(phase, HoldPhase)
+        else phase
         for phase in packaged_task.phase
     ]
     return TaskProgram(packaged_task.model_copy(update={"phase": tuple(phases)}))
@@ -117,7 +119,7 @@ def simulate(
     phases = []
     events = []
     stages = []
-    with Simulator(hand, scene, seed, perturb, homed=True).against(controller) as simulation:
+    with SimulatorSettings(hand, scene, seed, perturb, homed=True).against(controller) as simulation:
         plant = simulation.peer.world.plant
         simulation.record = False
         for entry, out in simulation.ticks(timeout):

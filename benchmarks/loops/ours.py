@@ -12,13 +12,13 @@ from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.programs.program import Progress, motion_to
+from handctl.programs.program import ProgramProgress, motion_to
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.priority import awake_processors, take_priority
 from handctl.runtime.clocks.real import RealClock
-from handctl.runtime.loop import Loop
-from handctl.runtime.mailbox import STOP
-from handctl.session.plan import Plan
+from handctl.runtime.loop import ControlLoop
+from handctl.runtime.mailbox import STOP_REQUEST
+from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller
 
 DESIGN_HZ = 1000.0
@@ -28,7 +28,7 @@ class Stay:
     """Program that holds every digit at its present position."""
 
     def initial(self, model):
-        return Progress.initial(len(model.digits), "start")
+        return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(self, model, progress, estimate, measured, t):
         if progress.phase == "start":
@@ -53,7 +53,7 @@ class UnpacedClock:
     def now_ns(self):
         return 0
 
-    def facts(self):
+    def clock_facts(self):
         return {}
 
 
@@ -73,7 +73,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     """
     hand = load_hand(hand_name)
     rate = rate_hz or DESIGN_HZ
-    plan = Plan(hand, Gains(), rate, (0.0,), (f"local:{bus_name}",))
+    plan = RunPlan(hand, Gains(), rate, (0.0,), (f"local:{bus_name}",))
     controller = make_controller(plan, Stay(), None, arm_at_once=True)
     bus = open_bus(plan.buses[0], 0, 1_000_000)
     clock = RealClock(plan.period_ns) if rate_hz else UnpacedClock(bus.fileno())
@@ -91,7 +91,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     took = []
     # Timing takes a few microseconds, which a rate without deadlines must not contain.
     begin = (lambda state, entry: TimedTick(controller, state, entry, took)) if rate_hz else controller.begin
-    loop = Loop(
+    loop = ControlLoop(
         clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.events()), record, counter,
         urgent=awake_processors,
     )  # fmt: skip
@@ -162,7 +162,7 @@ class Counter:
             return ()
         self.cpu_s = time.process_time() - self.first_cpu_s
         self.stopped = True
-        return (STOP,)
+        return (STOP_REQUEST,)
 
 
 def _now() -> int:

@@ -10,7 +10,7 @@ import sys
 from firmware_sim.bus.frame import Frame, pack_record
 from firmware_sim.bus.local import HubPort
 from firmware_sim.priority import take_priority
-from firmware_sim.rig import Rig
+from firmware_sim.rig import LockstepHand
 
 SPECIAL = b"\xff" * 7
 ENABLED = 1
@@ -20,7 +20,7 @@ class Echo:
     """Replies of the simulated nodes. Each reply is computed only once and then cached."""
 
     def __init__(self, hand: str) -> None:
-        self.rig = Rig(hand, homed=True)
+        self.rig = LockstepHand(hand, homed=True)
         self.replies: dict[tuple[int, int], bytes] = {}
         self.sync = self.rig.world.hand.sensors.sync_id
 

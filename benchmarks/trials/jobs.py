@@ -36,7 +36,7 @@ def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
     Args:
         work: top-level function that computes one job. Its result consists of JSON values.
         jobs: arguments of each job, as tuples.
-        plan: see ``Plan``.
+        plan: see ``RunPlan``.
     """
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
     done = {job: stored for job in jobs if (stored := _stored(work, job, plan)) is not None}

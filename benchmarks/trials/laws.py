@@ -10,38 +10,38 @@ from handctl.controller.tick import Controller
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.core.gains.motion_design import largest_force_weight
-from handctl.core.model import Inverse
+from handctl.core.model import InverseDynamics
 from handctl.core.types import TickIn
 from handctl.drives.records import Frames
-from handctl.hand.digit import DigitModel, Values
+from handctl.hand.digit import DigitModel, JointValues
 from handctl.hand.dynamics import damping_torque, required_torque, spring_torque, static_torque
 from handctl.paper.model import equations
 
 NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 
 
-def zero_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
+def zero_torque(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
     """Return zero feedforward torque for each joint, so that only feedback acts."""
     return (0.0,) * digit.joint_count
 
 
-def statics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
+def statics(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
     """Return the feedforward torque that balances gravity and springs."""
     return static_torque(digit, q)
 
 
-def springs(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
+def springs(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
     """Return the feedforward torque that balances the springs, without gravity."""
     return spring_torque(digit, q)
 
 
-def weightless(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
+def weightless(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
     """Return the feedforward torque of the inverse dynamics without gravity."""
     parts = zip(required_torque(digit, q, dq, ddq), static_torque(digit, q), spring_torque(digit, q), strict=True)
     return tuple(whole - static + spring for whole, static, spring in parts)
 
 
-def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
+def misprinted(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
     """Return the torque of Eq. 10 to 12 as printed in the paper, instead of the dynamics of the links.
 
     The torques belong to absolute angles. This function maps them to the joints, and adds the
@@ -61,7 +61,7 @@ def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[f
         names[f"m{i + 1}"] = digit.masses[i] if here else 0.0
         names[f"I{i + 1}"] = float(digit.inertias[i, 2, 2]) if here else 0.0
     names["g"] = -float((digit.gravity @ digit.mount_rotation)[1])
-    printed = [sum(float(term.readings[0].value(names)) for term in terms) for terms in equations.TORQUES]
+    printed = [sum(float(term.readings[0].value(names)) for term in terms) for terms in equations.TORQUE_TERMS]
     joint = (sum(printed), printed[1] + printed[2], printed[2])[: digit.joint_count]
     passive = zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True)
     return tuple(tau + sum(parts) for tau, parts in zip(joint, passive, strict=True))
@@ -106,7 +106,7 @@ class Law:
         raw: True if the input of the force loop is the raw sensor.
     """
 
-    inverse: Inverse
+    inverse: InverseDynamics
     motion: dict[str, float]
     raw: bool = False
 
@@ -125,7 +125,7 @@ class Law:
         return partial(_changed, inverse=self.inverse, raw=self.raw)
 
 
-def _changed(controller: Controller, inverse: Inverse, raw: bool) -> Controller:
+def _changed(controller: Controller, inverse: InverseDynamics, raw: bool) -> Controller:
     other = replace(controller, model=replace(controller.model, inverse=inverse))
     return on_raw_tension(other) if raw else other
 

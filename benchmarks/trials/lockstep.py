@@ -19,7 +19,7 @@ from handctl.core.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth import TruthRecord, read_truth
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 from trials.hands import file_of, hand_by_name, packaged
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
@@ -129,7 +129,7 @@ def run(trial: Trial) -> TrialRecord:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "truth"
         file = file_of(trial.hand, Path(folder))
-        twin = Simulator(file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path)
+        twin = SimulatorSettings(file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path)
         rows: list[Row] = []
         with twin.against(controller) as run:
             inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, Measured
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.estimate import Estimate, TickMeasurements
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
-from handctl.core.types import Event
+from handctl.core.types import TickEvent
 from handctl.programs.live import LiveProgram
-from handctl.programs.program import Progress, motion_to
+from handctl.programs.program import ProgramProgress, motion_to
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,13 @@ class Script:
 
     steps: tuple[Step, ...]
 
-    def initial(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> ProgramProgress:
         """Return the initial progress, see ``Program``."""
         return LiveProgram().initial(model)
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+    ) -> tuple[ProgramProgress, tuple[TickEvent, ...]]:
         """Advance to the present step, see ``Program``."""
         if progress.finished:
             return progress, ()
@@ -69,4 +69,4 @@ def _goal(model: HandModel, d: int, step: Step, old: DigitGoal, estimate: Estima
         return old
     tendons = model.digit_tendons[d]
     tension = np.full(tendons.stop - tendons.start, step.tension_N)
-    return DigitGoal(Kind.TENSION, tension=tension, rate=step.rate_N_per_s)
+    return DigitGoal(GoalKind.TENSION, tension=tension, rate=step.rate_N_per_s)

@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from benchmarks.writers.others import OTHERS, Message
 from benchmarks.writers.sustained import as_in_the_loop, sustained
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.log.write.writer import LogWriter
 
@@ -77,7 +77,7 @@ def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
 
     def write() -> None:
         for record in records:
-            writer.add(record[FRAMING.size :])
+            writer.add(record[RECORD_FRAMING_STRUCT.size :])
         writer.finish("finished", 0)
 
     writing = _spent(write)

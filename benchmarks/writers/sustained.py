@@ -25,7 +25,7 @@ from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.runtime.clocks.priority import restore_priority, take_priority
 from handctl.runtime.clocks.real import RealClock
-from handctl.runtime.loop import Loop, LoopStats
+from handctl.runtime.loop import ControlLoop, LoopStats
 
 HAND = "jamia11"
 RATE_HZ = 1000
@@ -149,7 +149,7 @@ def _loop(
         return _ReadyTick(state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out)
 
     clock = RealClock(PERIOD_NS, spin=spin)
-    loop = Loop(clock, PERIOD_NS, [_Ready(ticks)], begin, (), tuple, events, record, lambda entry, out: None)
+    loop = ControlLoop(clock, PERIOD_NS, [_Ready(ticks)], begin, (), tuple, events, record, lambda entry, out: None)
     loop.run(0)
     return loop.stats
 

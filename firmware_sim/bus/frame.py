@@ -29,7 +29,7 @@ FDF = 4
 RECORD_SIZE = 72
 """Size of ``struct canfd_frame``, the record of the local bus [bytes]. Source: Linux ``can.h``, CANFD_MTU."""
 
-_RECORD = struct.Struct("<IBBBB64s")
+_FRAME_STRUCT = struct.Struct("<IBBBB64s")
 
 
 class Frame(NamedTuple):
@@ -52,7 +52,7 @@ class Frame(NamedTuple):
 
 def pack_record(frame: Frame) -> bytes:
     """Pack a frame into a record of 72 bytes. The record's count of dropped records is zero."""
-    return _RECORD.pack(frame.can_id, len(frame.data), frame.flags, 0, 0, frame.data)
+    return _FRAME_STRUCT.pack(frame.can_id, len(frame.data), frame.flags, 0, 0, frame.data)
 
 
 def unpack_record(record: bytes, bus: int = 0, t_ns: int = 0) -> Frame | None:
@@ -67,7 +67,7 @@ def unpack_record(record: bytes, bus: int = 0, t_ns: int = 0) -> Frame | None:
         The frame, or None if the payload length in the record is not allowed for the frame's
         format.
     """
-    can_id, length, flags, _, _, data = _RECORD.unpack(record)
+    can_id, length, flags, _, _, data = _FRAME_STRUCT.unpack(record)
     if length > (64 if flags & FDF else 8):
         return None
     return Frame(can_id, data[:length], flags, bus, t_ns)

@@ -133,7 +133,7 @@ class Hub:
         """
         self.name = name
         self._path = bus_path(name)
-        self._listener = _listen(self._path, name)
+        self._listener = _listening_socket(self._path, name)
         self._inode = self._path.stat().st_ino
         self._links: list[HubConnection] = []
         self._closed_dropped = 0
@@ -250,12 +250,12 @@ def _is_foreign(link: socket.socket) -> bool:
     return _PEER_CREDENTIALS.unpack(raw)[1] not in (0, os.geteuid())
 
 
-def _listen(path: Path, name: str) -> socket.socket:
+def _listening_socket(path: Path, name: str) -> socket.socket:
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         # The directory is locked, because two hubs must not check, unlink and bind the same path at
         # the same time.
-        with _locked(path.parent):
+        with _locked_folder(path.parent):
             if _is_served(path):
                 raise SimulatorError(
                     f"local:{name} is already served; stop the other hub, or join it: --bus join:{name}"
@@ -274,7 +274,7 @@ def _listen(path: Path, name: str) -> socket.socket:
 
 
 @contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
+def _locked_folder(folder: Path) -> Iterator[None]:
     """Lock a directory.
 
     Only the hub with the lock may remove and replace an unused socket there.

@@ -11,7 +11,7 @@ from firmware_sim.wire.medium import NEVER_NS
 
 
 class HubPort:
-    """A port that owns the hub of its bus. See ``ports.Port``."""
+    """A port that owns the hub of its bus. See ``ports.BusPort``."""
 
     due_ns = NEVER_NS
 
@@ -35,30 +35,30 @@ class HubPort:
         return self._hub.dropped + self._unreadable
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.Port.readers``."""
+        """See ``ports.BusPort.readers``."""
         return self._hub.readers()
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.Port.writers``."""
+        """See ``ports.BusPort.writers``."""
         return self._hub.writers()
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """See ``ports.Port.receive``."""
-        frames, unreadable = split(self._hub.serve(ready), self._bus)
+        """See ``ports.BusPort.receive``."""
+        frames, unreadable = split_records(self._hub.serve(ready), self._bus)
         self._unreadable += unreadable
         return frames
 
     def send(self, frames: list[Frame]) -> None:
-        """See ``ports.Port.send``."""
+        """See ``ports.BusPort.send``."""
         self._hub.send(b"".join(map(pack_record, frames)))
 
     def close(self) -> None:
-        """See ``ports.Port.close``."""
+        """See ``ports.BusPort.close``."""
         self._hub.close()
 
 
 class JoinedPort:
-    """A port that is a client of a hub. See ``ports.Port``."""
+    """A port that is a client of a hub. See ``ports.BusPort``."""
 
     due_ns = NEVER_NS
 
@@ -89,15 +89,15 @@ class JoinedPort:
         return self._link.dropped + self._unreadable
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.Port.readers``."""
+        """See ``ports.BusPort.readers``."""
         return [self._link.socket]
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.Port.writers``."""
+        """See ``ports.BusPort.writers``."""
         return [self._link.socket] if self._link.unsent else []
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """See ``ports.Port.receive``.
+        """See ``ports.BusPort.receive``.
 
         Raises:
             SimulatorError: the hub has closed the connection.
@@ -106,20 +106,20 @@ class JoinedPort:
         records = self._link.receive() if self._link.socket in ready else b""
         if self._link.closed:
             raise SimulatorError(f"join:{self._name}: the hub has closed the connection")
-        frames, unreadable = split(records, self._bus)
+        frames, unreadable = split_records(records, self._bus)
         self._unreadable += unreadable
         return frames
 
     def send(self, frames: list[Frame]) -> None:
-        """See ``ports.Port.send``."""
+        """See ``ports.BusPort.send``."""
         self._link.deliver(b"".join(map(pack_record, frames)))
 
     def close(self) -> None:
-        """See ``ports.Port.close``."""
+        """See ``ports.BusPort.close``."""
         self._link.socket.close()
 
 
-def split(records: bytes, bus: int) -> tuple[list[Frame], int]:
+def split_records(records: bytes, bus: int) -> tuple[list[Frame], int]:
     """Split whole records into frames.
 
     Args:

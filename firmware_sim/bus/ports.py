@@ -20,7 +20,7 @@ Source: Linux sysfs.
 """
 
 
-class Port(Protocol):
+class BusPort(Protocol):
     """A connection to one bus of the hand. No method blocks.
 
     Attributes:
@@ -66,7 +66,7 @@ class Port(Protocol):
         ...
 
 
-def open_port(spec: str, bus: int, timed_port: Callable[[str, int], Port] | None = None) -> Port:
+def open_port(spec: str, bus: int, timed_port: Callable[[str, int], BusPort] | None = None) -> BusPort:
     """Open the port of one bus.
 
     Args:
@@ -100,7 +100,7 @@ def is_on_this_machine(spec: str) -> bool:
     return kind == "local" or (kind == "socketcan" and (VIRTUAL_INTERFACES / name).exists())
 
 
-def assign(specs: list[str], buses: list[str]) -> list[str]:
+def assign_buses(specs: list[str], buses: list[str]) -> list[str]:
     """Assign a bus specification to each bus of a hand.
 
     Args:

@@ -20,18 +20,18 @@ import numpy as np
 
 from firmware_sim.bus.frame import Frame
 
-RECORD = np.dtype(
+FRAME_DTYPE = np.dtype(
     [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (64,))]
 )
 """Dtype with the fields of ``Frame``.
 
 The payload is padded with zeros to 64 bytes. ``length`` excludes the padding.
 """
-_STRUCT = struct.Struct("<qIHBB64s")
+_FRAME_STRUCT = struct.Struct("<qIHBB64s")
 
 
 def to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
-    """Convert frames to an array of ``RECORD``.
+    """Convert frames to an array of ``FRAME_DTYPE``.
 
     Args:
         frames: tuples of can_id, data, flags, bus, t_ns.
@@ -39,14 +39,14 @@ def to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
     Returns:
         Array of shape (frames,).
     """
-    pack = _STRUCT.pack
+    pack = _FRAME_STRUCT.pack
     packed = [pack(t_ns, can_id, flags, bus, len(data), data) for can_id, data, flags, bus, t_ns in frames]
     # The buffer is a bytearray, because kernels write into the array. An array over bytes would be
     # read-only.
-    return np.frombuffer(bytearray(b"".join(packed)), RECORD)
+    return np.frombuffer(bytearray(b"".join(packed)), FRAME_DTYPE)
 
 
 def to_frames(records: Any) -> list[Frame]:
-    """Convert an array of ``RECORD`` to frames."""
-    unpacked = _STRUCT.iter_unpack(records.tobytes())
+    """Convert an array of ``FRAME_DTYPE`` to frames."""
+    unpacked = _FRAME_STRUCT.iter_unpack(records.tobytes())
     return [Frame(can_id, data[:length], flags, bus, t_ns) for t_ns, can_id, flags, bus, length, data in unpacked]

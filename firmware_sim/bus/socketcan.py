@@ -12,9 +12,9 @@ from firmware_sim.bus.frame import FDF, Frame
 from firmware_sim.description import SimulatorError
 from firmware_sim.wire.medium import NEVER_NS
 
-_CLASSICAL = struct.Struct("=IB3x8s")
+_CAN_FRAME_STRUCT = struct.Struct("=IB3x8s")
 """``struct can_frame``: identifier, length, 3 bytes of padding, 8 bytes of payload. Source: Linux ``can.h``."""
-_FD = struct.Struct("=IBB2x64s")
+_CANFD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 """``struct canfd_frame``: identifier, length, flags, 2 reserved bytes, 64 bytes of payload. Source: Linux ``can.h``."""
 _MAX_READ = 256
 """Maximum number of frames of one read.
@@ -24,7 +24,7 @@ The limit keeps a flooded bus from stopping the simulation.
 
 
 class SocketCanPort:
-    """A port on a SocketCAN interface. See ``ports.Port``."""
+    """A port on a SocketCAN interface. See ``ports.BusPort``."""
 
     due_ns = NEVER_NS
 
@@ -56,21 +56,21 @@ class SocketCanPort:
         self._socket.setblocking(False)
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.Port.readers``."""
+        """See ``ports.BusPort.readers``."""
         return [self._socket]
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.Port.writers``."""
+        """See ``ports.BusPort.writers``."""
         return []
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """See ``ports.Port.receive``."""
+        """See ``ports.BusPort.receive``."""
         frames: list[Frame] = []
         if self._socket not in ready:
             return frames
         try:
             while len(frames) < _MAX_READ:
-                frames.append(self._frame(self._socket.recv(_FD.size)))
+                frames.append(self._frame(self._socket.recv(_CANFD_FRAME_STRUCT.size)))
         except BlockingIOError:
             pass
         except OSError as error:
@@ -82,20 +82,20 @@ class SocketCanPort:
     def _frame(self, raw: bytes) -> Frame:
         # The number of bytes read tells the format of the frame: 16 bytes for classical CAN, 72
         # bytes for CAN FD.
-        if len(raw) == _CLASSICAL.size:
-            can_id, length, data = _CLASSICAL.unpack(raw)
+        if len(raw) == _CAN_FRAME_STRUCT.size:
+            can_id, length, data = _CAN_FRAME_STRUCT.unpack(raw)
             return Frame(can_id, data[: min(length, 8)], 0, self._bus)
-        can_id, length, flags, data = _FD.unpack(raw)
+        can_id, length, flags, data = _CANFD_FRAME_STRUCT.unpack(raw)
         return Frame(can_id, data[:length], flags | FDF, self._bus)
 
     def send(self, frames: list[Frame]) -> None:
-        """See ``ports.Port.send``."""
+        """See ``ports.BusPort.send``."""
         for frame in frames:
             fd = frame.flags & FDF
             raw = (
-                _FD.pack(frame.can_id, len(frame.data), frame.flags, frame.data)
+                _CANFD_FRAME_STRUCT.pack(frame.can_id, len(frame.data), frame.flags, frame.data)
                 if fd
-                else _CLASSICAL.pack(frame.can_id, len(frame.data), frame.data)
+                else _CAN_FRAME_STRUCT.pack(frame.can_id, len(frame.data), frame.data)
             )
             try:
                 self._socket.send(raw)
@@ -103,5 +103,5 @@ class SocketCanPort:
                 self.lost += 1
 
     def close(self) -> None:
-        """See ``ports.Port.close``."""
+        """See ``ports.BusPort.close``."""
         self._socket.close()

@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterable, Sequence
 
 from firmware_sim.bus.frame import ERROR, Frame
 from firmware_sim.wire.controller import CanController
-from firmware_sim.wire.medium import Wire
+from firmware_sim.wire.medium import SimulatedWire
 from firmware_sim.wire.options import WireSpec
-from firmware_sim.world import World
+from firmware_sim.world import SimulatedWorld
 
 
 class TimedLockstep:
@@ -18,7 +18,7 @@ class TimedLockstep:
         refused: number of frames that a full queue of a node refused.
     """
 
-    def __init__(self, world: World, spec: WireSpec) -> None:
+    def __init__(self, world: SimulatedWorld, spec: WireSpec) -> None:
         """Connect the host and the nodes to each wire.
 
         Args:
@@ -26,7 +26,7 @@ class TimedLockstep:
             spec: behaviour of the simulated wires.
         """
         self._world = world
-        self.wires = [Wire(spec.rate(*bitrates), spec.options) for bitrates in world.hand.bitrates]
+        self.wires = [SimulatedWire(spec.rate(*bitrates), spec.options) for bitrates in world.hand.bitrates]
         self.refused = 0
         self._arrived: list[Frame] = []
         self._received: list[Frame] = []

@@ -11,12 +11,12 @@ from heapq import heappop, heappush
 
 from firmware_sim.bus.frame import ERROR, EXTENDED, RECORD_SIZE, REMOTE, Frame, pack_record
 from firmware_sim.bus.hub import Hub, HubConnection
-from firmware_sim.bus.local import split
-from firmware_sim.wire.adapter import NONE, Latency
-from firmware_sim.wire.bits import Rate
+from firmware_sim.bus.local import split_records
+from firmware_sim.wire.adapter import NO_LATENCY_CLASS, AdapterLatency
+from firmware_sim.wire.bits import BitRates
 from firmware_sim.wire.controller import CanController
-from firmware_sim.wire.medium import Wire, WireOptions
-from firmware_sim.wire.options import parse
+from firmware_sim.wire.medium import SimulatedWire, WireOptions
+from firmware_sim.wire.options import parse_wire_options
 
 DEFAULT_BITRATES = (1_000_000, 5_000_000)
 """Bit rates of a bus that belongs to no hand: nominal and data phase [bit/s]."""
@@ -25,12 +25,12 @@ QUEUE_REPORT = EXTENDED | REMOTE | ERROR
 
 No CAN frame has this combination of flags.
 """
-_QUEUE = struct.Struct("<II")
+_QUEUE_STRUCT = struct.Struct("<II")
 """Payload of a queue report: number of frames that have left the queue modulo 2**32, and queue capacity [frames]."""
 
 
 class TimedPort:
-    """A port on a simulated wire. See ``ports.Port``.
+    """A port on a simulated wire. See ``ports.BusPort``.
 
     Events since the last call are processed in the order in which they occur on the wire.
     ``receive`` returns only frames that ended at the same time, because the nodes must answer
@@ -45,11 +45,11 @@ class TimedPort:
         self,
         name: str,
         bus: int,
-        rate: Rate,
+        rate: BitRates,
         options: WireOptions,
         now_ns: Callable[[], int],
         nodes: bool = True,
-        latency: Callable[[int], Latency] | None = None,
+        latency: Callable[[int], AdapterLatency] | None = None,
     ) -> None:
         """Open the hub and connect the nodes to the wire.
 
@@ -67,12 +67,12 @@ class TimedPort:
             SimulatorError: the bus is already served.
         """
         self._latency = latency or no_latency
-        self._latencies: dict[HubConnection, Latency] = {}
+        self._latencies: dict[HubConnection, AdapterLatency] = {}
         self._late: list[tuple[int, int, HubConnection, bytes]] = []
         """Records delayed by a client's adapter: time of delivery to the client [ns], serial number, client, record."""
         self._delayed = 0
         self._hub = Hub(name)
-        self.wire = Wire(rate, options)
+        self.wire = SimulatedWire(rate, options)
         self._bus = bus
         self._now_ns = now_ns
         self._clients: dict[HubConnection, CanController] = {}
@@ -96,7 +96,7 @@ class TimedPort:
 
     @property
     def due_ns(self) -> int:
-        """See ``ports.Port.due_ns``."""
+        """See ``ports.BusPort.due_ns``."""
         return min(self.wire.next_ns(), self._late[0][0]) if self._late else self.wire.next_ns()
 
     @property
@@ -105,17 +105,17 @@ class TimedPort:
         return self.wire.load(0, max(1, self._now_ns() - self._start_ns))
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.Port.readers``."""
+        """See ``ports.BusPort.readers``."""
         return self._hub.readers()
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.Port.writers``."""
+        """See ``ports.BusPort.writers``."""
         return self._hub.writers()
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
         """Receive the frames that were the next to end on the wire, if any have ended by now.
 
-        See ``ports.Port``.
+        See ``ports.BusPort``.
         """
         now_ns = self._now_ns()
         if ready:
@@ -141,7 +141,9 @@ class TimedPort:
             left = arrived - len(controller.queue)
             if left != reported:
                 dropped = link.dropped
-                link.deliver(pack_record(Frame(QUEUE_REPORT, _QUEUE.pack(left & 0xFFFFFFFF, self.wire.options.queue))))
+                link.deliver(
+                    pack_record(Frame(QUEUE_REPORT, _QUEUE_STRUCT.pack(left & 0xFFFFFFFF, self.wire.options.queue)))
+                )
                 self._queues[link] = arrived, left if link.dropped == dropped else -1
 
     def _read_clients(self, ready: Collection[socket.socket], now_ns: int) -> None:
@@ -160,7 +162,7 @@ class TimedPort:
         for link, records in received:
             arrived, reported = self._queues[link]
             self._queues[link] = arrived + len(records) // RECORD_SIZE, reported
-            frames, unreadable = split(records, self._bus)
+            frames, unreadable = split_records(records, self._bus)
             self._unreadable += unreadable
             for frame in frames:
                 if not frame.can_id & ERROR:
@@ -194,7 +196,7 @@ class TimedPort:
     def send(self, frames: list[Frame]) -> None:
         """Send the answers of the nodes.
 
-        An answer may start at the time at which the last received frame ended. See ``ports.Port``.
+        An answer may start at the time at which the last received frame ended. See ``ports.BusPort``.
         """
         for frame in frames:
             controller = self._nodes.get(frame.can_id)
@@ -203,7 +205,7 @@ class TimedPort:
             self._refused += not controller.offer(frame, self._at_ns)
 
     def close(self) -> None:
-        """See ``ports.Port.close``."""
+        """See ``ports.BusPort.close``."""
         self._hub.close()
 
 
@@ -227,10 +229,10 @@ def timed_port_maker(
     """
     if words is None:
         return None
-    spec = parse(words)
+    spec = parse_wire_options(words)
     return lambda name, bus: TimedPort(name, bus, spec.rate(*bitrates[bus]), spec.options, now_ns, nodes, spec.latency)
 
 
-def no_latency(number: int) -> Latency:
+def no_latency(number: int) -> AdapterLatency:
     """Return no latency, for a client that is on the wire without an adapter."""
-    return Latency(NONE)
+    return AdapterLatency(NO_LATENCY_CLASS)

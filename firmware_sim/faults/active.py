@@ -5,7 +5,18 @@ from typing import Any
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.faults import plant_faults, wire_faults
-from firmware_sim.faults.text import BUS, DIGIT, FOREVER_NS, KINDS, NODE, SENSORS, TENDON, Fault, instances, parse_fault
+from firmware_sim.faults.text import (
+    BUS_TARGET,
+    DIGIT_TARGET,
+    FAULT_KINDS,
+    FOREVER_NS,
+    NODE_TARGET,
+    SENSOR_NODE_NAME,
+    TENDON_TARGET,
+    Fault,
+    instances_of_component,
+    parse_fault,
+)
 from firmware_sim.faults.wire_faults import ActiveFault
 
 GENERATION_PERIOD_NS = 1_000_000
@@ -20,7 +31,7 @@ GENERATING_KINDS = ("flood", "unknown", "foreign")
 """Kinds of fault that send frames of their own periodically."""
 
 
-class Faults:
+class ActiveFaults:
     """The faults of a simulated world, timed by its clock.
 
     Their effects are deterministic, in lockstep and in real time.
@@ -42,7 +53,7 @@ class Faults:
         self._world = world
         self.on = self.in_frames = False
         self._waiting: list[ActiveFault] = []
-        self._acting: list[tuple[ActiveFault, plant_faults.Undo]] = []
+        self._acting: list[tuple[ActiveFault, plant_faults.UndoFunction]] = []
         self.wire_faults_of: dict[int, list[ActiveFault]] = {}
         self._all_wire: list[tuple[int, ActiveFault]] = []
         self._turn_ns = self._foreign_ns = 0
@@ -84,11 +95,11 @@ class Faults:
         return [
             {
                 "kind": name,
-                "on": {component: instances(component, hand, name) for component in kind.components},
+                "on": {component: instances_of_component(component, hand, name) for component in kind.components},
                 "size": kind.size,
                 "text": kind.text,
             }
-            for name, kind in KINDS.items()
+            for name, kind in FAULT_KINDS.items()
         ]
 
     def states(self) -> list[dict[str, object]]:
@@ -116,13 +127,13 @@ class Faults:
         """
         for active in [active for active in self._waiting if active.fault.start_ns <= t_ns]:
             self._waiting.remove(active)
-            self._acting.append((active, plant_faults.start(self._world, active)))
+            self._acting.append((active, plant_faults.start_plant_fault(self._world, active)))
             self._index()
         for active, undo in [(a, u) for a, u in self._acting if a.fault.start_ns + a.fault.duration_ns <= t_ns]:
             undo()
             self._acting.remove((active, undo))
             self._index()
-        frames = [frame for bus, active in self._all_wire for frame in wire_faults.due([active], t_ns)]
+        frames = [frame for bus, active in self._all_wire for frame in wire_faults.due_frames([active], t_ns)]
         if not self._turn_ns or (t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0):
             # Generated frames are sent at the ends of whole steps of the plant. A fault can start
             # within a step, so the completed part of this step is subtracted.
@@ -144,9 +155,9 @@ class Faults:
         self._world.refresh_identifiers()
         self.wire_faults_of = {}
         self._all_wire = []
-        self.in_frames = any(active.fault.component not in (TENDON, DIGIT) for active, _ in self._acting)
+        self.in_frames = any(active.fault.component not in (TENDON_TARGET, DIGIT_TARGET) for active, _ in self._acting)
         for active, _ in self._acting:
-            if active.fault.component not in (NODE, BUS):
+            if active.fault.component not in (NODE_TARGET, BUS_TARGET):
                 continue
             for node, bus in self._nodes_of(active.fault):
                 self.wire_faults_of.setdefault(id(node), []).append(active)
@@ -155,10 +166,10 @@ class Faults:
     def _nodes_of(self, fault: Fault) -> list[tuple[Any, int]]:
         """List the target nodes of a fault, each with the index of the node's bus."""
         world = self._world
-        if fault.component == BUS:
+        if fault.component == BUS_TARGET:
             bus = world.hand.buses.index(fault.instance)
             return [(node, bus) for node in world.nodes[bus]]
-        nodes = world.sensor_nodes if fault.instance == SENSORS else [world.node_of(fault.instance)]
+        nodes = world.sensor_nodes if fault.instance == SENSOR_NODE_NAME else [world.node_of(fault.instance)]
         return [(node, next(bus for bus, on_bus in enumerate(world.nodes) if node in on_bus)) for node in nodes]
 
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
@@ -183,12 +194,12 @@ class Faults:
         if not answers:
             return answers
         stamped = [answer._replace(bus=frame.bus, t_ns=t_ns) for answer in answers]
-        return wire_faults.transmit(actives, stamped, t_ns)
+        return wire_faults.transmitted_frames(actives, stamped, t_ns)
 
     def unsolicited(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
         """Apply faults of the wire to unsolicited frames of a node."""
         actives = self.wire_faults_of.get(id(node))
-        return wire_faults.transmit(actives, frames, t_ns) if actives else frames
+        return wire_faults.transmitted_frames(actives, frames, t_ns) if actives else frames
 
     def _generated(self, t_ns: int) -> list[Frame]:
         """Generate the frames of the acting faults: floods, unknown identifiers and commands of a second host."""

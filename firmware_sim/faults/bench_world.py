@@ -9,10 +9,10 @@ from typing import Any, Protocol
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import Hand, MotorSpec
 from firmware_sim.faults.faulty_drive import FaultyDrive
-from firmware_sim.nodes import PROTOCOLS
+from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.plant.motor import Motor
 
-BUS = "bench"
+BENCH_BUS = "bench"
 """Name of the only bus of a bench."""
 
 
@@ -68,7 +68,7 @@ class BenchPlant:
 
 
 class BenchWorld:
-    """A bench in the form of a world for ``active.Faults``.
+    """A bench in the form of a world for ``active.ActiveFaults``.
 
     Attributes:
         hand: description of a hand with the drives as its motors.
@@ -83,7 +83,7 @@ class BenchWorld:
         """Describe the drives of a bench as the motors of a hand."""
         self._bench = bench
         motors = list(specs)
-        self.hand = Hand("bench", (0.0, 0.0, 0.0), [BUS], [(0, 0)], [], [], motors, None)
+        self.hand = Hand("bench", (0.0, 0.0, 0.0), [BENCH_BUS], [(0, 0)], [], [], motors, None)
         self.plant = BenchPlant(bench, specs)
         self.nodes = [bench.nodes]
         self._nodes = {spec.name: node for spec, node in zip(specs, bench.nodes, strict=True)}
@@ -110,7 +110,7 @@ class BenchWorld:
     def host_frame(self, name: str) -> Frame:
         """Return a frame without effect, sent only by the host of a drive."""
         spec = self.motor_spec(name)
-        can_id, data = PROTOCOLS[spec.protocol].host_frame(spec.node_id)
+        can_id, data = PROTOCOL_SPECS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, 0, self.t_ns)
 
     def queue_frames(self, frames: list[Frame]) -> None:

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.nodes import PROTOCOLS
-from firmware_sim.nodes.protocol_spec import DriveNode, Node, ProtocolSpec
+from firmware_sim.nodes import PROTOCOL_SPECS
+from firmware_sim.nodes.protocol_spec import DriveNode, ProtocolSpec, SimulatedNode
 
-FAULTS = {
+DRIVE_FAULTS = {
     "deaf": "ignores commands to disable",
     "eager": "follows torque commands while it is disabled",
     "mute": "never answers",
@@ -33,7 +33,7 @@ class FaultyDrive:
 
         Args:
             node: drive node without the fault.
-            fault: key of ``FAULTS``.
+            fault: key of ``DRIVE_FAULTS``.
             spec: protocol of the node, with the functions for corrupting frames.
         """
         self.node = node
@@ -79,16 +79,16 @@ class FaultyDrive:
             self.node.watchdog_fed_ns = t_ns
 
 
-def with_fault(node: DriveNode, protocol: str, fault: str) -> Node:
+def with_fault(node: DriveNode, protocol: str, fault: str) -> SimulatedNode:
     """Return a drive node with a deliberate fault, or the node itself if no fault is asked for.
 
     Args:
         node: drive node without a fault.
-        protocol: key of ``PROTOCOLS``.
-        fault: key of ``FAULTS``, empty for no fault. ``sign`` and ``twin`` do not change the node:
+        protocol: key of ``PROTOCOL_SPECS``.
+        fault: key of ``DRIVE_FAULTS``, empty for no fault. ``sign`` and ``twin`` do not change the node:
             the caller applies them with ``with_faulty_specs``.
     """
-    return node if fault in ("", "sign", "twin") else FaultyDrive(node, fault, PROTOCOLS[protocol])
+    return node if fault in ("", "sign", "twin") else FaultyDrive(node, fault, PROTOCOL_SPECS[protocol])
 
 
 def with_faulty_specs(specs: list[MotorSpec], fault: str) -> list[MotorSpec]:

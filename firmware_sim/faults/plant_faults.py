@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.faults.text import CELL, ENCODER, SENSORS, Fault
+from firmware_sim.faults.text import CELL_TARGET, ENCODER_TARGET, SENSOR_NODE_NAME, Fault
 from firmware_sim.faults.wire_faults import ActiveFault
 from firmware_sim.nodes.cia402.node import Cia402Node
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
@@ -19,22 +19,22 @@ from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.odrive.node import OdriveNode
 from firmware_sim.nodes.robstride import node as robstride
 from firmware_sim.nodes.robstride.node import RobstrideNode
-from firmware_sim.nodes.sensors import CHANNELS, JOINT_OFFSET
+from firmware_sim.nodes.sensors import CHANNELS_PER_FRAME, JOINT_OFFSET
 
-Undo = Callable[[], None]
+UndoFunction = Callable[[], None]
 BEYOND_RANGE_N = 1e4
 """Tension beyond the range of every load cell [N]."""
 BLOCKED_JOINT_DAMPING = 1e3
 """Damping of a blocked joint [N m s/rad]."""
 ERROR_CODES = {
-    "error": (FeedbackState.WINDING_HOT, 1 << 13, 0x4310, moteus.OVER_TEMPERATURE, robstride.HOT),
+    "error": (FeedbackState.WINDING_HOT, 1 << 13, 0x4310, moteus.OVER_TEMPERATURE, robstride.HOT_FAULT),
     "watchdog": (FeedbackState.COMMUNICATION_LOST, 1 << 24, 0x8130, moteus.TIMEOUT, 0),
     "voltage": (0x9, 1 << 9, 0x3220, moteus.UNDER_VOLTAGE, robstride.UNDER_VOLTAGE),
 }
 """Error codes that each kind of fault sets in a drive: for MIT, ODrive, CiA 402, moteus and RobStride."""
 
 
-def start(world: Any, active: ActiveFault) -> Undo:
+def start_plant_fault(world: Any, active: ActiveFault) -> UndoFunction:
     """Start the effect of a fault.
 
     Args:
@@ -47,20 +47,22 @@ def start(world: Any, active: ActiveFault) -> Undo:
     kind = active.fault.kind
     if kind in ("stuck", "offset", "drift", "noise", "saturate", "scale", "old"):
         return _start_reading_fault(world, active)
-    return _STARTERS[kind](world, active) if kind in _STARTERS else lambda: None
+    return _START_FUNCTIONS[kind](world, active) if kind in _START_FUNCTIONS else lambda: None
 
 
-def _start_reading_fault(world: Any, active: ActiveFault) -> Undo:
+def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
     """Change the reading of one sensor."""
     fault = active.fault
     change = _reading_change(active, lambda: int(world.t_ns))
-    if fault.component == ENCODER:
+    if fault.component == ENCODER_TARGET:
         motor = world.plant.motors[fault.instance]
         motor.encoder_fault = change
         return lambda: setattr(motor, "encoder_fault", None)
     node = world.sensor_node
     spec = world.hand.sensors
-    names, table = (spec.tendons, node.cell_faults) if fault.component == CELL else (spec.joints, node.joint_faults)
+    names, table = (
+        (spec.tendons, node.cell_faults) if fault.component == CELL_TARGET else (spec.joints, node.joint_faults)
+    )
     index = names.index(fault.instance)
     table[index] = change
     return lambda: table.pop(index, None) and None
@@ -119,27 +121,27 @@ def _delayed_reading(active: ActiveFault, past: list[float], value: float, now_n
     return past[0]
 
 
-def _start_mute(world: Any, active: ActiveFault) -> Undo:
+def _start_mute(world: Any, active: ActiveFault) -> UndoFunction:
     """Suppress the frame in which the sensor node sends the reading of the faulty sensor."""
     node = world.sensor_node
     spec = world.hand.sensors
-    if active.fault.component == CELL:
+    if active.fault.component == CELL_TARGET:
         can_id = node.frame_of_cell(spec.tendons.index(active.fault.instance))
     else:
-        can_id = spec.base_id + JOINT_OFFSET + spec.joints.index(active.fault.instance) // CHANNELS
+        can_id = spec.base_id + JOINT_OFFSET + spec.joints.index(active.fault.instance) // CHANNELS_PER_FRAME
     node.suppressed[can_id] = lambda: active.note_effect(int(world.t_ns))
     return lambda: node.suppressed.pop(can_id, None) and None
 
 
-def _start_snap(world: Any, active: ActiveFault) -> Undo:
+def _start_snap(world: Any, active: ActiveFault) -> UndoFunction:
     """Break a tendon."""
     tendon = _tendon_of(world, active.fault)
     active.note_effect(world.t_ns)
-    mend: Undo = tendon.snap()
+    mend: UndoFunction = tendon.snap()
     return mend
 
 
-def _start_slack(world: Any, active: ActiveFault) -> Undo:
+def _start_slack(world: Any, active: ActiveFault) -> UndoFunction:
     """Lengthen a tendon by the size of the fault [mm]."""
     tendon = _tendon_of(world, active.fault)
     active.note_effect(world.t_ns)
@@ -147,7 +149,7 @@ def _start_slack(world: Any, active: ActiveFault) -> Undo:
     return lambda: setattr(tendon, "extra_length", 0.0)
 
 
-def _start_friction(world: Any, active: ActiveFault) -> Undo:
+def _start_friction(world: Any, active: ActiveFault) -> UndoFunction:
     """Add Coulomb friction to a motor: the size of the fault is the friction force at the tendon [N]."""
     tendon = next(spec for spec in world.hand.every_tendon if spec.name == active.fault.instance)
     motor = world.plant.motors[tendon.motor]
@@ -163,17 +165,17 @@ def _tendon_of(world: Any, fault: Fault) -> Any:
     return world.plant.tendons[names.index(fault.instance)][0]
 
 
-def _start_block(world: Any, active: ActiveFault) -> Undo:
+def _start_block(world: Any, active: ActiveFault) -> UndoFunction:
     """Block all joints of a digit."""
     digit = next(digit for digit in world.hand.digits if digit.name == active.fault.instance)
     active.note_effect(world.t_ns)
-    release: Undo = world.plant.engine.brake(
+    release: UndoFunction = world.plant.engine.brake(
         [world.hand.joints.index(joint) for joint in digit.joints], BLOCKED_JOINT_DAMPING
     )
     return release
 
 
-def _start_trip(world: Any, active: ActiveFault) -> Undo:
+def _start_trip(world: Any, active: ActiveFault) -> UndoFunction:
     """Trip a drive with the error code of the fault's kind, or with the size of the fault as error code."""
     node = world.node_of(active.fault.instance)
     codes = ERROR_CODES[active.fault.kind]
@@ -194,7 +196,7 @@ def _start_trip(world: Any, active: ActiveFault) -> Undo:
     return lambda: None
 
 
-def _start_reset(world: Any, active: ActiveFault) -> Undo:
+def _start_reset(world: Any, active: ActiveFault) -> UndoFunction:
     """Reset a drive, either by a power cycle or by the reset command of its protocol."""
     node = world.node_of(active.fault.instance)
     active.note_effect(world.t_ns)
@@ -209,7 +211,7 @@ def _start_reset(world: Any, active: ActiveFault) -> Undo:
     return lambda: None
 
 
-def _start_forget(world: Any, active: ActiveFault) -> Undo:
+def _start_forget(world: Any, active: ActiveFault) -> UndoFunction:
     """Lose all unsaved settings of a drive while its power stage stays on.
 
     The fault simulates a voltage dip that resets only the processor of the drive.
@@ -223,7 +225,7 @@ def _start_forget(world: Any, active: ActiveFault) -> Undo:
     return lambda: None
 
 
-def _start_ripple(world: Any, active: ActiveFault) -> Undo:
+def _start_ripple(world: Any, active: ActiveFault) -> UndoFunction:
     """Add a sinusoidal torque ripple to a motor."""
     motor = world.plant.motors[active.fault.instance]
     fault = active.fault
@@ -236,7 +238,7 @@ def _start_ripple(world: Any, active: ActiveFault) -> Undo:
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
-def _start_hot(world: Any, active: ActiveFault) -> Undo:
+def _start_hot(world: Any, active: ActiveFault) -> UndoFunction:
     """Hold the winding of a motor at a fixed temperature."""
     thermal = world.node_of(active.fault.instance).thermal
     active.note_effect(world.t_ns)
@@ -262,7 +264,7 @@ class _CrossedMotor:
         setattr(self.__dict__["sensed"], name, value)
 
 
-def _start_exchange(world: Any, active: ActiveFault) -> Undo:
+def _start_exchange(world: Any, active: ActiveFault) -> UndoFunction:
     """Exchange the sensors (``swap``) or the power stages (``cross``) of two drives."""
     names = active.fault.instance, active.fault.other
     nodes = [world.node_of(name) for name in names]
@@ -281,7 +283,7 @@ def _start_exchange(world: Any, active: ActiveFault) -> Undo:
     return undo
 
 
-def _start_late(world: Any, active: ActiveFault) -> Undo:
+def _start_late(world: Any, active: ActiveFault) -> UndoFunction:
     """Delay each torque command of a drive by the size of the fault [ms]."""
     motor = world.plant.motors[active.fault.instance]
     delay_ns = round(active.fault.size * 1e6)
@@ -301,9 +303,9 @@ def _start_late(world: Any, active: ActiveFault) -> Undo:
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
-def _start_servo(world: Any, active: ActiveFault) -> Undo:
+def _start_servo(world: Any, active: ActiveFault) -> UndoFunction:
     """Replace the torque that a drive's power stage applies. The sensor node has no power stage."""
-    if active.fault.instance == SENSORS:
+    if active.fault.instance == SENSOR_NODE_NAME:
         return lambda: None
     motor = world.plant.motors[active.fault.instance]
     fault = active.fault
@@ -322,7 +324,7 @@ def _start_servo(world: Any, active: ActiveFault) -> Undo:
     return lambda: setattr(motor, "power_stage_fault", None)
 
 
-_STARTERS: dict[str, Callable[[Any, ActiveFault], Undo]] = {
+_START_FUNCTIONS: dict[str, Callable[[Any, ActiveFault], UndoFunction]] = {
     "snap": _start_snap, "slack": _start_slack, "friction": _start_friction, "block": _start_block,
     "error": _start_trip, "watchdog": _start_trip, "voltage": _start_trip, "reset": _start_reset,
     "forget": _start_forget, "hot": _start_hot, "mute": _start_mute, "ripple": _start_ripple, "late": _start_late,

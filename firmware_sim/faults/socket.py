@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from firmware_sim.description import SimulatorError
 
 if TYPE_CHECKING:  # The program ``bus`` has no faults and no plant, and must not import them.
-    from firmware_sim.faults.active import Faults
-    from firmware_sim.pace import Pace
+    from firmware_sim.faults.active import ActiveFaults
+    from firmware_sim.pace import PaceCounter
 
 MAX_REQUEST_BYTES = 4096
 """Maximum length of a request to the fault socket [bytes]."""
@@ -35,7 +35,7 @@ class FaultSocket:
     true}``.
     """
 
-    def __init__(self, path: Path, faults: "Faults") -> None:
+    def __init__(self, path: Path, faults: "ActiveFaults") -> None:
         """Open the fault socket.
 
         Args:
@@ -60,7 +60,7 @@ class FaultSocket:
         """Return the sockets to poll for reading."""
         return [self._socket]
 
-    def serve(self, pace: "Pace | None" = None) -> None:
+    def serve(self, pace: "PaceCounter | None" = None) -> None:
         """Answer all requests that wait in the socket.
 
         Args:
@@ -78,7 +78,7 @@ class FaultSocket:
                 except OSError:
                     continue  # The client of this request has gone, or its queue is full.
 
-    def _answer(self, request_bytes: bytes, pace: "Pace | None") -> dict[str, object]:
+    def _answer(self, request_bytes: bytes, pace: "PaceCounter | None") -> dict[str, object]:
         """Return the answer to one request."""
         try:
             request = json.loads(request_bytes)

@@ -6,25 +6,25 @@ from typing import NamedTuple
 
 from firmware_sim.description import Hand, SimulatorError
 
-NODE = "node"
+NODE_TARGET = "node"
 """Target of a fault: a drive or the sensor node."""
-BUS = "bus"
+BUS_TARGET = "bus"
 """Target of a fault: all nodes of a bus."""
-ENCODER = "encoder"
+ENCODER_TARGET = "encoder"
 """Target of a fault: the encoder of a motor."""
-JOINT = "joint"
+JOINT_TARGET = "joint"
 """Target of a fault: a joint encoder."""
-CELL = "cell"
+CELL_TARGET = "cell"
 """Target of a fault: a load cell."""
-TENDON = "tendon"
+TENDON_TARGET = "tendon"
 """Target of a fault: a tendon."""
-DIGIT = "digit"
+DIGIT_TARGET = "digit"
 """Target of a fault: a digit."""
-SENSORS = "sensors"
+SENSOR_NODE_NAME = "sensors"
 """Name of the sensor node in the text of a fault."""
 FOREVER_NS = 1 << 62
 """Duration of a fault without end [ns]."""
-_TIMES = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
+_TIME_UNITS_NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 
 
 class FaultKind(NamedTuple):
@@ -41,47 +41,50 @@ class FaultKind(NamedTuple):
     text: str
 
 
-KINDS = {
-    "drop": FaultKind((NODE, BUS), 0, "frames from a node are lost"),
-    "deaf": FaultKind((NODE, BUS), 0, "frames to a node are lost"),
-    "delay": FaultKind((NODE, BUS), 4, "frames from a node are late by size [ms]"),
-    "duplicate": FaultKind((NODE, BUS), 0, "frames from a node are duplicated"),
-    "twin": FaultKind((NODE,), 0, "a second node with the same identifier answers with other values"),
-    "reorder": FaultKind((NODE, BUS), 0, "a frame from a node comes after the next frame"),
-    "corrupt": FaultKind((NODE, BUS), 1, "size bits of the payload are flipped"),
-    "shorten": FaultKind((NODE, BUS), 1, "the payload is shortened by size bytes"),
-    "extend": FaultKind((NODE, BUS), 0, "the identifier is marked as extended (29 bits)"),
-    "slow": FaultKind((NODE,), 2, "a node answers only every size-th frame"),
-    "off": FaultKind((NODE,), 0, "a node loses power: no torque, no answers"),
-    "reset": FaultKind((NODE,), 0, "a node restarts, once"),
-    "error": FaultKind((NODE,), 0, "a node enters fault with code size, once (0: over-temperature)"),
-    "watchdog": FaultKind((NODE,), 0, "a node's watchdog fires, once"),
-    "voltage": FaultKind((NODE,), 0, "a node reports under-voltage, once"),
-    "hot": FaultKind((NODE,), 90, "a node's winding is at size [degC]"),
-    "disobey": FaultKind((NODE,), 0, "a node makes size times the commanded torque"),
-    "runaway": FaultKind((NODE,), 1, "a node makes size times its maximum torque, whatever the command"),
-    "hold_on": FaultKind((NODE,), 0, "a node reports that it is disabled but keeps its torque"),
-    "forget": FaultKind((NODE,), 0, "a node loses its settings once and stays enabled (size > 0: TMAX is size [N m])"),
-    "ripple": FaultKind((NODE,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
-    "late": FaultKind((NODE,), 50, "a node executes each command late by size [ms]"),
-    "swap": FaultKind((NODE,), 0, "two drives report each other's encoder and current"),
-    "cross": FaultKind((NODE,), 0, "two drives make each other's torque and report their own commands"),
-    "flood": FaultKind((BUS,), 100, "size frames of identifier 0x000 every millisecond"),
-    "unknown": FaultKind((BUS,), 1, "size frames of an unknown identifier every millisecond"),
-    "foreign": FaultKind((NODE,), 0, "a second host sends commands to a node every 10 ms"),
-    "mute": FaultKind((JOINT, CELL), 0, "the frame with a reading is not sent"),
-    "stuck": FaultKind((ENCODER, JOINT, CELL), 0, "a reading is stuck"),
-    "offset": FaultKind((ENCODER, JOINT, CELL), 1, "a reading jumps by size [rad, N]"),
-    "drift": FaultKind((ENCODER, JOINT, CELL), 1, "a reading drifts by size per second [rad/s, N/s]"),
-    "scale": FaultKind((ENCODER,), 1.5, "a reading changes by size times the true change"),
-    "old": FaultKind((CELL,), 16, "a reading is stale by size samples with a fresh counter"),
-    "replay": FaultKind((NODE,), 16, "a node sends the frames of size answers ago"),
-    "noise": FaultKind((ENCODER, JOINT, CELL), 1, "a reading has noise of standard deviation size [rad, N]"),
-    "saturate": FaultKind((CELL,), 1, "a load cell is saturated at its upper (size > 0) or lower limit"),
-    "snap": FaultKind((TENDON,), 0, "a tendon breaks"),
-    "slack": FaultKind((TENDON,), 2, "a tendon is longer by size [mm]"),
-    "friction": FaultKind((TENDON,), 3, "a motor has additional Coulomb friction of size [N] at its tendon"),
-    "block": FaultKind((DIGIT,), 0, "a digit is blocked"),
+FAULT_KINDS = {
+    "drop": FaultKind((NODE_TARGET, BUS_TARGET), 0, "frames from a node are lost"),
+    "deaf": FaultKind((NODE_TARGET, BUS_TARGET), 0, "frames to a node are lost"),
+    "delay": FaultKind((NODE_TARGET, BUS_TARGET), 4, "frames from a node are late by size [ms]"),
+    "duplicate": FaultKind((NODE_TARGET, BUS_TARGET), 0, "frames from a node are duplicated"),
+    "twin": FaultKind((NODE_TARGET,), 0, "a second node with the same identifier answers with other values"),
+    "reorder": FaultKind((NODE_TARGET, BUS_TARGET), 0, "a frame from a node comes after the next frame"),
+    "corrupt": FaultKind((NODE_TARGET, BUS_TARGET), 1, "size bits of the payload are flipped"),
+    "shorten": FaultKind((NODE_TARGET, BUS_TARGET), 1, "the payload is shortened by size bytes"),
+    "extend": FaultKind((NODE_TARGET, BUS_TARGET), 0, "the identifier is marked as extended (29 bits)"),
+    "slow": FaultKind((NODE_TARGET,), 2, "a node answers only every size-th frame"),
+    "off": FaultKind((NODE_TARGET,), 0, "a node loses power: no torque, no answers"),
+    "reset": FaultKind((NODE_TARGET,), 0, "a node restarts, once"),
+    "error": FaultKind((NODE_TARGET,), 0, "a node enters fault with code size, once (0: over-temperature)"),
+    "watchdog": FaultKind((NODE_TARGET,), 0, "a node's watchdog fires, once"),
+    "voltage": FaultKind((NODE_TARGET,), 0, "a node reports under-voltage, once"),
+    "hot": FaultKind((NODE_TARGET,), 90, "a node's winding is at size [degC]"),
+    "disobey": FaultKind((NODE_TARGET,), 0, "a node makes size times the commanded torque"),
+    "runaway": FaultKind((NODE_TARGET,), 1, "a node makes size times its maximum torque, whatever the command"),
+    "hold_on": FaultKind((NODE_TARGET,), 0, "a node reports that it is disabled but keeps its torque"),
+    "forget": FaultKind((NODE_TARGET,), 0,
+        "a node loses its settings once and stays enabled (size > 0: TMAX is size [N m])"),
+    "ripple": FaultKind((NODE_TARGET,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
+    "late": FaultKind((NODE_TARGET,), 50, "a node executes each command late by size [ms]"),
+    "swap": FaultKind((NODE_TARGET,), 0, "two drives report each other's encoder and current"),
+    "cross": FaultKind((NODE_TARGET,), 0, "two drives make each other's torque and report their own commands"),
+    "flood": FaultKind((BUS_TARGET,), 100, "size frames of identifier 0x000 every millisecond"),
+    "unknown": FaultKind((BUS_TARGET,), 1, "size frames of an unknown identifier every millisecond"),
+    "foreign": FaultKind((NODE_TARGET,), 0, "a second host sends commands to a node every 10 ms"),
+    "mute": FaultKind((JOINT_TARGET, CELL_TARGET), 0, "the frame with a reading is not sent"),
+    "stuck": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 0, "a reading is stuck"),
+    "offset": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 1, "a reading jumps by size [rad, N]"),
+    "drift": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 1,
+        "a reading drifts by size per second [rad/s, N/s]"),
+    "scale": FaultKind((ENCODER_TARGET,), 1.5, "a reading changes by size times the true change"),
+    "old": FaultKind((CELL_TARGET,), 16, "a reading is stale by size samples with a fresh counter"),
+    "replay": FaultKind((NODE_TARGET,), 16, "a node sends the frames of size answers ago"),
+    "noise": FaultKind((ENCODER_TARGET, JOINT_TARGET, CELL_TARGET), 1,
+        "a reading has noise of standard deviation size [rad, N]"),
+    "saturate": FaultKind((CELL_TARGET,), 1, "a load cell is saturated at its upper (size > 0) or lower limit"),
+    "snap": FaultKind((TENDON_TARGET,), 0, "a tendon breaks"),
+    "slack": FaultKind((TENDON_TARGET,), 2, "a tendon is longer by size [mm]"),
+    "friction": FaultKind((TENDON_TARGET,), 3, "a motor has additional Coulomb friction of size [N] at its tendon"),
+    "block": FaultKind((DIGIT_TARGET,), 0, "a digit is blocked"),
 }  # fmt: skip
 """All kinds of fault by name."""
 SIZE_RANGES = {
@@ -110,7 +113,7 @@ class Fault:
     """The data of a fault, as parsed from the text.
 
     Attributes:
-        kind: key of ``KINDS``.
+        kind: key of ``FAULT_KINDS``.
         component: type of the target component.
         instance: name of the target component.
         start_ns: start of the fault [ns].
@@ -149,8 +152,8 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
         SimulatorError: the text cannot be parsed, or this hand cannot have the fault.
     """
     kind, *pairs = text.split() or [""]
-    if kind not in KINDS:
-        raise SimulatorError(f"fault {text!r}: no such kind {kind!r}; expected one of {', '.join(KINDS)}")
+    if kind not in FAULT_KINDS:
+        raise SimulatorError(f"fault {text!r}: no such kind {kind!r}; expected one of {', '.join(FAULT_KINDS)}")
     given = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
@@ -158,19 +161,19 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
             raise SimulatorError(f"fault {text!r}: {pair!r} is not a new KEY=VALUE")
         given[key] = value
     component = _component(text, kind, given)
-    instance = _instance(text, instances(component, hand, kind), component, given.pop(component), hand)
+    instance = _instance(text, instances_of_component(component, hand, kind), component, given.pop(component), hand)
     fault = Fault(
         kind=kind,
         component=component,
         instance=instance,
-        size=_number(
-            text, "size", given.pop("size", str(KINDS[kind].size)), *SIZE_RANGES.get(kind, DEFAULT_SIZE_RANGE)
+        size=_number_from_text(
+            text, "size", given.pop("size", str(FAULT_KINDS[kind].size)), *SIZE_RANGES.get(kind, DEFAULT_SIZE_RANGE)
         ),
-        p=_number(text, "p", given.pop("p", "1"), 0.0, 1.0),
-        start_ns=now_ns + _time(text, "at", given.pop("at", "0s")),
-        duration_ns=_time(text, "for", given.pop("for")) if "for" in given else FOREVER_NS,
-        seed=int(_number(text, "seed", given.pop("seed", "0"), 0, 1e9)),
-        hz=_number(text, "hz", given.pop("hz", "25"), 0.0, 1e4),
+        p=_number_from_text(text, "p", given.pop("p", "1"), 0.0, 1.0),
+        start_ns=now_ns + _time_from_text(text, "at", given.pop("at", "0s")),
+        duration_ns=_time_from_text(text, "for", given.pop("for")) if "for" in given else FOREVER_NS,
+        seed=int(_number_from_text(text, "seed", given.pop("seed", "0"), 0, 1e9)),
+        hz=_number_from_text(text, "hz", given.pop("hz", "25"), 0.0, 1e4),
         text=text,
         other=_other(text, kind, instance, given, hand),
     )
@@ -181,8 +184,12 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
 
 def _component(text: str, kind: str, given: dict[str, str]) -> str:
     """Return the type of the fault's target component."""
-    components = [key for key in given if key in (NODE, BUS, ENCODER, JOINT, CELL, TENDON, DIGIT)]
-    allowed = KINDS[kind].components
+    components = [
+        key
+        for key in given
+        if key in (NODE_TARGET, BUS_TARGET, ENCODER_TARGET, JOINT_TARGET, CELL_TARGET, TENDON_TARGET, DIGIT_TARGET)
+    ]
+    allowed = FAULT_KINDS[kind].components
     if len(components) != 1 or components[0] not in allowed:
         raise SimulatorError(f"fault {text!r}: {kind} needs {' or '.join(f'{name}=NAME' for name in allowed)}")
     return components[0]
@@ -194,13 +201,13 @@ def _other(text: str, kind: str, first: str, given: dict[str, str], hand: Hand) 
         return ""
     if "with" not in given:
         raise SimulatorError(f"fault {text!r}: {kind} needs with=NAME, the other motor")
-    other = _instance(text, instances(NODE, hand, kind), NODE, given.pop("with"), hand)
+    other = _instance(text, instances_of_component(NODE_TARGET, hand, kind), NODE_TARGET, given.pop("with"), hand)
     if other == first:
         raise SimulatorError(f"fault {text!r}: {kind} needs two motors, not {first!r} twice")
     return other
 
 
-def instances(component: str, hand: Hand, kind: str = "") -> list[str]:
+def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[str]:
     """List the names of all components of one type in a hand.
 
     Args:
@@ -210,19 +217,19 @@ def instances(component: str, hand: Hand, kind: str = "") -> list[str]:
     """
     motors = [motor.name for motor in hand.motors]
     return {
-        NODE: [*motors, SENSORS] if hand.sensors and kind not in DRIVE_KINDS else motors,
-        BUS: hand.buses,
-        ENCODER: motors,
-        JOINT: hand.sensors.joints if hand.sensors else [],
-        CELL: hand.sensors.tendons if hand.sensors else [],
-        TENDON: [tendon.name for tendon in hand.every_tendon],
-        DIGIT: [digit.name for digit in hand.digits],
+        NODE_TARGET: [*motors, SENSOR_NODE_NAME] if hand.sensors and kind not in DRIVE_KINDS else motors,
+        BUS_TARGET: hand.buses,
+        ENCODER_TARGET: motors,
+        JOINT_TARGET: hand.sensors.joints if hand.sensors else [],
+        CELL_TARGET: hand.sensors.tendons if hand.sensors else [],
+        TENDON_TARGET: [tendon.name for tendon in hand.every_tendon],
+        DIGIT_TARGET: [digit.name for digit in hand.digits],
     }[component]
 
 
 def _instance(text: str, names: list[str], component: str, name: str, hand: Hand) -> str:
     """Return the name of a component. A motor may also be given by its node number."""
-    if component in (NODE, ENCODER):
+    if component in (NODE_TARGET, ENCODER_TARGET):
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}
         name = numbers.get(name, name)
     if name not in names:
@@ -230,7 +237,7 @@ def _instance(text: str, names: list[str], component: str, name: str, hand: Hand
     return name
 
 
-def _number(text: str, key: str, word: str, low: float, high: float) -> float:
+def _number_from_text(text: str, key: str, word: str, low: float, high: float) -> float:
     """Parse a number that must lie in a range."""
     try:
         value = float(int(word, 0)) if word.startswith("0x") else float(word)
@@ -241,9 +248,9 @@ def _number(text: str, key: str, word: str, low: float, high: float) -> float:
     return value
 
 
-def _time(text: str, key: str, word: str) -> int:
+def _time_from_text(text: str, key: str, word: str) -> int:
     """Parse a time with a unit, and return the time [ns]."""
-    unit = next((unit for unit in _TIMES if word.endswith(unit)), "")
+    unit = next((unit for unit in _TIME_UNITS_NS if word.endswith(unit)), "")
     if not unit:
         raise SimulatorError(f"fault {text!r}: {key}={word}: expected a time with its unit, as in 3s or 200ms")
-    return round(_number(text, key, word.removesuffix(unit), 0.0, 1e9) * _TIMES[unit])
+    return round(_number_from_text(text, key, word.removesuffix(unit), 0.0, 1e9) * _TIME_UNITS_NS[unit])

@@ -51,20 +51,20 @@ def loses_request(actives: Sequence[ActiveFault], t_ns: int) -> bool:
     return False
 
 
-def transmit(actives: Sequence[ActiveFault], frames: list[Frame], t_ns: int) -> list[Frame]:
+def transmitted_frames(actives: Sequence[ActiveFault], frames: list[Frame], t_ns: int) -> list[Frame]:
     """Apply the faults of a node to frames sent by the node.
 
     Returns:
         The frames that the bus carries now.
     """
     for active in actives:
-        change = CHANGES.get(active.fault.kind)
+        change = CHANGE_BY_FAULT_KIND.get(active.fault.kind)
         if change and frames:
             frames = change(active, frames, t_ns)
     return frames
 
 
-def due(actives: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
+def due_frames(actives: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
     """Return the delayed frames whose release time has passed."""
     frames = []
     for active in actives:
@@ -74,7 +74,7 @@ def due(actives: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
     return frames
 
 
-def _drop(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _drop_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Drop the frames hit by the fault."""
     passed = [frame for frame in frames if not active.hits()]
     if len(passed) < len(frames):
@@ -82,7 +82,7 @@ def _drop(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     return passed
 
 
-def _delay(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _delay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Store the frames hit by the fault, until their delay is over."""
     passed = []
     for frame in frames:
@@ -94,7 +94,7 @@ def _delay(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     return passed
 
 
-def _duplicate(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _duplicate_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send the frames hit by the fault twice."""
     sent = []
     for frame in frames:
@@ -105,7 +105,7 @@ def _duplicate(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Fram
     return sent
 
 
-def _twin(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _send_twin_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send an additional frame with the same identifier but another payload, as a second node would."""
     sent = []
     for frame in frames:
@@ -120,7 +120,7 @@ def _twin(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     return sent
 
 
-def _reorder(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _reorder_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Send the first frame only after the frames of the next answer."""
     late = [frame for _, frame in active.delayed]
     active.delayed = []
@@ -131,7 +131,7 @@ def _reorder(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]
     return frames + late
 
 
-def _corrupt(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _corrupt_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Invert random bits in the payload of each frame hit by the fault."""
     sent = []
     for frame in frames:
@@ -146,7 +146,7 @@ def _corrupt(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]
     return sent
 
 
-def _shorten(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _shorten_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Remove the last bytes from the payload of each frame hit by the fault."""
     sent = []
     for frame in frames:
@@ -157,7 +157,7 @@ def _shorten(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]
     return sent
 
 
-def _extend(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _extend_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Mark identifiers of 11 bits as identifiers of 29 bits.
 
     Identifiers of 29 bits stay unchanged.
@@ -171,7 +171,7 @@ def _extend(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     return sent
 
 
-def _slow(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _slow_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Drop all answers of a node except every n-th answer. The size of the fault is n."""
     active.calls += 1
     if active.calls % max(2, int(active.fault.size)):
@@ -180,13 +180,13 @@ def _slow(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     return frames
 
 
-def _off(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _remove_all_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Drop all frames of a node, as if the node had no power."""
     active.note_effect(t_ns)
     return []
 
 
-def _replay(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
+def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     """Replay the frames of ``size`` answers ago.
 
     Until so many answers exist, send the present frames.
@@ -204,8 +204,10 @@ def _replay(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[Frame]:
     return [frame._replace(t_ns=t_ns) for frame in old]
 
 
-CHANGES = {
-    "drop": _drop, "delay": _delay, "duplicate": _duplicate, "twin": _twin, "reorder": _reorder, "corrupt": _corrupt,
-    "shorten": _shorten, "extend": _extend, "slow": _slow, "off": _off, "replay": _replay,
+CHANGE_BY_FAULT_KIND = {
+    "drop": _drop_frames, "delay": _delay_frames, "duplicate": _duplicate_frames, "twin": _send_twin_frames,
+    "reorder": _reorder_frames, "corrupt": _corrupt_frames,
+    "shorten": _shorten_frames, "extend": _extend_frames, "slow": _slow_frames, "off": _remove_all_frames,
+    "replay": _replay_frames,
 }  # fmt: skip
 """Function that changes the frames sent by a node, by kind of fault."""

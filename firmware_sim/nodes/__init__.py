@@ -9,13 +9,13 @@ from firmware_sim.nodes.protocol_spec import ProtocolSpec
 from firmware_sim.nodes.robstride import bench as robstride_bench
 from firmware_sim.nodes.robstride import mit_mode
 
-PROTOCOLS: dict[str, ProtocolSpec] = {
-    "cia402": cia402_bench.SPEC,
-    "cubemars": cubemars.SPEC,
-    "mit": mit_bench.SPEC,
-    "moteus": moteus_bench.SPEC,
-    "odrive": odrive_bench.SPEC,
-    "robstride": robstride_bench.SPEC,
-    "robstride_mit": mit_mode.SPEC,
+PROTOCOL_SPECS: dict[str, ProtocolSpec] = {
+    "cia402": cia402_bench.CIA402_SPEC,
+    "cubemars": cubemars.CUBEMARS_SPEC,
+    "mit": mit_bench.MIT_SPEC,
+    "moteus": moteus_bench.MOTEUS_SPEC,
+    "odrive": odrive_bench.ODRIVE_SPEC,
+    "robstride": robstride_bench.ROBSTRIDE_SPEC,
+    "robstride_mit": mit_mode.ROBSTRIDE_MIT_SPEC,
 }
 """Specification of each drive protocol, by the name of the protocol in a hand file."""

@@ -20,9 +20,9 @@ import math
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.mit.codec import Ranges, decode_command, to_code
-from firmware_sim.nodes.protocol_spec import ProtocolSpec, Shaft
-from firmware_sim.nodes.thermal import Thermal
+from firmware_sim.nodes.mit.codec import FrameRanges, decode_command, to_code
+from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
+from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 FULL_SCALE = {
@@ -58,19 +58,19 @@ COOL_C = 90.0
 """Winding temperature at which the error ends [degC]."""
 ZEROING_NS = 1_000_000_000
 """Time without answers while the drive stores a new zero [ns]."""
-_SPECIAL = b"\xff" * 7
+_SPECIAL_COMMAND_START = b"\xff" * 7
 """First seven bytes of a special command."""
-COLDEST_C = -40
+TEMPERATURE_ZERO_C = -40
 """Temperature that the byte value 0 stands for [degC].
 
 The manual subtracts 40 in its example of a reply.
 """
-_ENABLE = 0xFC
-_DISABLE = 0xFD
-_ZERO = 0xFE
+_ENABLE_COMMAND = 0xFC
+_DISABLE_COMMAND = 0xFD
+_ZERO_COMMAND = 0xFE
 
 
-class Error(enum.IntEnum):
+class FeedbackError(enum.IntEnum):
     """Error code in byte 7 of the feedback."""
 
     NONE = 0
@@ -107,9 +107,9 @@ class CubemarsNode:
         """
         self.motor = motor
         self.offset = offset
-        self.thermal = Thermal(spec.torque_constant)
+        self.thermal = DriveTemperatures(spec.torque_constant)
         self.enabled = False
-        self.error = Error.NONE
+        self.error = FeedbackError.NONE
         self.short = bool(spec.options.get("short", False))
         self.malformed = 0
         self.wake_ns = 0
@@ -117,7 +117,7 @@ class CubemarsNode:
         self._id = spec.node_id
         self._direction = spec.direction
         self.ids = frozenset((spec.node_id,))
-        self._ranges = Ranges(*FULL_SCALE[str(spec.options.get("motor_type", DEFAULT_TYPE))])
+        self._ranges = FrameRanges(*FULL_SCALE[str(spec.options.get("motor_type", DEFAULT_TYPE))])
         motor.servo.limit = min(spec.torque_peak, self._ranges.torque)
         self._thermal_ns = -1
         self._silent_until_ns = 0
@@ -137,18 +137,18 @@ class CubemarsNode:
         if t_ns < self._silent_until_ns:
             return []
         # Eight bytes of FF are a valid MIT command, with all fields at their maximum.
-        if data[:7] == _SPECIAL and data[7] != 0xFF:
+        if data[:7] == _SPECIAL_COMMAND_START and data[7] != 0xFF:
             return self._special(data[7], frame, t_ns)
         self._apply_command(data)
         return [self._answer(frame, t_ns)]
 
     def _special(self, code: int, frame: Frame, t_ns: int) -> list[Frame]:
         """Execute a special command."""
-        if code == _ENABLE:
-            self._switch(on=self.error == Error.NONE)
-        elif code == _DISABLE:
+        if code == _ENABLE_COMMAND:
+            self._switch(on=self.error == FeedbackError.NONE)
+        elif code == _DISABLE_COMMAND:
             self._switch(on=False)
-        elif code == _ZERO:
+        elif code == _ZERO_COMMAND:
             self.offset = -self._direction * self.motor.encoder()
             self._silent_until_ns = t_ns + ZEROING_NS
             return []
@@ -192,18 +192,18 @@ class CubemarsNode:
             word = word << bits | code
         data = word.to_bytes(6, "big")
         if not self.short:
-            data += bytes((min(255, max(0, int(self.thermal.mosfet) - COLDEST_C)), self.error))
+            data += bytes((min(255, max(0, int(self.thermal.mosfet) - TEMPERATURE_ZERO_C)), self.error))
         return Frame(self._id, data, frame.flags, frame.bus, t_ns)
 
-    def trip(self, error: Error) -> None:
+    def trip(self, error: FeedbackError) -> None:
         """Enter an error state, which removes the torque. Error.NONE ends the error state."""
         self.error = error
-        if error != Error.NONE:
+        if error != FeedbackError.NONE:
             self._switch(on=False)
 
     def power_cycle(self) -> None:
         """Restart the motor, disabled and without error."""
-        self.error = Error.NONE
+        self.error = FeedbackError.NONE
         self._switch(on=False)
 
     def wake(self, t_ns: int) -> None:
@@ -214,20 +214,20 @@ class CubemarsNode:
             self.motor.heat = 0.0
             self._thermal_ns = t_ns
             if self.thermal.winding > HOT_C:
-                self.trip(Error.HOT)
-            elif self.error == Error.HOT and self.thermal.winding < COOL_C:
-                self.trip(Error.NONE)
+                self.trip(FeedbackError.HOT)
+            elif self.error == FeedbackError.HOT and self.thermal.winding < COOL_C:
+                self.trip(FeedbackError.NONE)
         self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
 
 
-def shaft(motor_type: str) -> Shaft:
+def shaft_of_motor(motor_type: str) -> ShaftSpec:
     """Build the shaft of a motor model. Its inertia and stall torque are assumptions."""
     position, velocity, peak = FULL_SCALE[motor_type]
     speed_constant, ratio = SPEED_CONSTANTS[motor_type]
     top_speed = speed_constant * SUPPLY_V / ratio * math.tau / 60.0
     options = {"motor_type": motor_type}
     limits = peak, top_speed, STALL_FACTOR * peak
-    return Shaft(peak, 2e-4 * peak, 1.0, position, velocity, options, *limits)
+    return ShaftSpec(peak, 2e-4 * peak, 1.0, position, velocity, options, *limits)
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
@@ -236,19 +236,28 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace the command *disable* by an MIT command without torque."""
-    return frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff") if frame.data == _SPECIAL + b"\xfd" else frame
+    return (
+        frame._replace(data=b"\x7f\xff\x7f\xf0\0\0\x07\xff")
+        if frame.data == _SPECIAL_COMMAND_START + b"\xfd"
+        else frame
+    )
 
 
 def _force_command(node: CubemarsNode, frame: Frame) -> None:
     """Apply an MIT command in any state of the motor."""
-    if frame.can_id in node.ids and len(frame.data) == 8 and frame.data[:7] != _SPECIAL:
+    if frame.can_id in node.ids and len(frame.data) == 8 and frame.data[:7] != _SPECIAL_COMMAND_START:
         enabled = node.enabled
         node.enabled = True
         node._apply_command(frame.data)
         node.enabled = enabled
 
 
-SPEC = ProtocolSpec(
-    CubemarsNode, range(1, 0x100), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command, force_command=_force_command
+CUBEMARS_SPEC = ProtocolSpec(
+    CubemarsNode,
+    range(1, 0x100),
+    shaft_of_motor(DEFAULT_TYPE),
+    _host_frame,
+    _corrupt_command,
+    force_command=_force_command,
 )
 """Specification of the MIT protocol with CubeMars motors."""

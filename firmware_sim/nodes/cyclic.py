@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.bus.frame import FDF, REMOTE
-from firmware_sim.bus.records import RECORD
-from firmware_sim.compiled import compiled, inner, rows_at
+from firmware_sim.bus.records import FRAME_DTYPE
+from firmware_sim.compiled import compiled, kernel_helper, rows_at
 from firmware_sim.nodes import sensors
 from firmware_sim.nodes.cia402.kernels import (
     CONTROL_WORD,
-    OPERATIONAL,
+    OPERATIONAL_STATE,
     POSITION,
     STATUS_WORD,
     TARGET_TORQUE,
@@ -33,7 +33,7 @@ from firmware_sim.nodes.cia402.kernels import (
 from firmware_sim.nodes.cia402.kernels import THERMAL_PERIOD_NS as CIA402_THERMAL_PERIOD_NS
 from firmware_sim.nodes.cia402.kernels import schedule as schedule_cia402
 from firmware_sim.nodes.cia402.kernels import watchdog_expired as cia402_watchdog_expired
-from firmware_sim.nodes.mit.codec import ENABLED, MitStruct, apply_command, feedback_word, schedule
+from firmware_sim.nodes.mit.codec import ENABLED_STATE, MitStruct, apply_command, feedback_word, schedule
 from firmware_sim.nodes.mit.registers import MODE_MIT
 from firmware_sim.nodes.odrive.kernels import (
     THERMAL_PERIOD_NS,
@@ -45,9 +45,9 @@ from firmware_sim.nodes.odrive.kernels import (
     watchdog_expired,
 )
 from firmware_sim.nodes.odrive.kernels import schedule as schedule_odrive
-from firmware_sim.nodes.protocol_spec import MIT, ODRIVE, SENSORS
+from firmware_sim.nodes.protocol_spec import MIT_KIND, ODRIVE_KIND, SENSOR_NODE_KIND
 from firmware_sim.nodes.sensors import (
-    CHANNELS,
+    CHANNELS_PER_FRAME,
     JOINT_OFFSET,
     SensorStruct,
     drift_since,
@@ -74,14 +74,14 @@ rise, the number of unsolicited frames, and the earliest wake time of all drives
 """
 NEVER_NS = 1 << 62
 """Wake time if no drive needs to be woken [ns]."""
-_IDS = 0x800
+_STANDARD_ID_COUNT = 0x800
 """Number of standard identifiers.
 
 The table of receivers has two blocks of this size for each bus, for data frames and for remote
 frames.
 """
-_TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensors.TENSION
-_JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET = sensors.JOINT
+_TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensors.TENSION_CODE
+_JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET = sensors.JOINT_CODE
 _SPECIAL = 0xFFFFFFFFFFFFFF
 """Seven bytes of FF as an integer. Special commands of MIT motors start with these bytes."""
 
@@ -98,19 +98,19 @@ class Receiver(ctypes.Structure):
 
 def empty_table(buses: int) -> Any:
     """Make a table of receivers without any receiver, shape (2 * 2048 * buses,)."""
-    return np.full(buses * 2 * _IDS, -1, np.int64)
+    return np.full(buses * 2 * _STANDARD_ID_COUNT, -1, np.int64)
 
 
-@inner
+@kernel_helper
 def table_index(bus: int, can_id: int) -> int:
     """Return the index of an identifier in the table of receivers, -1 for an identifier of more than 11 bits."""
-    if can_id & ~REMOTE >= _IDS:
+    if can_id & ~REMOTE >= _STANDARD_ID_COUNT:
         return -1
     # The index selects the blocks of the bus, and then the block of data frames or remote frames.
-    return (2 * bus + (1 if can_id & REMOTE else 0)) * _IDS + (can_id & (_IDS - 1))
+    return (2 * bus + (1 if can_id & REMOTE else 0)) * _STANDARD_ID_COUNT + (can_id & (_STANDARD_ID_COUNT - 1))
 
 
-@inner
+@kernel_helper
 def _word(data: Any) -> int:
     """Return eight bytes as an integer, the first byte highest.
 
@@ -122,7 +122,7 @@ def _word(data: Any) -> int:
     return word
 
 
-@inner
+@kernel_helper
 def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) -> None:
     """Fill all fields of a frame except its time. The payload is set to zero."""
     answer.can_id = can_id
@@ -134,20 +134,20 @@ def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) ->
         data[i] = 0
 
 
-@inner
+@kernel_helper
 def _put_int(data: Any, at: int, size: int, value: int) -> None:
     """Write an integer into a payload, low byte first."""
     for i in range(size):
         data[at + i] = value >> 8 * i & 0xFF
 
 
-@inner
+@kernel_helper
 def _put_float(data: Any, at: int, value: float) -> None:
     """Write a float of four bytes into a payload, low byte first."""
     _put_int(data, at, 4, int(np.float32(value).view(np.uint32)))
 
 
-@inner
+@kernel_helper
 def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
     """Return True if Python must process a frame for an MIT drive."""
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
@@ -156,11 +156,11 @@ def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
     return _word(frame.data) >> 8 & _SPECIAL == _SPECIAL
 
 
-@inner
+@kernel_helper
 def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> None:
     """Apply a command to an MIT drive and write the drive's feedback."""
     node.watchdog_fed_ns = t_ns
-    if node.state == ENABLED:
+    if node.state == ENABLED_STATE:
         apply_command(node, rotor.servo_row, _word(frame.data))
     temperatures = node.temperatures
     word = feedback_word(node, rotor, encoded(rotor.theta), temperatures.mosfet, temperatures.winding)
@@ -172,13 +172,13 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
         data[i] = word >> (56 - 8 * i) & 0xFF
 
 
-@inner
+@kernel_helper
 def _get_float(data: Any) -> float:
     """Return the float in the first four bytes of a payload."""
     return float(np.uint32(data[0] | data[1] << 8 | data[2] << 16 | data[3] << 24).view(np.float32))
 
 
-@inner
+@kernel_helper
 def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
     """Return True if Python must process a torque setpoint or an encoder request for an ODrive."""
     if frame.flags & FDF or rotor.faulty != 0 or node.motion_due_ns > 0:
@@ -186,7 +186,7 @@ def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
     return bool(frame.can_id & REMOTE == 0 and (frame.length < 4 or not math.isfinite(_get_float(frame.data))))
 
 
-@inner
+@kernel_helper
 def _write_encoder_frame(node: Any, rotor: Any, bus: int, answer: Any) -> None:
     """Write the frame with the encoder estimates of an ODrive."""
     _fill_header(answer, node.node_id << 5 | 0x09, 8, 0, bus)
@@ -194,7 +194,7 @@ def _write_encoder_frame(node: Any, rotor: Any, bus: int, answer: Any) -> None:
     _put_float(answer.data, 4, turns_per_s(node, rotor.velocity))
 
 
-@inner
+@kernel_helper
 def _answer_odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
     """Apply a torque setpoint to an ODrive, or answer an encoder request.
 
@@ -209,23 +209,26 @@ def _answer_odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
     return count
 
 
-@inner
+@kernel_helper
 def _cia402_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
     """Return True if Python must process a SYNC, an RPDO or a master's heartbeat for a CiA 402 drive."""
     if frame.flags & FDF or rotor.faulty != 0 or node.thermal_ns < 0:
         return True
     if frame.can_id == node.sync_id:
-        return bool(node.nmt != OPERATIONAL)
+        return bool(node.nmt != OPERATIONAL_STATE)
     if frame.can_id == node.master_id:
         return False
     # With bits 0 to 3 set and fault reset clear, the control word keeps the operation enabled.
     stays_enabled = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
     return (
-        node.nmt != OPERATIONAL or frame.length < 4 or not stays_enabled or not follows_torque(node, node.power_stage)
+        node.nmt != OPERATIONAL_STATE
+        or frame.length < 4
+        or not stays_enabled
+        or not follows_torque(node, node.power_stage)
     )
 
 
-@inner
+@kernel_helper
 def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
     """Process a SYNC, an RPDO or the master's heartbeat in a CiA 402 drive.
 
@@ -255,7 +258,7 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
     return count
 
 
-@inner
+@kernel_helper
 def _write_sensor_frames(words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int) -> int:
     """Write payloads of the sensor node into frames that answer SYNC.
 
@@ -271,14 +274,14 @@ def _write_sensor_frames(words: Any, channels: int, can_id: int, frame: Any, ans
         Number of answers in ``answers``.
     """
     for g in range(len(words)):
-        length = payload_size(channels - g * CHANNELS)
+        length = payload_size(channels - g * CHANNELS_PER_FRAME)
         _fill_header(answers[count], can_id + g, length, frame.flags, frame.bus)
         _put_int(answers[count].data, 0, length, words[g])
         count += 1
     return count
 
 
-@inner
+@kernel_helper
 def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     node: Any, frame: Any, t_ns: int, cells: Any, q: Any, cell_order: Any, joint_order: Any, bias: Any,
     noise: Any, noise_bounds: Any, answers: Any, count: int,
@@ -294,8 +297,8 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
         cell_order: index of the tendon of each load cell channel.
         joint_order: index of the joint of each encoder channel.
         bias: bias of each load cell [N].
-        noise: random numbers with a normal distribution, see ``Noise``.
-        noise_bounds: indices into ``noise``, see ``Noise``.
+        noise: random numbers with a normal distribution, see ``NormalNoise``.
+        noise_bounds: indices into ``noise``, see ``NormalNoise``.
         answers: array for the answers, filled by the kernel.
         count: number of answers so far.
 
@@ -307,7 +310,7 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
     counter = int(frame.data[0])
     read = np.empty(channels)
     codes = np.empty(channels, np.int64)
-    words = np.empty(-(-channels // CHANNELS), np.int64)
+    words = np.empty(-(-channels // CHANNELS_PER_FRAME), np.int64)
     true = np.empty(channels)
     for i in range(channels):
         true[i] = cells[cell_order[i]]
@@ -323,14 +326,14 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
             angles[i] = q[joint_order[i]] + noise[at + i] * node.joint_noise
         at += joints
         codes = np.empty(joints, np.int64)
-        words = np.empty(-(-joints // CHANNELS), np.int64)
+        words = np.empty(-(-joints // CHANNELS_PER_FRAME), np.int64)
         encode(angles, _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET, counter, codes, words)
         count = _write_sensor_frames(words, joints, node.base_id + JOINT_OFFSET, frame, answers, count)
     noise_bounds[0] = at
     return count
 
 
-@inner
+@kernel_helper
 def _stamp_in_sequence(frames: Any, answers: Any, count: int, t_ns: int, last_ns: int, buses: int) -> bool:
     """Set the times of answers as if each bus carried all frames and answers one after the other.
 
@@ -363,21 +366,21 @@ DRIVE_ARGUMENTS = (Receiver, MitStruct, OdriveStruct, Cia402Struct)
 """Types of the kernel arguments with receivers and with the rows of the drives."""
 
 
-@inner
+@kernel_helper
 def _drive_needs_python(
     receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int
 ) -> bool:
     """Return True if Python must process a frame for a drive."""
-    if receiver_row.kind == MIT:
+    if receiver_row.kind == MIT_KIND:
         return _mit_needs_python(mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns)
-    if receiver_row.kind == ODRIVE:
+    if receiver_row.kind == ODRIVE_KIND:
         return _odrive_needs_python(
             odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], frame
         )
     return _cia402_needs_python(cia402[receiver_row.number], rotors[cia402[receiver_row.number].motor_number], frame)
 
 
-@inner
+@kernel_helper
 def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
     receiver_row: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answers: Any, count: int
 ) -> int:  # fmt: skip
@@ -386,12 +389,12 @@ def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
     Returns:
         Number of answers in ``answers``.
     """
-    if receiver_row.kind == MIT:
+    if receiver_row.kind == MIT_KIND:
         _answer_mit(
             mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns, answers[count]
         )
         return count + 1
-    if receiver_row.kind == ODRIVE:
+    if receiver_row.kind == ODRIVE_KIND:
         return _answer_odrive(
             odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], frame, t_ns, answers, count
         )
@@ -400,17 +403,17 @@ def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
     )
 
 
-@inner
+@kernel_helper
 def _wake_ns(receiver_row: Any, mit: Any, odrive: Any, cia402: Any) -> int:
     """Return the wake time of a drive [ns]."""
-    if receiver_row.kind == MIT:
+    if receiver_row.kind == MIT_KIND:
         return int(mit[receiver_row.number].wake_ns)
     return int(
-        odrive[receiver_row.number].wake_ns if receiver_row.kind == ODRIVE else cia402[receiver_row.number].wake_ns
+        odrive[receiver_row.number].wake_ns if receiver_row.kind == ODRIVE_KIND else cia402[receiver_row.number].wake_ns
     )
 
 
-@inner
+@kernel_helper
 def _next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
     """Return the earliest wake time of all drives [ns]."""
     wake_ns = NEVER_NS
@@ -425,7 +428,7 @@ def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
     return _next_wake(drives, mit, odrive, cia402)
 
 
-@inner
+@kernel_helper
 def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
     frames: Any, answers: Any, progress: Any, t_ns: int, last_ns: int, table: Any, max_answers: int,
     receivers: Any, mit: Any, odrive: Any, cia402: Any, drives: Any, sensor: Any, cell_order: Any, joint_order: Any,
@@ -464,7 +467,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         cells: array for the tension of each tendon, filled by the kernel [N].
     """
     count = progress[ANSWERS]
-    buses = len(table) // (2 * _IDS)
+    buses = len(table) // (2 * _STANDARD_ID_COUNT)
     for i in range(progress[NEXT_FRAME], len(frames)):
         frame = frames[i]
         receiver = -1
@@ -477,7 +480,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         index = receiver
         while index >= 0:
             receiver_row = receivers[index]
-            if receiver_row.kind == SENSORS:
+            if receiver_row.kind == SENSOR_NODE_KIND:
                 # The kernel cannot draw random numbers, so all numbers for one SYNC must have been
                 # drawn before.
                 drawn = noise_bounds[1] >= noise_bounds[0] + 2 * len(cell_order) + len(joint_order)
@@ -491,7 +494,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
             break
         while receiver >= 0:
             receiver_row = receivers[receiver]
-            if receiver_row.kind == SENSORS:
+            if receiver_row.kind == SENSOR_NODE_KIND:
                 tensions(tendons, joints, arms, rotors, q, dq, cells)
                 count = _answer_sync(
                     sensor[0], frame, t_ns, cells, q, cell_order, joint_order, bias, noise, noise_bounds, answers, count
@@ -506,18 +509,18 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
         progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
 
 
-REAL = np.dtype(np.float64)
-COUNT = np.dtype(np.int64)
-RECEIVERS = np.dtype(Receiver)
-MITS = np.dtype(MitStruct)
-ODRIVES = np.dtype(OdriveStruct)
+REAL_DTYPE = np.dtype(np.float64)
+COUNT_DTYPE = np.dtype(np.int64)
+RECEIVER_DTYPE = np.dtype(Receiver)
+MIT_DTYPE = np.dtype(MitStruct)
+ODRIVE_DTYPE = np.dtype(OdriveStruct)
 CIA402S = np.dtype(Cia402Struct)
-SENSOR = np.dtype(SensorStruct)
-TENDONS = np.dtype(TendonStruct)
-ROTORS = np.dtype(RotorStruct)
+SENSOR_DTYPE = np.dtype(SensorStruct)
+TENDON_DTYPE = np.dtype(TendonStruct)
+ROTOR_DTYPE = np.dtype(RotorStruct)
 
 
-@compiled(RECORD, RECORD, "counts", "count", "count", "count")
+@compiled(FRAME_DTYPE, FRAME_DTYPE, "counts", "count", "count", "count")
 def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answers: int) -> None:
     """Answer frames, with most arrays given by address. See ``_answer``.
 
@@ -530,17 +533,20 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
         max_answers: maximum number of answers to one frame.
     """
     _answer(
-        frames, answers, rows_at(at[0], at[1], COUNT), t_ns, last_ns, rows_at(at[2], at[3], COUNT), max_answers,
-        rows_at(at[4], at[5], RECEIVERS), rows_at(at[6], at[7], MITS), rows_at(at[8], at[9], ODRIVES),
-        rows_at(at[10], at[11], CIA402S), rows_at(at[12], at[13], RECEIVERS), rows_at(at[14], at[15], SENSOR),
-        rows_at(at[16], at[17], COUNT), rows_at(at[18], at[19], COUNT), rows_at(at[20], at[21], REAL),
-        rows_at(at[22], at[23], REAL), rows_at(at[24], at[25], COUNT), rows_at(at[26], at[27], TENDONS),
-        rows_at(at[28], at[29], COUNT), rows_at(at[30], at[31], REAL), rows_at(at[32], at[33], ROTORS),
-        rows_at(at[34], at[35], REAL), rows_at(at[36], at[37], REAL), rows_at(at[38], at[39], REAL),
+        frames, answers, rows_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, rows_at(at[2], at[3], COUNT_DTYPE),
+        max_answers,
+        rows_at(at[4], at[5], RECEIVER_DTYPE), rows_at(at[6], at[7], MIT_DTYPE), rows_at(at[8], at[9], ODRIVE_DTYPE),
+        rows_at(at[10], at[11], CIA402S), rows_at(at[12], at[13], RECEIVER_DTYPE),
+        rows_at(at[14], at[15], SENSOR_DTYPE),
+        rows_at(at[16], at[17], COUNT_DTYPE), rows_at(at[18], at[19], COUNT_DTYPE), rows_at(at[20], at[21], REAL_DTYPE),
+        rows_at(at[22], at[23], REAL_DTYPE), rows_at(at[24], at[25], COUNT_DTYPE),
+        rows_at(at[26], at[27], TENDON_DTYPE),
+        rows_at(at[28], at[29], COUNT_DTYPE), rows_at(at[30], at[31], REAL_DTYPE), rows_at(at[32], at[33], ROTOR_DTYPE),
+        rows_at(at[34], at[35], REAL_DTYPE), rows_at(at[36], at[37], REAL_DTYPE), rows_at(at[38], at[39], REAL_DTYPE),
     )  # fmt: skip
 
 
-@inner
+@kernel_helper
 def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
     """Return True if Python must wake an ODrive, because more than the two cyclic messages is due.
 
@@ -553,7 +559,7 @@ def _odrive_needs_wake(node: Any, rotor: Any, now_ns: int) -> bool:
     return thermal_due or busy or watchdog_due or node.legacy != 0 or rotor.faulty != 0
 
 
-@inner
+@kernel_helper
 def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
     """Return True if Python must wake a CiA 402 drive, because more than the heartbeat is due."""
     thermal_due = node.thermal_ns < 0 or now_ns - node.thermal_ns >= CIA402_THERMAL_PERIOD_NS
@@ -562,7 +568,7 @@ def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
     return thermal_due or cia402_watchdog_expired(node, now_ns) or node.frame_pending != 0
 
 
-@inner
+@kernel_helper
 def _send_cia402(node: Any, now_ns: int, sent: Any, count: int) -> int:
     """Write the heartbeat of a CiA 402 drive if it is due.
 
@@ -579,7 +585,7 @@ def _send_cia402(node: Any, now_ns: int, sent: Any, count: int) -> int:
     return count
 
 
-@inner
+@kernel_helper
 def _send_odrive(node: Any, rotor: Any, now_ns: int, sent: Any, count: int) -> int:
     """Write the cyclic messages of an ODrive that are due.
 
@@ -603,7 +609,7 @@ def _send_odrive(node: Any, rotor: Any, now_ns: int, sent: Any, count: int) -> i
     return count
 
 
-@compiled(*DRIVE_ARGUMENTS, RotorStruct, "count", RECORD, "counts")
+@compiled(*DRIVE_ARGUMENTS, RotorStruct, "count", FRAME_DTYPE, "counts")
 def send_due(
     drives: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, now_ns: int, sent: Any, progress: Any
 ) -> bool:
@@ -626,19 +632,19 @@ def send_due(
         receiver_row = drives[i]
         if now_ns < _wake_ns(receiver_row, mit, odrive, cia402):
             continue
-        if receiver_row.kind == ODRIVE:
+        if receiver_row.kind == ODRIVE_KIND:
             needs_python = _odrive_needs_wake(
                 odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], now_ns
             )
         else:
-            needs_python = receiver_row.kind == MIT or _cia402_needs_wake(cia402[receiver_row.number], now_ns)
+            needs_python = receiver_row.kind == MIT_KIND or _cia402_needs_wake(cia402[receiver_row.number], now_ns)
         if needs_python:
             return False
     for i in range(len(drives)):
         receiver_row = drives[i]
         if now_ns < _wake_ns(receiver_row, mit, odrive, cia402):
             continue
-        if receiver_row.kind == ODRIVE:
+        if receiver_row.kind == ODRIVE_KIND:
             rotor = rotors[odrive[receiver_row.number].motor_number]
             progress[SENT] = _send_odrive(odrive[receiver_row.number], rotor, now_ns, sent, progress[SENT])
         else:
@@ -647,7 +653,7 @@ def send_due(
     return True
 
 
-@compiled(RECORD, RECORD, RECORD)
+@compiled(FRAME_DTYPE, FRAME_DTYPE, FRAME_DTYPE)
 def merge(first: Any, second: Any, out: Any) -> None:
     """Write the frames of two arrays into ``out``, sorted by time.
 

@@ -53,7 +53,7 @@ def assumed_gains(inertia: float, position: float = POSITION_GAIN) -> LoopGains:
     return LoopGains(position, velocity, INTEGRAL_RATE * velocity)
 
 
-class Setpoint:
+class MotionSetpoint:
     """The setpoint that a generator moves: position, velocity and acceleration.
 
     Attributes:
@@ -134,7 +134,7 @@ class Setpoint:
         self.position += step_s * self.velocity
 
 
-class Cascade:
+class CascadeController:
     """A position loop and a velocity loop with integrator, for the servo of a motor.
 
     Attributes:
@@ -147,7 +147,7 @@ class Cascade:
         self.integral = 0.0
 
     def regulate(
-        self, setpoint: Setpoint, gains: LoopGains, speed: float, limit: float, step_s: float, torque: float = 0.0
+        self, setpoint: MotionSetpoint, gains: LoopGains, speed: float, limit: float, step_s: float, torque: float = 0.0
     ) -> None:
         """Compute velocity demand and torque, and set the servo of the motor for the next step.
 

@@ -32,7 +32,7 @@ def _normal(uniform: Any, out: Any) -> None:
         out[i + 1] = math.sin(angle) * radius
 
 
-class Noise:
+class NormalNoise:
     """A stream of random numbers with a normal distribution.
 
     Attributes:

@@ -8,11 +8,11 @@ from firmware_sim.bus.frame import EXTENDED, Frame
 from firmware_sim.description import MotorSpec
 from firmware_sim.plant.motor import Motor
 
-SENSORS, MIT, ODRIVE, CIA402 = range(4)
+SENSOR_NODE_KIND, MIT_KIND, ODRIVE_KIND, CIA402_KIND = range(4)
 """Numbers of the kinds of nodes in compiled kernels: sensor node, MIT drive, ODrive, CiA 402 drive."""
 
 
-class Node(Protocol):
+class SimulatedNode(Protocol):
     """A simulated node on the bus. The methods get the present time as an argument.
 
     Attributes:
@@ -54,7 +54,7 @@ class Node(Protocol):
         ...
 
 
-class DriveNode(Node, Protocol):
+class DriveNode(SimulatedNode, Protocol):
     """A simulated node that drives a motor.
 
     Attributes:
@@ -65,7 +65,7 @@ class DriveNode(Node, Protocol):
     watchdog_fed_ns: int
 
 
-class Shaft(NamedTuple):
+class ShaftSpec(NamedTuple):
     """Data of a motor as delivered, all at its output shaft.
 
     Attributes:
@@ -91,12 +91,12 @@ class Shaft(NamedTuple):
     stall_torque: float = 0.0
 
 
-def identity(frame: Frame) -> Frame:
+def unchanged_frame(frame: Frame) -> Frame:
     """Return the frame without any change."""
     return frame
 
 
-UNADDRESSED = Frame(EXTENDED, b"")
+UNADDRESSED_FRAME = Frame(EXTENDED, b"")
 """A frame with an identifier of no node."""
 
 
@@ -122,10 +122,10 @@ class ProtocolSpec(NamedTuple):
 
     node: Callable[[MotorSpec, Motor, float], DriveNode]
     numbers: range
-    shaft: Shaft
+    shaft: ShaftSpec
     host_frame: Callable[[int], tuple[int, bytes]]
     corrupt_command: Callable[[Frame], Frame]
-    corrupt_reply: Callable[[Frame], Frame] = identity
+    corrupt_reply: Callable[[Frame], Frame] = unchanged_frame
     row: Any = None
     node_kind: int = -1
     force_command: Callable[[Any, Frame], None] | None = None

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.compiled import compiled, inner
+from firmware_sim.compiled import compiled, kernel_helper
 from firmware_sim.description import SensorSpec
-from firmware_sim.nodes.noise import Noise
+from firmware_sim.nodes.noise import NormalNoise
 
-CHANNELS = 5
+CHANNELS_PER_FRAME = 5
 """Number of 12-bit channels that fit beside the counter into a frame of 8 bytes."""
 TENSION_STEP_N = 0.0625
 """Resolution of a tension code [N]."""
@@ -36,7 +36,7 @@ TENSION_MIN_N = -6.0
 """Tension that the code 0 stands for [N]."""
 JOINT_STEP_RAD = 2.0 * math.pi / 4096
 """Resolution of a joint code [rad]."""
-JOINT_ZERO = 2048
+JOINT_ZERO_CODE = 2048
 """Joint code of the joint angle zero."""
 JOINT_OFFSET = 0x10
 """Identifier of the first joint frame minus the base identifier."""
@@ -44,9 +44,9 @@ _MAX_CODE = 4095
 """Largest 12-bit code."""
 _NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
-TENSION = (TENSION_MIN_N, TENSION_STEP_N, 0)
+TENSION_CODE = (TENSION_MIN_N, TENSION_STEP_N, 0)
 """Parameters of a tension code: value of code 0, resolution and offset."""
-JOINT = (0.0, JOINT_STEP_RAD, JOINT_ZERO)
+JOINT_CODE = (0.0, JOINT_STEP_RAD, JOINT_ZERO_CODE)
 """Parameters of a joint code: value of code 0 before the offset, resolution and offset."""
 
 
@@ -66,10 +66,10 @@ def _code(value: float, low: float, step: float, offset: int) -> int:
     return min(_MAX_CODE, max(0, round((value - low) / step) + offset))
 
 
-@inner
+@kernel_helper
 def payload_size(channels: int) -> int:
     """Return the size of a payload [bytes], given the number of channels in this and all following payloads."""
-    return (4 + 12 * min(CHANNELS, channels) + 7) // 8
+    return (4 + 12 * min(CHANNELS_PER_FRAME, channels) + 7) // 8
 
 
 @compiled("count", "counts", "counts")
@@ -83,8 +83,8 @@ def _pack(counter: int, codes: Any, words: Any) -> None:
     """
     for g in range(len(words)):
         word = counter & 0xF
-        for i in range(min(CHANNELS, len(codes) - g * CHANNELS)):
-            word |= codes[g * CHANNELS + i] << (4 + 12 * i)
+        for i in range(min(CHANNELS_PER_FRAME, len(codes) - g * CHANNELS_PER_FRAME)):
+            word |= codes[g * CHANNELS_PER_FRAME + i] << (4 + 12 * i)
         words[g] = word
 
 
@@ -126,7 +126,7 @@ def read_cells(true: Any, bias: Any, normal: Any, drift: float, noise: float, re
         readings[i] = true[i] + bias[i] + normal[channels + i] * noise
 
 
-@inner
+@kernel_helper
 def drift_since(node: Any, t_ns: int) -> float:
     """Return the standard deviation of the bias walk since the last sample [N].
 
@@ -139,7 +139,7 @@ def drift_since(node: Any, t_ns: int) -> float:
     return float(node.bias_drift * math.sqrt(elapsed_s / 100.0))
 
 
-@inner
+@kernel_helper
 def has_joints(node: Any, joints: int, counter: int) -> bool:
     """Return True if a SYNC with this counter is answered also with the joint encoders."""
     return joints > 0 and counter % node.joint_decimation == 0
@@ -150,15 +150,15 @@ def tension_code(tension: float) -> int:
 
     The codes 0 and 4095 mean that the tension is saturated.
     """
-    return _code(tension, *TENSION)
+    return _code(tension, *TENSION_CODE)
 
 
 def joint_code(angle: float) -> int:
     """Return the 12-bit code of a joint angle [rad]."""
-    return _code(angle, *JOINT)
+    return _code(angle, *JOINT_CODE)
 
 
-class Payloads:
+class PayloadEncoder:
     """Encoder that packs a fixed number of channels into payloads."""
 
     def __init__(self, channels: int) -> None:
@@ -167,7 +167,7 @@ class Payloads:
         Args:
             channels: number of channels.
         """
-        starts = range(0, channels, CHANNELS)
+        starts = range(0, channels, CHANNELS_PER_FRAME)
         self._codes = np.zeros(channels, np.int64)
         self._words = np.zeros(len(starts), np.int64)
         self._sizes = [payload_size(channels - start) for start in starts]
@@ -191,7 +191,7 @@ class Payloads:
 
 def pack(counter: int, codes: Sequence[int]) -> bytes:
     """Pack a counter (low four bits) and up to five codes into one payload, as short as possible."""
-    (payload,) = Payloads(len(codes)).of_codes(counter, codes)
+    (payload,) = PayloadEncoder(len(codes)).of_codes(counter, codes)
     return payload
 
 
@@ -226,10 +226,10 @@ class SensorNode:
         self.joint_noise = spec.joint_noise
         self.base_id = spec.base_id
         self.joint_decimation = spec.joint_decimation
-        self.noise = Noise(f"sensors {seed}")
+        self.noise = NormalNoise(f"sensors {seed}")
         self.bias: Any = np.full(len(spec.tendons), spec.tension_bias)
         self._values: Any = np.zeros(len(spec.tendons))
-        self._payloads = Payloads(len(spec.tendons)), Payloads(len(spec.joints))
+        self._payloads = PayloadEncoder(len(spec.tendons)), PayloadEncoder(len(spec.joints))
         self.cell_faults: dict[int, Callable[[float], float]] = {}
         self.joint_faults: dict[int, Callable[[float], float]] = {}
         self.suppressed: dict[int, Callable[[], None]] = {}
@@ -245,7 +245,7 @@ class SensorNode:
 
     def frame_of_cell(self, index: int) -> int:
         """Return the identifier of the frame with the reading of a load cell."""
-        return self._spec.base_id + index // CHANNELS
+        return self._spec.base_id + index // CHANNELS_PER_FRAME
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
@@ -264,12 +264,12 @@ class SensorNode:
             self.malformed += 1
             return []
         spec, counter, (cells, encoders) = self._spec, frame.data[0], self._payloads
-        payloads = [*enumerate(cells.of_values(counter, self._sample(t_ns), *TENSION), spec.base_id)]
+        payloads = [*enumerate(cells.of_values(counter, self._sample(t_ns), *TENSION_CODE), spec.base_id)]
         if has_joints(self, len(spec.joints), counter):
             readings = _with_faults(
                 self._angles() + self.noise.take(len(spec.joints)) * spec.joint_noise, self.joint_faults
             )
-            payloads += enumerate(encoders.of_values(counter, readings, *JOINT), spec.base_id + JOINT_OFFSET)
+            payloads += enumerate(encoders.of_values(counter, readings, *JOINT_CODE), spec.base_id + JOINT_OFFSET)
         sent = [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
         return self._audible(sent) if self.suppressed else sent
 

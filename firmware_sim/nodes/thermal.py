@@ -23,7 +23,7 @@ MOSFET_S = 20.0
 """Thermal time constant of the MOSFETs [s]. An assumption for an actuator of 40 mm."""
 
 
-class Thermal:
+class DriveTemperatures:
     """Temperatures of a drive.
 
     Attributes:
@@ -60,7 +60,7 @@ class Thermal:
         self.mosfet = _low_pass(self.mosfet, AMBIENT_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S)
 
 
-class ThermalStruct(ctypes.Structure, Thermal):
+class ThermalStruct(ctypes.Structure, DriveTemperatures):
     """Temperatures that are stored in the row of a drive."""
 
     _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]

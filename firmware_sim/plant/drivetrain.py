@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import call, compiled, inner, rows_at
+from firmware_sim.compiled import call, compiled, kernel_helper, rows_at
 from firmware_sim.plant.structs import RotorStruct, TendonStruct
 
 CAPSTAN_SPEED = 1e-3
@@ -31,45 +31,45 @@ ENCODER_STEP = 2.0 * math.pi / (1 << 14)
 DIVERGED_RAD_S = 1e5
 """Sum of joint speeds above which the plant counts as diverged [rad/s]."""
 
-PULLEY = 10
-"""Count of numbers that each pulley has in ``arms``, see ``tendon.PULLEY``."""
+PULLEY_NUMBER_COUNT = 10
+"""Count of numbers that each pulley has in ``arms``, see ``tendon.PULLEY_NUMBER_COUNT``."""
 
-DRIVETRAIN = (TendonStruct, "counts", "vector", RotorStruct)
+DRIVETRAIN_ARGUMENTS = (TendonStruct, "counts", "vector", RotorStruct)
 """Types of the kernel arguments: tendons, joint index of each pulley, numbers of each pulley, rotors."""
 
 
-@inner
+@kernel_helper
 def _arm_at(arms: Any, i: int, q: float) -> float:
     """Return the moment arm [m] of pulley i at a joint angle [rad]."""
-    at = PULLEY * i
+    at = PULLEY_NUMBER_COUNT * i
     if arms[at + 1] == 0.0:
         return float(arms[at])
     angle = min(max(q, arms[at + 2]), arms[at + 3])
     arm = 0.0
     power = 1.0
-    for k in range(4, PULLEY):
+    for k in range(4, PULLEY_NUMBER_COUNT):
         arm += arms[at + k] * power
         power *= angle
     return float(arm)
 
 
-@inner
+@kernel_helper
 def _taken_up(arms: Any, i: int, q: float) -> float:
     """Return the tendon length [m] that pulley i takes up between joint angle 0 and a joint angle [rad]."""
-    at = PULLEY * i
+    at = PULLEY_NUMBER_COUNT * i
     if arms[at + 1] == 0.0:
         return float(arms[at] * q)
     angle = min(max(q, arms[at + 2]), arms[at + 3])
     length = 0.0
     power = angle
-    for k in range(4, PULLEY):
+    for k in range(4, PULLEY_NUMBER_COUNT):
         length += arms[at + k] * power / (k - 3.0)
         power *= angle
     # Beyond the limits of the angle, the arm is constant.
     return float(length + _arm_at(arms, i, q) * (q - angle))
 
 
-@inner
+@kernel_helper
 def _elastic(tendon: Any, stretch: float) -> float:
     """Compute the elastic tension [N] of a tendon at a stretch [m].
 
@@ -88,7 +88,7 @@ def _elastic(tendon: Any, stretch: float) -> float:
     return float(tendon.knee + tendon.after_knee * x + soft)
 
 
-@inner
+@kernel_helper
 def _secant(tendon: Any, loss: float, tension_angle: float) -> float:
     """Compute the friction of a tendon divided by the speed of the tendon [N s/m].
 
@@ -107,7 +107,7 @@ def _secant(tendon: Any, loss: float, tension_angle: float) -> float:
     return float(loss / speed)
 
 
-@inner
+@kernel_helper
 def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any) -> float:
     """Compute the tension of a tendon at its load cell [N]."""
     stretch = tendon.radius * rotor.theta - tendon.extra_length
@@ -120,7 +120,7 @@ def _cell_tension(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
     return max(0.0, float(_elastic(tendon, stretch) + tendon.damping * rate))
 
 
-@inner
+@kernel_helper
 def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> None:
     """Add the joint torques of a taut tendon to ``torque`` [N m].
 
@@ -148,7 +148,7 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
     tendon.slope = tendon.damping + _secant(tendon, loss, tension * angle)
 
 
-@inner
+@kernel_helper
 def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any, torque: Any) -> None:
     """Add the joint torques of a tendon to ``torque`` [N m].
 
@@ -174,7 +174,7 @@ def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: A
     rotor.load += tendon.radius * tendon.tension
 
 
-@inner
+@kernel_helper
 def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: Any) -> None:
     """Add to ``torque`` [N m] the torque that the engine will subtract as damping of the tendon.
 
@@ -182,25 +182,25 @@ def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: An
     """
     speed = 0.0
     for i in range(tendon.first, tendon.end):
-        speed += arms[PULLEY * i] * dq[joints[i]]
+        speed += arms[PULLEY_NUMBER_COUNT * i] * dq[joints[i]]
     push = tendon.slope * speed
     for i in range(tendon.first, tendon.end):
-        torque[joints[i]] += arms[PULLEY * i] * push
+        torque[joints[i]] += arms[PULLEY_NUMBER_COUNT * i] * push
 
 
-@inner
+@kernel_helper
 def encoded(theta: float) -> float:
     """Return a spool angle rounded down to the encoder resolution [rad]."""
     return math.floor(theta / ENCODER_STEP) * ENCODER_STEP
 
 
-@inner
+@kernel_helper
 def measure_angle(rotor: Any) -> None:
     """Measure the spool angle with the encoder."""
     rotor.angle = encoded(rotor.theta)
 
 
-@inner
+@kernel_helper
 def within_speed(
     rotor: Any, command: float, inertia: float, drag: float, speed: float, slope: float, brakes: bool
 ) -> float:
@@ -233,7 +233,7 @@ def within_speed(
     return float(min(highest, max(lowest, command)))
 
 
-@inner
+@kernel_helper
 def compute_command(rotor: Any) -> None:
     """Compute the limited torque command [N m] of the servo, from the velocity at the end of the step.
 
@@ -277,7 +277,7 @@ def compute_command(rotor: Any) -> None:
     rotor.impedance = inertia
 
 
-@inner
+@kernel_helper
 def integrate(rotor: Any) -> None:
     """Integrate torque, rotor and velocity estimate of a motor over one step, semi-implicitly."""
     torque = rotor.torque + rotor.lag * (rotor.command - rotor.torque)
@@ -291,14 +291,14 @@ def integrate(rotor: Any) -> None:
     rotor.heat += rotor.step * torque * torque
 
 
-@compiled(*DRIVETRAIN, "vector", "vector", "vector")
+@compiled(*DRIVETRAIN_ARGUMENTS, "vector", "vector", "vector")
 def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, out: Any) -> None:
     """Write the present tension of each tendon at its load cell to ``out`` [N].
 
     Args:
         tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley, see ``tendon.PULLEY``.
+        arms: numbers of each pulley, see ``tendon.PULLEY_NUMBER_COUNT``.
         rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
@@ -308,7 +308,7 @@ def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any,
         out[i] = _cell_tension(tendons[i], joints, arms, rotors[tendons[i].motor], q, dq)
 
 
-@compiled(*DRIVETRAIN, "vector", "vector", "vector", "vector", "flag")
+@compiled(*DRIVETRAIN_ARGUMENTS, "vector", "vector", "vector", "vector", "flag")
 def step_drivetrain(
     tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any, all_rotors: bool
 ) -> None:
@@ -319,7 +319,7 @@ def step_drivetrain(
     Args:
         tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley, see ``tendon.PULLEY``.
+        arms: numbers of each pulley, see ``tendon.PULLEY_NUMBER_COUNT``.
         rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
@@ -347,7 +347,7 @@ def step_drivetrain(
             integrate(rotor)
 
 
-@inner
+@kernel_helper
 def _steps(
     count: int, tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any,
     step: int, model: int, data: int,
@@ -358,7 +358,7 @@ def _steps(
         count: number of steps.
         tendons: tendons of the hand.
         joints: joint index of each pulley.
-        arms: numbers of each pulley, see ``tendon.PULLEY``.
+        arms: numbers of each pulley, see ``tendon.PULLEY_NUMBER_COUNT``.
         rotors: rotors of the motors.
         q: joint angles in the memory of the engine [rad].
         dq: joint velocities in the memory of the engine [rad/s].
@@ -387,10 +387,10 @@ def _steps(
     return count
 
 
-REAL = np.dtype(np.float64)
-COUNT = np.dtype(np.int64)
-TENDONS = np.dtype(TendonStruct)
-ROTORS = np.dtype(RotorStruct)
+REAL_DTYPE = np.dtype(np.float64)
+COUNT_DTYPE = np.dtype(np.int64)
+TENDON_DTYPE = np.dtype(TendonStruct)
+ROTOR_DTYPE = np.dtype(RotorStruct)
 """Dtypes of the arrays that ``steps`` makes from addresses."""
 
 
@@ -409,7 +409,8 @@ def steps(count: int, at: Any) -> int:
         Number of completed steps.
     """
     return _steps(
-        count, rows_at(at[0], at[1], TENDONS), rows_at(at[2], at[3], COUNT), rows_at(at[4], at[5], REAL),
-        rows_at(at[6], at[7], ROTORS), rows_at(at[8], at[9], REAL), rows_at(at[10], at[11], REAL),
-        rows_at(at[12], at[13], REAL), rows_at(at[14], at[15], REAL), at[16], at[17], at[18],
+        count, rows_at(at[0], at[1], TENDON_DTYPE), rows_at(at[2], at[3], COUNT_DTYPE),
+        rows_at(at[4], at[5], REAL_DTYPE),
+        rows_at(at[6], at[7], ROTOR_DTYPE), rows_at(at[8], at[9], REAL_DTYPE), rows_at(at[10], at[11], REAL_DTYPE),
+        rows_at(at[12], at[13], REAL_DTYPE), rows_at(at[14], at[15], REAL_DTYPE), at[16], at[17], at[18],
     )  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 from firmware_sim.plant.mjcf import MAX_CONTACTS
 
 
-class Engine:
+class RigidBodyEngine:
     """The rigid bodies of hand and scene with their joints, springs, stops and contacts.
 
     All attributes that are arrays are views into MuJoCo's memory.
@@ -42,7 +42,7 @@ class Engine:
         data = self._data
         n = joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
-        self.native = _native(model, data)
+        self.native = _native_step(model, data)
         # These arrays are views into MuJoCo's memory. They are valid as long as the data object
         # exists.
         self.q: Any = data.qpos[:n]
@@ -172,7 +172,7 @@ class Engine:
         self._model.opt.gravity[:] = gravity
 
 
-def _native(model: Any, data: Any) -> tuple[int, int, int] | None:
+def _native_step(model: Any, data: Any) -> tuple[int, int, int] | None:
     """Return the addresses of MuJoCo's function ``mj_step``, of the model and of the data.
 
     If compiled code calls the function by its address, an error inside MuJoCo ends the process.

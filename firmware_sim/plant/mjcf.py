@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from firmware_sim.description import Digit, Hand, LinkMesh, TendonSpec
-from firmware_sim.scene.scene import GraspObject, Scene, Support
+from firmware_sim.scene.scene import GraspObject, Scene, SinkingTable
 
 STEP_S = 0.5e-3
 """Time step of the plant [s]. Source: MODEL, section 6: 15 of 15 grasps hold at 0.5 ms with armature 1e-6 kg m2."""
@@ -309,7 +309,9 @@ def _tendon(tendon: TendonSpec) -> str:
 
 def _contact(hand: Hand, digit: Digit) -> str:
     """Build the sensor that measures the net contact force on a digit."""
-    return f'<contact name="contact/{digit.name}" {_touching(hand, digit)} num="1" reduce="netforce" data="force"/>'
+    return (
+        f'<contact name="contact/{digit.name}" {_touch_sensors(hand, digit)} num="1" reduce="netforce" data="force"/>'
+    )
 
 
 def _normal(hand: Hand, digit: Digit) -> str:
@@ -318,12 +320,12 @@ def _normal(hand: Hand, digit: Digit) -> str:
     Axis 1 of each is the normal.
     """
     return (
-        f'<contact name="normal/{digit.name}" {_touching(hand, digit)} geom2="object" num="{MAX_CONTACTS}"'
+        f'<contact name="normal/{digit.name}" {_touch_sensors(hand, digit)} geom2="object" num="{MAX_CONTACTS}"'
         ' reduce="maxforce" data="force"/>'
     )
 
 
-def _touching(hand: Hand, digit: Digit) -> str:
+def _touch_sensors(hand: Hand, digit: Digit) -> str:
     """Return the bodies of a digit for a contact sensor: all links, or only the last link of a carrying digit."""
     if hand.carried_by(digit.name):
         return f'body1="{digit.name}_link{len(digit.length)}"'
@@ -341,7 +343,7 @@ def _grasp_object(grasp_object: GraspObject) -> str:
     )
 
 
-def _table(grasp_object: GraspObject, support: Support | None) -> str:
+def _table(grasp_object: GraspObject, support: SinkingTable | None) -> str:
     """Build the body of the table, an empty text for a scene without support."""
     if support is None:
         return ""

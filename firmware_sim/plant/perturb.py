@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from firmware_sim.description import Digit, Hand, MotorSpec, SensorSpec, SimulatorError, TendonSpec
 
-KEYS = {
+PERTURBATION_KEYS = {
     "stiffness": "tendon stiffness",
     "damping": "damping of tendons, joints and rotors",
     "friction": "capstan friction coefficient of the tendons and Coulomb friction of the motors",
@@ -20,12 +20,12 @@ KEYS = {
 """Parameter that each key of ``--perturb`` multiplies."""
 
 
-def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
+def perturbed_hand(hand: Hand, factors: dict[str, float]) -> Hand:
     """Multiply the plant parameters of a hand by factors.
 
     Args:
         hand: hand as described by its file.
-        factors: factors by key of ``KEYS``. The value of ``bias`` is not a factor but an offset
+        factors: factors by key of ``PERTURBATION_KEYS``. The value of ``bias`` is not a factor but an offset
             [N].
 
     Returns:
@@ -36,13 +36,13 @@ def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
             in place of a number.
     """
     for key, value in factors.items():
-        if key not in KEYS:
-            raise SimulatorError(f"--perturb: no such parameter: {key}; expected one of {', '.join(KEYS)}")
+        if key not in PERTURBATION_KEYS:
+            raise SimulatorError(f"--perturb: no such parameter: {key}; expected one of {', '.join(PERTURBATION_KEYS)}")
         if not math.isfinite(value) or (value < 0 and key != "bias"):
             raise SimulatorError(f"--perturb: {key}={value:g}; expected a finite factor, 0 or more")
         if value == 0 and key in ("mass", "motor_inertia"):
             raise SimulatorError(f"--perturb: {key}=0; expected a factor above 0")
-    f = {key: factors.get(key, 1.0) for key in KEYS}
+    f = {key: factors.get(key, 1.0) for key in PERTURBATION_KEYS}
     try:
         return replace(
             hand,
@@ -55,17 +55,17 @@ def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
         raise SimulatorError(f"hand {hand.name}: a value is not a number: {error}") from error
 
 
-def _scaled(values: tuple[float, ...], factor: float) -> tuple[float, ...]:
+def _scaled_values(values: tuple[float, ...], factor: float) -> tuple[float, ...]:
     return tuple(value * factor for value in values)
 
 
 def _digit(digit: Digit, f: dict[str, float]) -> Digit:
     return replace(
         digit,
-        mass=_scaled(digit.mass, f["mass"]),
-        inertia=tuple(_scaled(one, f["mass"]) for one in digit.inertia),
-        damping=_scaled(digit.damping, f["damping"]),
-        spring=_scaled(digit.spring, f["spring"]),
+        mass=_scaled_values(digit.mass, f["mass"]),
+        inertia=tuple(_scaled_values(one, f["mass"]) for one in digit.inertia),
+        damping=_scaled_values(digit.damping, f["damping"]),
+        spring=_scaled_values(digit.spring, f["spring"]),
     )
 
 
@@ -74,7 +74,7 @@ def _tendon(tendon: TendonSpec, f: dict[str, float]) -> TendonSpec:
         tendon,
         arms={joint: arm * f["moment_arm"] for joint, arm in tendon.arms.items()},
         curves={
-            joint: replace(curve, powers=_scaled(curve.powers, f["moment_arm"]))
+            joint: replace(curve, powers=_scaled_values(curve.powers, f["moment_arm"]))
             for joint, curve in tendon.curves.items()
         },
         stiffness=tendon.stiffness * f["stiffness"],

@@ -12,13 +12,13 @@ import numpy as np
 from firmware_sim.compiled import addresses, machine_code
 from firmware_sim.description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
-from firmware_sim.plant.engine import Engine
+from firmware_sim.plant.engine import RigidBodyEngine
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
 from firmware_sim.plant.motor import Motor, motor_rows, step_factors
-from firmware_sim.plant.tendon import Routing
+from firmware_sim.plant.tendon import TendonRouting
 from firmware_sim.scene import support as support_kernels
-from firmware_sim.scene.scene import Scene, Support
-from firmware_sim.scene.stages import Stages
+from firmware_sim.scene.scene import Scene, SinkingTable
+from firmware_sim.scene.stages import StageSequence
 from firmware_sim.scene.support import SupportTable
 
 STEP_NS = round(STEP_S * 1e9)
@@ -73,7 +73,7 @@ class Plant:
         self.steps = 0
         self.part_ns = 0
         try:
-            self.engine = Engine(model_text(hand, scene), len(hand.joints))
+            self.engine = RigidBodyEngine(model_text(hand, scene), len(hand.joints))
         except ValueError as error:
             raise SimulatorError(f"hand {hand.name}: {str(error).splitlines()[0]}") from error
         self._check_overlaps()
@@ -102,7 +102,7 @@ class Plant:
         self.table = self._table(scene.support, compiled) if scene.support else None
         self.contact_forces = self.engine.forces_on("contact", [digit.name for digit in hand.digits])
         self.load = scene.load
-        self.stages = Stages(scene.stages, hand.gravity) if scene.stages else None
+        self.stages = StageSequence(scene.stages, hand.gravity) if scene.stages else None
         self.stage = -1
         self.normal_forces = self.engine.normal_forces([digit.name for digit in hand.digits]) if scene.load else list
         if not homed:
@@ -122,7 +122,7 @@ class Plant:
                 "expected a smaller object, or another position_m"
             )
 
-    def _routing(self, compiled: bool) -> Routing:
+    def _routing(self, compiled: bool) -> TendonRouting:
         """Build the tendons and their pulleys. Refuse unknown motors and joints."""
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
@@ -131,9 +131,11 @@ class Plant:
             if spec.motor not in motors or unknown:
                 wrong = ", ".join(sorted(unknown)) or spec.motor
                 raise SimulatorError(f"hand {hand.name}: {spec.name}: no such motor or joint: {wrong}")
-        return Routing(hand.every_tendon, hand.joints, motors, [motor.spool_radius for motor in hand.motors], compiled)
+        return TendonRouting(
+            hand.every_tendon, hand.joints, motors, [motor.spool_radius for motor in hand.motors], compiled
+        )
 
-    def _table(self, support: Support, compiled: bool) -> SupportTable:
+    def _table(self, support: SinkingTable, compiled: bool) -> SupportTable:
         """Build the table.
 
         With compiled kernels, the table reads the contact forces in the memory of the engine.

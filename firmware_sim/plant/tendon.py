@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import array_of
-from firmware_sim.description import POWERS, TendonSpec
+from firmware_sim.description import POWER_COUNT, TendonSpec
 from firmware_sim.plant.structs import TendonStruct
 
-PULLEY = 4 + POWERS
+PULLEY_NUMBER_COUNT = 4 + POWER_COUNT
 """Count of numbers of a pulley: mean moment arm [m], 1 if the arm varies, two joint limits [rad], and coefficients."""
 
 
 def _pulley(spec: TendonSpec, joint: str) -> tuple[float, ...]:
-    """Return the numbers that describe a tendon's pulley at a joint, see ``PULLEY``."""
+    """Return the numbers that describe a tendon's pulley at a joint, see ``PULLEY_NUMBER_COUNT``."""
     if joint not in spec.curves:
-        return (spec.arms[joint], *(0.0,) * (PULLEY - 1))
+        return (spec.arms[joint], *(0.0,) * (PULLEY_NUMBER_COUNT - 1))
     curve = spec.curves[joint]
     return (spec.arms[joint], 1.0, curve.low, curve.high, *curve.powers)
 
@@ -91,7 +91,7 @@ class TendonRow(TendonStruct, Tendon):
     """A tendon whose numbers are kept in a row of an array, for compiled kernels."""
 
 
-class Routing:
+class TendonRouting:
     """The tendons of a hand and the pulleys on the path of each tendon.
 
     Attributes:
@@ -99,7 +99,7 @@ class Routing:
         rows: array with a row for each tendon, for compiled kernels. Otherwise the list
             ``tendons``.
         joints: joint index of each pulley, tendon by tendon, as an array or a list.
-        arms: ``PULLEY`` numbers of each pulley, as an array or a list.
+        arms: ``PULLEY_NUMBER_COUNT`` numbers of each pulley, as an array or a list.
     """
 
     def __init__(

@@ -5,7 +5,7 @@ import select
 from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
 from firmware_sim.command import CommandParser, until_signal
-from firmware_sim.printing import printable
+from firmware_sim.printing import printable_text
 from firmware_sim.shared_clock import SharedClock
 
 _POLL_S = 0.2
@@ -29,7 +29,7 @@ def run(words: list[str]) -> None:
     port = open_port(f"local:{args.name}", 0, timed_port)
     running = [True]
     until_signal(running.clear)
-    print(f"firmware_sim: ready bus=local:{printable(args.name)}", flush=True)
+    print(f"firmware_sim: ready bus=local:{printable_text(args.name)}", flush=True)
     try:
         while running:
             wait_ns = max(0, port.due_ns - now_ns())

@@ -9,26 +9,26 @@ from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
 from firmware_sim.command import CommandParser, check_time_scale, until_signal
 from firmware_sim.description import MotorSpec, SimulatorError
-from firmware_sim.faults.active import Faults
+from firmware_sim.faults.active import ActiveFaults
 from firmware_sim.faults.bench_world import BenchWorld
-from firmware_sim.faults.faulty_drive import FAULTS, with_fault, with_faulty_specs
+from firmware_sim.faults.faulty_drive import DRIVE_FAULTS, with_fault, with_faulty_specs
 from firmware_sim.faults.socket import FaultSocket, is_served
-from firmware_sim.nodes import PROTOCOLS
+from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.nodes.cia402.dictionary import EDS_PATH
-from firmware_sim.nodes.mit.node import CLEAR_ANSWERS, COMMANDS, EACH, WATCHDOGS
+from firmware_sim.nodes.mit.node import CLEAR_ANSWERS, EACH_CLEAR_ANSWERED, FED_BY_COMMANDS, WATCHDOG_BEHAVIOURS
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.odrive.motion import MOTION_ENDPOINTS
-from firmware_sim.nodes.protocol_spec import Node
+from firmware_sim.nodes.protocol_spec import SimulatedNode
 from firmware_sim.paths import faults_path
 from firmware_sim.plant.motor import Motor
-from firmware_sim.printing import printable
+from firmware_sim.printing import printable_text
 from firmware_sim.programs.drive_types import MIT_TYPES, ROBSTRIDE_TYPES, drive_spec
-from firmware_sim.server import Server
+from firmware_sim.server import BusServer
 from firmware_sim.shared_clock import SharedClock
 
 STEP_NS = 1_000_000
 """Time step of the shafts [ns]."""
-EXAMPLES = """
+HELP_EXAMPLES = """
 examples:
   python -m firmware_sim drive mit --ids 1,2,3,4 --bus socketcan:vcan0 --motor-type dm4310
   python -m firmware_sim drive odrive --ids 0,1 --bus local:lab
@@ -39,25 +39,25 @@ examples:
   python -m firmware_sim bus lab; ... drive mit --ids 1 --bus join:lab; ... drive cia402 --ids 32 --bus join:lab
 """
 """Examples of the help text."""
-ENDPOINTS = "\n".join(
+ENDPOINT_HELP = "\n".join(
     f"  {number}  {key.removeprefix('endpoint_')}"
     for key, number in [
-        *odrive_bench.ENDPOINTS.items(),
+        *odrive_bench.ENDPOINT_NUMBERS.items(),
         *((key, number) for number, (key, _) in MOTION_ENDPOINTS.items()),
     ]
 )
 """Table of the ODrive endpoints in the help text."""
-EPILOG = f"""{EXAMPLES}
+HELP_EPILOG = f"""{HELP_EXAMPLES}
 endpoints of an ODrive with firmware 0.6, for SDO (real numbers are in its flat_endpoints.json):
-{ENDPOINTS}
+{ENDPOINT_HELP}
 
 objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 """
 """Text after the options in the help."""
 
 
-class Bench:
-    """Simulated drives on one bus. See ``server.Served``.
+class SimulatedDriveBench:
+    """Simulated drives on one bus. See ``server.ServedNodes``.
 
     Attributes:
         motors: rotors in the order of the drive descriptions.
@@ -73,7 +73,7 @@ class Bench:
         Args:
             specs: descriptions of the drives.
             origin_ns: time of the clock at the start [ns].
-            fault: deliberate fault of all drives, a key of ``faulty_drive.FAULTS``, empty for no
+            fault: deliberate fault of all drives, a key of ``faulty_drive.DRIVE_FAULTS``, empty for no
                 fault.
         """
         self.t_ns = origin_ns
@@ -83,11 +83,12 @@ class Bench:
         self.part_ns = 0
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
         pairs = zip(specs, self.motors, strict=True)
-        self.nodes: list[Node] = [
-            with_fault(PROTOCOLS[spec.protocol].node(spec, motor, 0.0), spec.protocol, fault) for spec, motor in pairs
+        self.nodes: list[SimulatedNode] = [
+            with_fault(PROTOCOL_SPECS[spec.protocol].node(spec, motor, 0.0), spec.protocol, fault)
+            for spec, motor in pairs
         ]
         self._unsolicited: list[Frame] = []
-        self.faults = Faults(BenchWorld(self, specs))
+        self.faults = ActiveFaults(BenchWorld(self, specs))
 
     @property
     def malformed(self) -> int:
@@ -149,11 +150,11 @@ def _parser() -> CommandParser:
     parser = CommandParser(
         prog="python -m firmware_sim drive",
         description="Simulate drives with free shafts, as delivered.",
-        epilog=EPILOG,
+        epilog=HELP_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("protocol", choices=sorted(PROTOCOLS), help="protocol of the drives")
+    add("protocol", choices=sorted(PROTOCOL_SPECS), help="protocol of the drives")
     add("--ids", required=True, metavar="N,N,..", help="node numbers, decimal or 0x..")
     add("--bus", required=True, metavar="SPEC", help="local:NAME, join:NAME or socketcan:INTERFACE")
     add("--fd", action="store_true",
@@ -163,16 +164,16 @@ def _parser() -> CommandParser:
     add("--firmware", choices=["0.5", "0.6"], help="firmware of ODrives (0.6)")
     add("--uncalibrated", action="store_true",
         help="ODrives that refuse closed loop until they were calibrated")  # fmt: skip
-    texts = "; ".join(f"{key}: {text}" for key, text in WATCHDOGS.items())
-    add("--watchdog", choices=list(WATCHDOGS), default=COMMANDS,
-        help=f"watchdog of MIT motors. {texts} ({COMMANDS})")  # fmt: skip
+    texts = "; ".join(f"{key}: {text}" for key, text in WATCHDOG_BEHAVIOURS.items())
+    add("--watchdog", choices=list(WATCHDOG_BEHAVIOURS), default=FED_BY_COMMANDS,
+        help=f"watchdog of MIT motors. {texts} ({FED_BY_COMMANDS})")  # fmt: skip
     texts = "; ".join(f"{key}: {text}" for key, text in CLEAR_ANSWERS.items())
-    add("--clear-answers", choices=list(CLEAR_ANSWERS), default=EACH,
-        help=f"answers of MIT motors to the clear command. {texts} ({EACH})")  # fmt: skip
+    add("--clear-answers", choices=list(CLEAR_ANSWERS), default=EACH_CLEAR_ANSWERED,
+        help=f"answers of MIT motors to the clear command. {texts} ({EACH_CLEAR_ANSWERED})")  # fmt: skip
     add("--inertia", type=float, metavar="KG_M2", help="inertia of each shaft [kg m2] (assumed for the motor type)")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)")
-    faults = "; ".join(f"{key}: {text}" for key, text in FAULTS.items())
-    add("--broken", choices=sorted(FAULTS), default="", help=f"deliberate fault of all drives. {faults}")
+    faults = "; ".join(f"{key}: {text}" for key, text in DRIVE_FAULTS.items())
+    add("--broken", choices=sorted(DRIVE_FAULTS), default="", help=f"deliberate fault of all drives. {faults}")
     add("--time-scale", type=float, default=1.0, metavar="X", help="drive time per wall time (1)")
     return parser
 
@@ -186,8 +187,8 @@ def _behaviour(args: argparse.Namespace) -> dict[str, object]:
     given = {
         "--firmware": ("odrive", "", bool(args.firmware)),
         "--uncalibrated": ("odrive", True, args.uncalibrated),
-        "--watchdog": ("mit", args.watchdog, args.watchdog != COMMANDS),
-        "--clear-answers": ("mit", args.clear_answers, args.clear_answers != EACH),
+        "--watchdog": ("mit", args.watchdog, args.watchdog != FED_BY_COMMANDS),
+        "--clear-answers": ("mit", args.clear_answers, args.clear_answers != EACH_CLEAR_ANSWERED),
     }
     wrong = [name for name, (protocol, _, on) in given.items() if on and args.protocol != protocol]
     if wrong:
@@ -231,17 +232,17 @@ def run(words: list[str]) -> None:
     args = _parser().parse_args(words)
     specs = _specs(args)
     clock = SharedClock(args.time_scale)
-    bench = Bench(specs, clock.now_ns(), args.broken)
+    bench = SimulatedDriveBench(specs, clock.now_ns(), args.broken)
     port = open_port(args.bus, 0, timed_port_maker(args.wire, [DEFAULT_BITRATES], clock.now_ns))
     faults = fault_socket(args.bus, bench)
     try:
-        server = Server(bench, [port], clock, faults)
+        server = BusServer(bench, [port], clock, faults)
 
         def stop() -> None:
             server.running = False
 
         until_signal(stop)
-        print(f"firmware_sim: ready drive={args.protocol} ids={args.ids} bus={printable(args.bus)}", flush=True)
+        print(f"firmware_sim: ready drive={args.protocol} ids={args.ids} bus={printable_text(args.bus)}", flush=True)
         server.run()
         counts = " ".join(f"{key}={value}" for key, value in server.summary().items())
         print(f"firmware_sim: ended {counts}", file=sys.stderr)
@@ -251,7 +252,7 @@ def run(words: list[str]) -> None:
             faults.close()
 
 
-def fault_socket(bus: str, bench: Bench) -> FaultSocket | None:
+def fault_socket(bus: str, bench: SimulatedDriveBench) -> FaultSocket | None:
     """Open the socket for ``handctl fault inject``.
 
     Return None if another simulator on this bus already has a fault socket.
@@ -262,6 +263,6 @@ def fault_socket(bus: str, bench: Bench) -> FaultSocket | None:
     """
     path = faults_path(bus)
     if is_served(path):
-        print(f"firmware_sim: another simulator on {printable(bus)} takes the faults", file=sys.stderr)
+        print(f"firmware_sim: another simulator on {printable_text(bus)} takes the faults", file=sys.stderr)
         return None
     return FaultSocket(path, bench.faults)

@@ -1,16 +1,16 @@
 """Drives as delivered: with the manufacturer's identifiers, ranges and timing, and with a free shaft."""
 
 from firmware_sim.description import MotorSpec, SimulatorError
-from firmware_sim.nodes import PROTOCOLS, cubemars
+from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
-from firmware_sim.nodes.protocol_spec import Shaft
+from firmware_sim.nodes.protocol_spec import ShaftSpec
 from firmware_sim.nodes.robstride import bench as robstride_bench
 from firmware_sim.nodes.robstride.node import FULL_SCALE
 
-MIT_TYPES = {**dict.fromkeys(mit_bench.TYPES, "mit"), **dict.fromkeys(cubemars.FULL_SCALE, "cubemars")}
+MIT_TYPES = {**dict.fromkeys(mit_bench.MOTOR_TYPE_RANGES, "mit"), **dict.fromkeys(cubemars.FULL_SCALE, "cubemars")}
 """Motor types that speak MIT mode, each with the name of the protocol in handctl."""
-ROBSTRIDE = ("robstride", "robstride_mit")
+ROBSTRIDE_PROTOCOLS = ("robstride", "robstride_mit")
 """Protocols of RobStride motors."""
 ROBSTRIDE_TYPES = tuple(FULL_SCALE)
 """Names of the RobStride motor models."""
@@ -31,7 +31,7 @@ def drive_spec(
     """Build the description of a drive with a free shaft.
 
     Args:
-        protocol: key of ``nodes.PROTOCOLS``. With ``mit`` and a CubeMars motor type, the protocol
+        protocol: key of ``nodes.PROTOCOL_SPECS``. With ``mit`` and a CubeMars motor type, the protocol
             is cubemars.
         node_id: node number of the drive.
         motor_type: motor type of the protocol, such as a key of ``MIT_TYPES``. Empty for the
@@ -45,7 +45,7 @@ def drive_spec(
     """
     _check_type(protocol, motor_type)
     protocol = MIT_TYPES.get(motor_type, protocol)
-    protocol_spec = PROTOCOLS[protocol]
+    protocol_spec = PROTOCOL_SPECS[protocol]
     if node_id not in protocol_spec.numbers:
         raise SimulatorError(
             f"--ids {node_id}: expected {protocol_spec.numbers.start} to {protocol_spec.numbers.stop - 1}"
@@ -68,23 +68,23 @@ def _check_type(protocol: str, motor_type: str) -> None:
     Raises:
         SimulatorError: the motor type does not exist, or speaks another protocol.
     """
-    types = ROBSTRIDE_TYPES if protocol in ROBSTRIDE else tuple(MIT_TYPES)
+    types = ROBSTRIDE_TYPES if protocol in ROBSTRIDE_PROTOCOLS else tuple(MIT_TYPES)
     if motor_type and MIT_TYPES.get(motor_type, protocol) != protocol != "mit":
         raise SimulatorError(f"--motor-type {motor_type}: {protocol} has no such motor")
     if motor_type and motor_type not in types:
         raise SimulatorError(f"--motor-type {motor_type}: expected one of {', '.join(types)}")
 
 
-def _shaft(protocol: str, motor_type: str, fd: bool, firmware: str) -> Shaft:
+def _shaft(protocol: str, motor_type: str, fd: bool, firmware: str) -> ShaftSpec:
     """Build the shaft of the requested motor type."""
     if protocol == "odrive":
-        return odrive_bench.shaft(firmware)
-    if protocol in ROBSTRIDE and motor_type:
-        shaft = robstride_bench.shaft(motor_type)
-        return shaft._replace(options=PROTOCOLS[protocol].shaft.options | shaft.options)
+        return odrive_bench.shaft_of_firmware(firmware)
+    if protocol in ROBSTRIDE_PROTOCOLS and motor_type:
+        shaft = robstride_bench.shaft_of_robstride_motor(motor_type)
+        return shaft._replace(options=PROTOCOL_SPECS[protocol].shaft.options | shaft.options)
     if protocol == "cubemars":
-        return cubemars.shaft(motor_type or cubemars.DEFAULT_TYPE)
+        return cubemars.shaft_of_motor(motor_type or cubemars.DEFAULT_TYPE)
     if protocol == "mit":
         kind = motor_type or mit_bench.DEFAULT_TYPE
-        return mit_bench.shaft(kind, fd=True) if fd else mit_bench.shaft(kind)
-    return PROTOCOLS[protocol].shaft
+        return mit_bench.shaft_of_mit_motor(kind, fd=True) if fd else mit_bench.shaft_of_mit_motor(kind)
+    return PROTOCOL_SPECS[protocol].shaft

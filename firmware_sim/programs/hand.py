@@ -8,24 +8,24 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.bus.ports import Port, assign, is_on_this_machine, open_port
+from firmware_sim.bus.ports import BusPort, assign_buses, is_on_this_machine, open_port
 from firmware_sim.bus.timed_port import timed_port_maker
 from firmware_sim.command import CommandParser, check_time_scale, until_signal
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.faults.socket import FaultSocket
 from firmware_sim.paths import clock_path, faults_path, truth_path
-from firmware_sim.plant.perturb import KEYS, perturbed
-from firmware_sim.printing import printable
+from firmware_sim.plant.perturb import PERTURBATION_KEYS, perturbed_hand
+from firmware_sim.printing import printable_text
 from firmware_sim.priority import RealTimePriority
-from firmware_sim.scene.scene import load_scene, packaged
+from firmware_sim.scene.scene import load_scene, packaged_scenes
 from firmware_sim.serials import with_serial_numbers
-from firmware_sim.server import Server
+from firmware_sim.server import BusServer
 from firmware_sim.shared_clock import SharedClock
 from firmware_sim.truth import TruthWriter
-from firmware_sim.wire.options import KEYS as WIRE_KEYS
-from firmware_sim.world import World, make_world
+from firmware_sim.wire.options import WIRE_OPTION_KEYS as WIRE_KEYS
+from firmware_sim.world import SimulatedWorld, make_world
 
-_KEYS = "\n".join(f"  {key:16}{text}" for key, text in KEYS.items())
+_KEYS = "\n".join(f"  {key:16}{text}" for key, text in PERTURBATION_KEYS.items())
 _WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
 _LOG_SUFFIX = ".mcap"
 """Suffix of log files, which the simulator never overwrites."""
@@ -56,7 +56,11 @@ def _parser() -> argparse.ArgumentParser:
     add("--hand", required=True, metavar="NAME|FILE", help="packaged hand or a .toml file")
     add("--bus", required=True, action="append", metavar="[BUS=]SPEC",
         help="local:NAME, join:NAME or socketcan:INTERFACE; repeat for a hand with several buses")  # fmt: skip
-    add("--scene", metavar="NAME|FILE", help=f"{', '.join(packaged())}, NAME:MILLIMETRES or a .toml file (free hand)")
+    add(
+        "--scene",
+        metavar="NAME|FILE",
+        help=f"{', '.join(packaged_scenes())}, NAME:MILLIMETRES or a .toml file (free hand)",
+    )
     add("--seed", type=int, default=0, help="seed of noise, initial slack and encoder offsets (0)")
     add("--homed", action="store_true", help="start with taut tendons and encoders at zero")
     add("--time-scale", type=float, default=1.0, metavar="X", help="plant time per wall time (1)")
@@ -99,16 +103,16 @@ def run(words: list[str]) -> None:
     if args.truth and args.truth.suffix == _LOG_SUFFIX and args.truth.exists():
         raise SimulatorError(f"--truth {args.truth}: is a log; expected another name")
     factors = _factors(args.perturb)
-    hand = perturbed(load_hand(args.hand), factors)
+    hand = perturbed_hand(load_hand(args.hand), factors)
     scene = load_scene(args.scene)
     hand = with_serial_numbers(hand, args.serial)
-    specs = assign(args.bus, hand.buses)
+    specs = assign_buses(args.bus, hand.buses)
     clock = SharedClock(args.time_scale)
     world = make_world(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)
     timed_port = timed_port_maker(args.wire, hand.bitrates, clock.now_ns)
     if args.dry_run:
         return
-    ports: list[Port] = []
+    ports: list[BusPort] = []
     try:
         for bus, spec in enumerate(specs):
             ports.append(open_port(spec, bus, timed_port))
@@ -119,16 +123,16 @@ def run(words: list[str]) -> None:
             header = {**world.header("monotonic"), "perturb": factors, "time_scale": args.time_scale}
             ready = {"hand": world.hand.name, "scene": world.plant.scene.name, "bus": " ".join(args.bus)}
             ready["truth"] = str(path)
-            pairs = " ".join(f"{key}={printable(value)}" for key, value in ready.items())
+            pairs = " ".join(f"{key}={printable_text(value)}" for key, value in ready.items())
             ready_line = json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
-            _serve(Server(world, ports, clock, faults, RealTimePriority()), world, path, header, ready_line)
+            _serve(BusServer(world, ports, clock, faults, RealTimePriority()), world, path, header, ready_line)
     finally:
         clock.close()
         for port in ports:
             port.close()
 
 
-def _serve(server: Server, world: World, path: Path, header: dict[str, Any], ready: str) -> None:
+def _serve(server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready: str) -> None:
     """Serve a simulated hand and record its truth file."""
     try:
         truth = TruthWriter(path, world.plant, header)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from firmware_sim.description import SimulatorError
-from firmware_sim.scene.stages import Stage, read_stage
+from firmware_sim.scene.stages import SceneStage, read_stage
 
-SHAPES = ("cylinder", "sphere", "box")
+OBJECT_SHAPES = ("cylinder", "sphere", "box")
 """Possible shapes of an object."""
 
 
@@ -34,7 +34,7 @@ class GraspObject:
 
 
 @dataclass(frozen=True, slots=True)
-class Support:
+class SinkingTable:
     """The table under the object.
 
     Attributes:
@@ -58,7 +58,7 @@ class Support:
 
 
 @dataclass(frozen=True, slots=True)
-class Load:
+class GrowingLoad:
     """A force at the object's centre that grows until the grasp fails.
 
     Attributes:
@@ -85,12 +85,12 @@ class Scene:
 
     name: str
     grasp_object: GraspObject | None = None
-    support: Support | None = None
-    load: Load | None = None
-    stages: tuple[Stage, ...] = ()
+    support: SinkingTable | None = None
+    load: GrowingLoad | None = None
+    stages: tuple[SceneStage, ...] = ()
 
 
-def packaged() -> list[str]:
+def packaged_scenes() -> list[str]:
     """List the names of the scenes that are packaged with the simulator."""
     folder = importlib.resources.files("firmware_sim") / "scenes"
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
@@ -111,14 +111,14 @@ def load_scene(text: str | None) -> Scene:
     if text.endswith(".toml"):
         return _read(Path(text), text)
     name, _, diameter = text.partition(":")
-    if name not in packaged():
-        packaged_names = ", ".join(packaged())
+    if name not in packaged_scenes():
+        packaged_names = ", ".join(packaged_scenes())
         raise SimulatorError(f"no such scene: {text}; expected {packaged_names}, NAME:MILLIMETRES or a .toml file")
     scene = _read(importlib.resources.files("firmware_sim") / "scenes" / f"{name}.toml", name)
-    return _resized(scene, diameter, text) if diameter else scene
+    return _resized_scene(scene, diameter, text) if diameter else scene
 
 
-def _resized(scene: Scene, millimetres: str, text: str) -> Scene:
+def _resized_scene(scene: Scene, millimetres: str, text: str) -> Scene:
     """Return the scene with another diameter of the object, and with the same gap between object and palm."""
     try:
         diameter = float(millimetres) * 1e-3
@@ -166,8 +166,8 @@ def _grasp_object(raw: dict[str, Any] | None) -> GraspObject | None:
     if raw is None:
         return None
     shape = raw["shape"]
-    if shape not in SHAPES:
-        raise ValueError(f"object.shape {shape!r}: expected {', '.join(SHAPES)}")
+    if shape not in OBJECT_SHAPES:
+        raise ValueError(f"object.shape {shape!r}: expected {', '.join(OBJECT_SHAPES)}")
     if shape == "box":
         size = tuple(float(value) for value in raw["size_m"])
     else:
@@ -182,7 +182,7 @@ def _grasp_object(raw: dict[str, Any] | None) -> GraspObject | None:
     return GraspObject(shape, size, float(raw["mass_kg"]), friction, position)
 
 
-def _support(raw: dict[str, Any] | None) -> Support | None:
+def _support(raw: dict[str, Any] | None) -> SinkingTable | None:
     """Build the support from its table in the scene file."""
     if raw is None:
         return None
@@ -191,10 +191,10 @@ def _support(raw: dict[str, Any] | None) -> Support | None:
     keys = {"drop_when": "drop_when", "drop_force_N": "drop_force", "drop_hold_s": "drop_hold",
             "drop_digits": "drop_digits", "drop_opposed": "drop_opposed",
             "sink_speed_m_s": "sink_speed", "sink_depth_m": "sink_depth"}  # fmt: skip
-    return Support(**{keys[key]: value for key, value in raw.items()})
+    return SinkingTable(**{keys[key]: value for key, value in raw.items()})
 
 
-def _load(raw: dict[str, Any] | None) -> Load | None:
+def _load(raw: dict[str, Any] | None) -> GrowingLoad | None:
     """Build the load from its table in the scene file. The direction is normalised."""
     if raw is None:
         return None
@@ -204,4 +204,4 @@ def _load(raw: dict[str, Any] | None) -> Load | None:
     rate = float(raw["rate_N_per_s"])
     if not (0.0 < length < math.inf and 0.0 <= start < math.inf and 0.0 < rate < math.inf) or len(raw) != 3:
         raise ValueError("load: expected direction (not zero), start_s and a positive rate_N_per_s")
-    return Load((x / length, y / length, z / length), start, rate)
+    return GrowingLoad((x / length, y / length, z / length), start, rate)

@@ -6,14 +6,14 @@ from typing import Any
 
 GRAVITY_M_S2 = 9.81
 """Standard gravity [m/s2]."""
-KEYS = {"down", "turn_s", "last_s", "push_N", "push_at_s", "push_s", "friction"}
+STAGE_KEYS = {"down", "turn_s", "last_s", "push_N", "push_at_s", "push_s", "friction"}
 """Keys that a stage may have in a scene file."""
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class SceneStage:
     """One stage of a scene.
 
     The first stage starts when the table starts to sink, each later stage when the previous one
@@ -38,14 +38,14 @@ class Stage:
     friction: float | None
 
 
-def read_stage(raw: dict[str, Any]) -> Stage:
+def read_stage(raw: dict[str, Any]) -> SceneStage:
     """Read one stage of a scene file.
 
     Raises:
         ValueError: a key or a value of the stage is wrong.
     """
-    if unknown := raw.keys() - KEYS:
-        raise ValueError(f"stage.{sorted(unknown)[0]}: expected {', '.join(sorted(KEYS))}")
+    if unknown := raw.keys() - STAGE_KEYS:
+        raise ValueError(f"stage.{sorted(unknown)[0]}: expected {', '.join(sorted(STAGE_KEYS))}")
     down = _vector(raw["down"], "stage.down") if "down" in raw else None
     if down is not None:
         length = math.hypot(*down)
@@ -59,7 +59,7 @@ def read_stage(raw: dict[str, Any]) -> Stage:
     friction = float(raw["friction"]) if "friction" in raw else None
     if friction is not None and not 0.0 <= friction <= 10.0:
         raise ValueError(f"stage.friction {friction}: expected 0 to 10")
-    return Stage(down, times[0], times[1], push, times[2], times[3], friction)
+    return SceneStage(down, times[0], times[1], push, times[2], times[3], friction)
 
 
 def _vector(raw: Any, where: str) -> Vector:
@@ -86,14 +86,14 @@ class StageState:
     friction: float | None
 
 
-class Stages:
+class StageSequence:
     """All stages of a scene, as a function of time.
 
     Attributes:
         duration: total duration of all stages [s].
     """
 
-    def __init__(self, stages: tuple[Stage, ...], gravity: Vector) -> None:
+    def __init__(self, stages: tuple[SceneStage, ...], gravity: Vector) -> None:
         """Store the stages of a scene.
 
         Args:
@@ -114,25 +114,25 @@ class Stages:
         friction = None
         for i, stage in enumerate(self._stages):
             since = time - start
-            target = gravity if stage.down is None else _scaled(stage.down, GRAVITY_M_S2)
+            target = gravity if stage.down is None else _scaled_vector(stage.down, GRAVITY_M_S2)
             friction = stage.friction if stage.friction is not None and since >= stage.turn else friction
             if since < stage.turn + stage.duration or i == len(self._stages) - 1:
                 pushing = stage.push_at <= since - stage.turn < stage.push_at + stage.push_duration
                 fraction = min(since / stage.turn, 1.0) if stage.turn > 0.0 else 1.0
                 return StageState(
-                    i, _turned(gravity, target, fraction), stage.push if pushing else (0.0, 0.0, 0.0), friction
+                    i, _turned_vector(gravity, target, fraction), stage.push if pushing else (0.0, 0.0, 0.0), friction
                 )
             start = start + stage.turn + stage.duration
             gravity = target
         return StageState(-1, self._gravity, (0.0, 0.0, 0.0), None)
 
 
-def _scaled(v: Vector, factor: float) -> Vector:
+def _scaled_vector(v: Vector, factor: float) -> Vector:
     """Multiply a vector by a factor."""
     return v[0] * factor, v[1] * factor, v[2] * factor
 
 
-def _turned(start: Vector, end: Vector, fraction: float) -> Vector:
+def _turned_vector(start: Vector, end: Vector, fraction: float) -> Vector:
     """Interpolate between two vectors along a great circle.
 
     Between opposite vectors, the path is a straight line.
@@ -149,4 +149,4 @@ def _turned(start: Vector, end: Vector, fraction: float) -> Vector:
     # through both.
     if length < 1e-9 or target_length == 0.0:
         return mixed[0], mixed[1], mixed[2]
-    return _scaled((mixed[0], mixed[1], mixed[2]), target_length / length)
+    return _scaled_vector((mixed[0], mixed[1], mixed[2]), target_length / length)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import compiled
-from firmware_sim.scene.scene import Support
+from firmware_sim.scene.scene import SinkingTable
 
 
 @compiled("vector", "counts", "counts", "real", "count", "flag")
@@ -43,7 +43,9 @@ class SupportTable:
         dropped_at: plant time at which the table started to sink [s], None before.
     """
 
-    def __init__(self, support: Support, opposed: list[bool], indices: Sequence[int] = (), kernels: Any = None) -> None:
+    def __init__(
+        self, support: SinkingTable, opposed: list[bool], indices: Sequence[int] = (), kernels: Any = None
+    ) -> None:
         """Set up the table at its initial position.
 
         Args:

@@ -16,7 +16,7 @@ As a result, all phases of the USB frames occur.
 """
 
 
-class Adapter(NamedTuple):
+class AdapterClass(NamedTuple):
     """A class of CAN adapters with similar latency.
 
     Attributes:
@@ -32,19 +32,21 @@ class Adapter(NamedTuple):
     text: str
 
 
-ADAPTERS = {
-    "none": Adapter(0, 0, 0, "controller on the processor's own bus, as on Jetson"),
-    "spi": Adapter(0, 0, 100_000, "controller behind SPI, as on Pi hats; 100 us a frame are an assumption"),
-    "usb-hs": Adapter(125_000, 125_000, 0, "high-speed USB: PCAN-USB Pro FD, Kvaser Leaf v3"),
-    "usb-fs": Adapter(1_000_000, 1_000_000, 0, "full-speed USB: candleLight, CANable, also with slcan"),
-    "ftdi": Adapter(1_000_000, 16_000_000, 0, "serial adapter with FTDI chip, latency timer at its default of 16 ms"),
+ADAPTER_CLASSES = {
+    "none": AdapterClass(0, 0, 0, "controller on the processor's own bus, as on Jetson"),
+    "spi": AdapterClass(0, 0, 100_000, "controller behind SPI, as on Pi hats; 100 us a frame are an assumption"),
+    "usb-hs": AdapterClass(125_000, 125_000, 0, "high-speed USB: PCAN-USB Pro FD, Kvaser Leaf v3"),
+    "usb-fs": AdapterClass(1_000_000, 1_000_000, 0, "full-speed USB: candleLight, CANable, also with slcan"),
+    "ftdi": AdapterClass(
+        1_000_000, 16_000_000, 0, "serial adapter with FTDI chip, latency timer at its default of 16 ms"
+    ),
 }
 """Classes of adapters by name."""
-NONE = "none"
+NO_LATENCY_CLASS = "none"
 """Name of the class without latency."""
 
 
-class Latency:
+class AdapterLatency:
     """Latency of one CAN adapter.
 
     The times passed to a method must not decrease from call to call.
@@ -54,10 +56,10 @@ class Latency:
         """Make the latency of an adapter whose USB frames have a random phase.
 
         Args:
-            kind: key of ``ADAPTERS``.
+            kind: key of ``ADAPTER_CLASSES``.
             seed: seed of the random phase.
         """
-        self._adapter = ADAPTERS[kind]
+        self._adapter = ADAPTER_CLASSES[kind]
         self._phase = random.Random(f"adapter {kind} {seed}").random()
         self._sent_ns = self._received_ns = 0
 

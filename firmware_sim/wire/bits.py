@@ -22,12 +22,12 @@ No stuff bits are inserted into this tail.
 """
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Payload length that each data length code of CAN FD stands for [bytes]."""
-CRC15 = 0x4599
+CRC15_POLYNOMIAL = 0x4599
 """Generator polynomial of the classical CRC, x15 + x14 + x10 + x8 + x7 + x4 + x3 + 1, without the leading term."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rate:
+class BitRates:
     """Bit rates of a wire.
 
     Attributes:
@@ -55,7 +55,7 @@ class Rate:
         return round(slow * 1e9 / self.nominal + fast * 1e9 / (self.data or self.nominal))
 
 
-def priority(can_id: int) -> int:
+def arbitration_number(can_id: int) -> int:
     """Return the arbitration field of a frame as a number. The frame with the lowest number wins.
 
     Arbitration cannot decide between frames with equal numbers.
@@ -136,5 +136,5 @@ def _crc15(bits: str) -> str:
         # This is one step of the CRC's shift register, with feedback of the top bit and the input
         # bit.
         out = register >> 14 ^ (bit == "1")
-        register = register << 1 & 0x7FFF ^ (CRC15 if out else 0)
+        register = register << 1 & 0x7FFF ^ (CRC15_POLYNOMIAL if out else 0)
     return format(register, "015b")

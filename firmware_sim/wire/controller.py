@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable
 
 from firmware_sim.bus.frame import ERROR, Frame
-from firmware_sim.wire.bits import priority
+from firmware_sim.wire.bits import arbitration_number
 
 WARNING_AT = 96
 """Value of an error counter at which the state becomes WARNING."""
@@ -29,19 +29,19 @@ TX_ERROR_STEP = 8
 COUNTER_MAX = 255
 """Largest value of an error counter in an error frame."""
 
-CRTL = 0x04
+CAN_ERR_CRTL = 0x04
 """Error class: change of the controller's state, details in data[1]."""
-PROT = 0x08
+CAN_ERR_PROT = 0x08
 """Error class: protocol violation."""
-ACK = 0x20
+CAN_ERR_ACK = 0x20
 """Error class: no controller has acknowledged the frame."""
-BUSOFF = 0x40
+CAN_ERR_BUSOFF = 0x40
 """Error class: the controller is off the bus."""
-BUSERROR = 0x80
+CAN_ERR_BUSERROR = 0x80
 """Error class: an error on the bus."""
-RESTARTED = 0x100
+CAN_ERR_RESTARTED = 0x100
 """Error class: the controller was restarted."""
-CNT = 0x200
+CAN_ERR_CNT = 0x200
 """Error class: data[6] and data[7] hold the error counters."""
 TX_OVERFLOW = 0x02
 """Bit of data[1]: the transmit queue is full."""
@@ -53,7 +53,7 @@ RX_PASSIVE = 0x10
 """Bit of data[1]: receive errors reached the passive level."""
 TX_PASSIVE = 0x20
 """Bit of data[1]: transmit errors reached the passive level."""
-ACTIVE = 0x40
+ERROR_ACTIVE = 0x40
 """Bit of data[1]: the controller is error-active again."""
 LOC_ACK = 0x19
 """Value of data[3]: the error is in the acknowledge slot."""
@@ -120,10 +120,10 @@ class CanController:
             True if the frame was queued.
         """
         if self.on_bus and len(self.queue) < self._depth:
-            self.queue.append((t_ns, priority(frame.can_id), frame))
+            self.queue.append((t_ns, arbitration_number(frame.can_id), frame))
             return True
         self.refused += 1
-        self._report(CRTL, t_ns, {1: TX_OVERFLOW})
+        self._report(CAN_ERR_CRTL, t_ns, {1: TX_OVERFLOW})
         return False
 
     def ready_ns(self) -> int:
@@ -162,12 +162,12 @@ class CanController:
         """
         if self.state < ErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_STEP
-        self._count_error(ACK, t_ns)
+        self._count_error(CAN_ERR_ACK, t_ns)
 
     def count_destroyed(self, t_ns: int) -> None:
         """Count a transmit error, because the first frame in the queue was destroyed on the wire."""
         self.tx_errors += TX_ERROR_STEP
-        self._count_error(PROT | BUSERROR, t_ns)
+        self._count_error(CAN_ERR_PROT | CAN_ERR_BUSERROR, t_ns)
 
     def count_error_seen(self, t_ns: int) -> None:
         """Count a receive error, because a frame of another controller was destroyed on the wire."""
@@ -179,7 +179,7 @@ class CanController:
         self.tx_errors = self.rx_errors = 0
         self.state = ErrorState.ACTIVE
         self._last_error = 0
-        self._report(RESTARTED, t_ns)
+        self._report(CAN_ERR_RESTARTED, t_ns)
 
     def _count_error(self, kind: int, t_ns: int) -> None:
         """Update the error state after a transmit error.
@@ -206,19 +206,19 @@ class CanController:
         if self.tx_errors >= BUS_OFF_AT:
             self.state = ErrorState.BUS_OFF
             self.queue.clear()
-            self._report(BUSOFF | kind, t_ns)
+            self._report(CAN_ERR_BUSOFF | kind, t_ns)
         else:
             # The states are ordered so that the sum of these two comparisons is the number of the
             # state.
             self.state = ErrorState((highest >= WARNING_AT) + (highest >= PASSIVE_AT))
             if self.state != before:
-                self._report(CRTL | kind, t_ns, {1: self._status()})
+                self._report(CAN_ERR_CRTL | kind, t_ns, {1: self._status()})
         return self.state != before
 
     def _status(self) -> int:
         """Return the bits of data[1] in an error frame for the present state."""
         if self.state == ErrorState.ACTIVE:
-            return ACTIVE
+            return ERROR_ACTIVE
         limit, receive, send = (
             (WARNING_AT, RX_WARNING, TX_WARNING)
             if self.state == ErrorState.WARNING
@@ -239,8 +239,8 @@ class CanController:
         data = bytearray(8)
         for i, value in (extra or {}).items():
             data[i] = value
-        if kind & ACK:
+        if kind & CAN_ERR_ACK:
             data[3] = LOC_ACK
         data[6] = min(COUNTER_MAX, self.tx_errors)
         data[7] = self.rx_errors
-        self.on_receive(Frame(ERROR | CNT | kind, bytes(data)), t_ns)
+        self.on_receive(Frame(ERROR | CAN_ERR_CNT | kind, bytes(data)), t_ns)

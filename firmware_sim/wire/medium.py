@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.wire.bits import Rate
+from firmware_sim.wire.bits import BitRates
 from firmware_sim.wire.controller import CanController, ErrorState
 
 NEVER_NS = 1 << 62
@@ -48,7 +48,7 @@ class WireOptions:
     seed: int = 0
 
 
-class Wire:
+class SimulatedWire:
     """A simulated CAN bus on which frames take time.
 
     Attributes:
@@ -60,7 +60,7 @@ class Wire:
         disturbed: number of next frames that the wire will destroy. Tests set this number.
     """
 
-    def __init__(self, rate: Rate, options: WireOptions = WireOptions()) -> None:
+    def __init__(self, rate: BitRates, options: WireOptions = WireOptions()) -> None:
         """Create an idle wire without controllers.
 
         Args:

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from firmware_sim.description import SimulatorError
-from firmware_sim.wire.adapter import ADAPTERS, NONE, Latency
-from firmware_sim.wire.bits import Rate
+from firmware_sim.wire.adapter import ADAPTER_CLASSES, NO_LATENCY_CLASS, AdapterLatency
+from firmware_sim.wire.bits import BitRates
 from firmware_sim.wire.medium import WireOptions
 
-KEYS = {
+WIRE_OPTION_KEYS = {
     "bitrate": "nominal bit rate [bit/s] (the hand file's)",
     "data_bitrate": "bit rate of CAN FD's data phase [bit/s] (the hand file's)",
     "stuffing": "worst: maximum stuff bits for the length, actual: those of each frame (worst)",
@@ -17,7 +17,7 @@ KEYS = {
     "error_rate": "fraction of frames destroyed on the wire (0)",
     "restart_ms": "delay of a controller's restart after bus-off [ms] (never)",
     "seed": "seed of the errors and of the adapter's phase (0)",
-    "adapter": f"latency of the host's CAN adapter: {', '.join(ADAPTERS)} ({NONE})",
+    "adapter": f"latency of the host's CAN adapter: {', '.join(ADAPTER_CLASSES)} ({NO_LATENCY_CLASS})",
 }
 """Meaning and default of each key of ``--wire``."""
 _MAX_BITRATE = 20_000_000
@@ -35,34 +35,34 @@ class WireSpec:
             hand file's.
         data_bitrate: data bit rate that replaces the bit rate in the hand file [bit/s], 0 to keep
             the hand file's.
-        adapter: class of the CAN adapters of the hosts, a key of ``ADAPTERS``.
+        adapter: class of the CAN adapters of the hosts, a key of ``ADAPTER_CLASSES``.
     """
 
     options: WireOptions = field(default_factory=WireOptions)
     actual: bool = False
     bitrate: int = 0
     data_bitrate: int = 0
-    adapter: str = NONE
+    adapter: str = NO_LATENCY_CLASS
 
-    def latency(self, number: int) -> Latency:
+    def latency(self, number: int) -> AdapterLatency:
         """Return the latency of a host's CAN adapter.
 
         Args:
             number: number of the adapter. The number selects the random phase of the adapter.
         """
-        return Latency(self.adapter, self.options.seed + number)
+        return AdapterLatency(self.adapter, self.options.seed + number)
 
-    def rate(self, bitrate: int, data_bitrate: int) -> Rate:
+    def rate(self, bitrate: int, data_bitrate: int) -> BitRates:
         """Return the bit rates of a bus, from the command line or the hand file.
 
         Args:
             bitrate: nominal bit rate in the hand file [bit/s].
             data_bitrate: bit rate of the data phase in the hand file [bit/s].
         """
-        return Rate(self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.actual)
+        return BitRates(self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.actual)
 
 
-def parse(words: Sequence[str]) -> WireSpec:
+def parse_wire_options(words: Sequence[str]) -> WireSpec:
     """Parse the KEY=VALUE words of ``--wire``.
 
     Raises:
@@ -70,22 +70,22 @@ def parse(words: Sequence[str]) -> WireSpec:
     """
     spec = WireSpec()
     for word in words:
-        spec = _updated(spec, word)
+        spec = _updated_spec(spec, word)
     return spec
 
 
-def _updated(spec: WireSpec, word: str) -> WireSpec:
+def _updated_spec(spec: WireSpec, word: str) -> WireSpec:
     """Return a specification with the change made by a word."""
     key, _, text = word.partition("=")
-    if key not in KEYS:
-        raise SimulatorError(f"--wire {word}: expected one of {', '.join(KEYS)}, as in queue=10")
+    if key not in WIRE_OPTION_KEYS:
+        raise SimulatorError(f"--wire {word}: expected one of {', '.join(WIRE_OPTION_KEYS)}, as in queue=10")
     if key == "stuffing":
         if text not in ("worst", "actual"):
             raise SimulatorError(f"--wire {word}: expected stuffing=worst or stuffing=actual")
         return replace(spec, actual=text == "actual")
     if key == "adapter":
-        if text not in ADAPTERS:
-            raise SimulatorError(f"--wire {word}: expected one of {', '.join(ADAPTERS)}")
+        if text not in ADAPTER_CLASSES:
+            raise SimulatorError(f"--wire {word}: expected one of {', '.join(ADAPTER_CLASSES)}")
         return replace(spec, adapter=text)
     if key == "error_rate":
         return replace(spec, options=replace(spec.options, error_rate=_number(word, text, 0.0, 1.0)))

@@ -4,7 +4,7 @@ A kernel is a plain function of arrays and numbers, written with loops and ``mat
 ``NUMBA_DISABLE_JIT=1``, Python interprets the kernels. Compiled code does not reorder operations
 (no ``fastmath``), so interpreted and compiled kernels give the same numbers to the last bit.
 
-``prepare`` compiles all kernels before a hand is armed. One compilation serves every hand, because
+``compile_kernels`` compiles all kernels before a hand is armed. One compilation serves every hand, because
 the types of a kernel's arguments do not depend on the hand. The compiled code is stored in a
 folder. The name of the folder is a hash of all source files of kernels and of their path. A change
 in one of these files leads to a new folder. So no process runs code of another version. If no
@@ -31,13 +31,13 @@ from numpy.typing import NDArray
 
 from handctl.kernel_loading import load_kernel
 
-config: Any = _config
+numba_config: Any = _config
 """Module with the settings of numba, which has no type information."""
 cgutils: Any = _cgutils
 """Module with the code generation of numba, which has no type information."""
 F = TypeVar("F", bound=Callable[..., Any])
 
-SOURCES = (
+KERNEL_SOURCES = (
     "compiled.py", "core", "safety",
     "drives/frame.py", "drives/records.py", "drives/signals.py",
     "hand/file/quantities.py", "hand/rigid_body.py", "hand/tendons.py",
@@ -47,23 +47,23 @@ SOURCES = (
 A test checks that no module with constants of kernels is missing in the list. If another file
 changes, nothing is compiled again.
 """
-MAX_FOLDERS = 16
+MAX_CACHE_FOLDERS = 16
 """Largest number of versions of handctl whose compiled code stays stored.
 
 The code of older versions is deleted.
 """
 MAX_WORKERS = 8
 """Largest number of processes that compile kernels in parallel."""
-POLL_S = 0.1
+POLL_PERIOD_S = 0.1
 """Time between two checks of the progress of the compilation [s]."""
 
-_KERNELS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
+_KERNEL_DISPATCHERS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 """Dispatcher and argument types of each kernel, by name of the kernel."""
-_INNER: list[Any] = []
+_INNER_DISPATCHERS: list[Any] = []
 """Numba dispatchers of all functions that only kernels call."""
-MARKED: list[Callable[..., Any]] = []
+KERNEL_FUNCTIONS: list[Callable[..., Any]] = []
 """Python functions of all kernels and of all functions that kernels call."""
-_TYPES = {
+_NUMBA_TYPES = {
     "real": types.float64,
     "count": types.int64,
     "block": types.Array(types.float64, 1, "C"),
@@ -95,30 +95,33 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     """
 
     def mark(function: F) -> F:
-        dispatcher = _marked(function)
-        _KERNELS[f"{function.__module__}.{function.__name__}"] = dispatcher, tuple(_TYPES[name] for name in arguments)
+        dispatcher = _mark_function(function)
+        _KERNEL_DISPATCHERS[f"{function.__module__}.{function.__name__}"] = (
+            dispatcher,
+            tuple(_NUMBA_TYPES[name] for name in arguments),
+        )
         return dispatcher
 
     return mark
 
 
-def inner(function: F) -> F:
+def kernel_helper(function: F) -> F:
     """Mark a function that only kernels call. Such a function is compiled into the kernels.
 
     Python cannot call the function.
     """
-    MARKED.append(function)
+    KERNEL_FUNCTIONS.append(function)
     options: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     dispatcher: Any = njit(error_model="numpy", **options)(function)
-    _INNER.append(dispatcher)
+    _INNER_DISPATCHERS.append(dispatcher)
     return cast(F, dispatcher)
 
 
-def _marked(function: F) -> F:
-    MARKED.append(function)
-    with _cached_in(_FOLDER):
+def _mark_function(function: F) -> F:
+    KERNEL_FUNCTIONS.append(function)
+    with _cached_in(_CACHE_FOLDER):
         try:
-            dispatcher: Any = njit(cache=_FOLDER is not None, error_model="numpy")(function)
+            dispatcher: Any = njit(cache=_CACHE_FOLDER is not None, error_model="numpy")(function)
         except RuntimeError:  # numba cannot write into the folder
             dispatcher = njit(error_model="numpy")(function)
     return cast(F, dispatcher)
@@ -130,15 +133,15 @@ def _cached_in(folder: Path | None) -> Iterator[None]:
 
     Other packages that use numba are not affected.
     """
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(folder or "")
+    before = numba_config.CACHE_DIR
+    numba_config.CACHE_DIR = str(folder or "")
     try:
         yield
     finally:
-        config.CACHE_DIR = before
+        numba_config.CACHE_DIR = before
 
 
-def _folder() -> Path | None:
+def _cache_folder() -> Path | None:
     """Create and return the folder for the code of this version, or return None if no folder can be written."""
     root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser())
     folder = root / "handctl" / f"kernels-{_source_hash()}"
@@ -162,7 +165,7 @@ def _source_hash() -> str:
     """
     here = Path(__file__).parent
     digest = hashlib.blake2b(os.fsencode(here), digest_size=8)
-    for name in SOURCES:
+    for name in KERNEL_SOURCES:
         top = here / name
         for path in [top] if top.is_file() else sorted(top.rglob("*.py")):
             digest.update(path.read_bytes())
@@ -170,14 +173,14 @@ def _source_hash() -> str:
 
 
 def _remove_old(root: Path) -> None:
-    """Delete the compiled code of all versions except the `MAX_FOLDERS` used last."""
+    """Delete the compiled code of all versions except the `MAX_CACHE_FOLDERS` used last."""
     with contextlib.suppress(OSError):
         folders = sorted(root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True)
-        for path in folders[MAX_FOLDERS:]:
+        for path in folders[MAX_CACHE_FOLDERS:]:
             shutil.rmtree(path, ignore_errors=True)
 
 
-_FOLDER = None if config.DISABLE_JIT else _folder()
+_CACHE_FOLDER = None if numba_config.DISABLE_JIT else _cache_folder()
 
 
 @kernel("real")
@@ -190,7 +193,7 @@ def square(value: float) -> float:
 
 
 def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
-    """Generate the code of ``borrow``, which returns an array without an owner.
+    """Generate the code of ``borrowed_array``, which returns an array without an owner.
 
     References to such an array are not counted.
 
@@ -223,7 +226,7 @@ def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> An
 _borrow: Any = intrinsic(_without_owner)
 
 
-def borrow(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
+def borrowed_array(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
     """Return a part of a contiguous array in another shape, without counting references to the array.
 
     If a function is called with an array, numba counts the references to the array with atomic
@@ -240,7 +243,7 @@ def borrow(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[An
     return flat.reshape(-1)[first : first + math.prod(shape)].reshape(shape)
 
 
-@overload(borrow, inline="always")
+@overload(borrowed_array, inline="always")
 def _compiled_borrow(flat: Any, first: Any, shape: Any) -> Any:
     def implementation(flat: Any, first: Any, shape: Any) -> Any:
         return _borrow(flat, first, shape)
@@ -248,7 +251,7 @@ def _compiled_borrow(flat: Any, first: Any, shape: Any) -> Any:
     return implementation
 
 
-class _Waiting(NamedTuple):
+class _UncompiledKernel(NamedTuple):
     """Kernel that is not compiled yet.
 
     Attributes:
@@ -262,7 +265,7 @@ class _Waiting(NamedTuple):
     types: tuple[Any, ...]
 
 
-def prepare(progress: Callable[[int, int], None] | None = None) -> None:
+def compile_kernels(progress: Callable[[int, int], None] | None = None) -> None:
     """Compile all imported kernels, or load the stored code. Then no kernel is compiled during a tick.
 
     Args:
@@ -270,13 +273,13 @@ def prepare(progress: Callable[[int, int], None] | None = None) -> None:
             kernels.
     """
     report = progress or _ignore_progress
-    all_of_them = [_Waiting(name, *kernel) for name, kernel in _KERNELS.items()]
+    all_of_them = [_UncompiledKernel(name, *kernel) for name, kernel in _KERNEL_DISPATCHERS.items()]
     waiting = [one for one in all_of_them if not getattr(one.code, "signatures", True)]
-    if _FOLDER and _compiled_count(_FOLDER, waiting) < len(waiting):
-        _compile_together(_FOLDER, waiting, report)
+    if _CACHE_FOLDER and _compiled_count(_CACHE_FOLDER, waiting) < len(waiting):
+        _compile_together(_CACHE_FOLDER, waiting, report)
     for done, one in enumerate(waiting):
         report(done, len(waiting))
-        if _FOLDER:
+        if _CACHE_FOLDER:
             load_kernel(one.code, one.types)
         one.code.compile(one.types)  # this does nothing if the code was loaded
         one.code.disable_compile()
@@ -286,7 +289,7 @@ def _ignore_progress(done: int, total: int) -> None:
     """Discard a progress report."""
 
 
-def _compiled_count(folder: Path, kernels: Sequence[_Waiting]) -> int:
+def _compiled_count(folder: Path, kernels: Sequence[_UncompiledKernel]) -> int:
     """Count the kernels whose compiled code is in a folder.
 
     The file names, which numba chooses, contain the names of the kernels.
@@ -296,38 +299,38 @@ def _compiled_count(folder: Path, kernels: Sequence[_Waiting]) -> int:
     return sum(".".join(one.name.rsplit(".", 2)[1:]) in compiled_names for one in kernels)
 
 
-def _compile_together(folder: Path, waiting: Sequence[_Waiting], report: Callable[[int, int], None]) -> None:
+def _compile_together(folder: Path, waiting: Sequence[_UncompiledKernel], report: Callable[[int, int], None]) -> None:
     """Compile kernels into a folder, with one process per core. Meanwhile a lock makes other users of the folder wait.
 
-    If a kernel cannot be compiled, ``prepare`` raises the error later.
+    If a kernel cannot be compiled, ``compile_kernels`` raises the error later.
 
     Args:
         folder: folder of the compiled code.
         waiting: kernels without code in the folder.
-        report: function that reports progress, as ``progress`` in ``prepare``.
+        report: function that reports progress, as ``progress`` in ``compile_kernels``.
     """
     order = sorted(range(len(waiting)), key=lambda i: len(waiting[i].code.py_func.__code__.co_names), reverse=True)
     with contextlib.suppress(OSError), open(folder / "lock", "w") as lock:
-        while not _locked(lock):
+        while not _try_lock(lock):
             report(_compiled_count(folder, waiting), len(waiting))
-            time.sleep(POLL_S)
+            time.sleep(POLL_PERIOD_S)
         if _compiled_count(folder, waiting) == len(waiting):
             return
         with _cached_in(folder):  # only a compilation needs the code of the functions that kernels call
-            for part in _INNER:
+            for part in _INNER_DISPATCHERS:
                 part.enable_caching()
         todo, giving = os.pipe()
         os.write(giving, bytes(order))  # the worker that reads a byte compiles the kernel with this number
         os.close(giving)
-        workers = [_worker(todo, waiting) for _ in range(min(os.cpu_count() or 1, MAX_WORKERS))]
+        workers = [_start_compiler_process(todo, waiting) for _ in range(min(os.cpu_count() or 1, MAX_WORKERS))]
         os.close(todo)
         while workers:
             workers = [one for one in workers if os.waitpid(one, os.WNOHANG)[0] == 0]
             report(_compiled_count(folder, waiting), len(waiting))
-            time.sleep(POLL_S)
+            time.sleep(POLL_PERIOD_S)
 
 
-def _locked(lock: IO[str]) -> bool:
+def _try_lock(lock: IO[str]) -> bool:
     """Try to lock the folder of the compiled code. Return True on success."""
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -336,7 +339,7 @@ def _locked(lock: IO[str]) -> bool:
     return True
 
 
-def _worker(todo: int, waiting: Sequence[_Waiting]) -> int:
+def _start_compiler_process(todo: int, waiting: Sequence[_UncompiledKernel]) -> int:
     """Fork a process that compiles one kernel after the other until none is left.
 
     Return the process id.

@@ -72,7 +72,7 @@ def _error_line(error: ValidationError, model: type[BaseModel], content: Mapping
     location = _without_tags(content, detail["loc"], detail["type"])
     where = f"{source}: {key_path(content, location)}" if location else source
     if detail["type"] == "extra_forbidden":
-        return ConfigError("unknown key", where, _nearest(str(location[-1]), model))
+        return ConfigError("unknown key", where, _nearest_key(str(location[-1]), model))
     if detail["type"] == "missing":
         return ConfigError("missing", where, "this key")
     value = detail["input"]
@@ -103,7 +103,7 @@ def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tup
     return tuple(path)
 
 
-def _nearest(key: str, model: type[BaseModel]) -> str:
+def _nearest_key(key: str, model: type[BaseModel]) -> str:
     valid = sorted(_all_keys(model))
     near = similar_name(key, valid)
     return f"{near}?" if near else "one of the documented keys"

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 
 from handctl.errors import ConfigError
 
-EXTRAS = {
+EXTRA_BY_MODULE = {
     "mujoco": "sim",
     "rerun": "view",
     "rerun_cli": "view",
@@ -30,7 +30,7 @@ class MissingExtraError(ConfigError):
     """
 
     def __init__(self, user: str, package: str) -> None:
-        super().__init__(f"{user} needs {package}: pip install 'handctl[{EXTRAS[package]}]'")
+        super().__init__(f"{user} needs {package}: pip install 'handctl[{EXTRA_BY_MODULE[package]}]'")
 
 
 def require_extra(user: str, *packages: str) -> None:
@@ -38,7 +38,7 @@ def require_extra(user: str, *packages: str) -> None:
 
     Args:
         user: command or function that needs the packages.
-        packages: import names of the packages, which are keys of ``EXTRAS``.
+        packages: import names of the packages, which are keys of ``EXTRA_BY_MODULE``.
 
     Raises:
         MissingExtraError: one of the packages is not installed.
@@ -58,8 +58,8 @@ def is_installed(package: str) -> bool:
 def extras_installed() -> dict[str, bool]:
     """Return the extras of handctl by name, True if all packages of the extra are installed."""
     return {
-        extra: all(is_installed(package) for package, other in EXTRAS.items() if other == extra)
-        for extra in EXTRAS.values()
+        extra: all(is_installed(package) for package, other in EXTRA_BY_MODULE.items() if other == extra)
+        for extra in EXTRA_BY_MODULE.values()
     }
 
 
@@ -75,4 +75,4 @@ def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:
         handctl.
     """
     package = (error.name or "").partition(".")[0]
-    return MissingExtraError(user, package) if package in EXTRAS else None
+    return MissingExtraError(user, package) if package in EXTRA_BY_MODULE else None

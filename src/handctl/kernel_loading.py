@@ -102,12 +102,12 @@ def _load_object_code(cls: Any, generator: Any, state: tuple[str, str, tuple[byt
     library = generator.create_library(name)
     library.enable_object_caching()
     library._set_compiled_object(object_code)
-    library._get_module_for_linking = partial(_parsed, library, bitcode)
+    library._get_module_for_linking = partial(_parsed_module, library, bitcode)
     library._finalize_final_module()
     return library
 
 
-def _parsed(library: Any, bitcode: bytes) -> Any:
+def _parsed_module(library: Any, bitcode: bytes) -> Any:
     """Return the module of a code library for linking. The first call parses the module."""
     if library._shared_module is None:
         library._shared_module = binding.parse_bitcode(bitcode)

@@ -48,9 +48,9 @@ def atomic_path(path: Path, new: bool = False) -> Iterator[Path]:
         with _with_user_path(path, beside):
             yield beside
             if beside.exists():
-                _fsync(beside)
+                _fsync_file(beside)
                 _move_into_place(beside, target, new)
-                _fsync(target.parent)
+                _fsync_file(target.parent)
     finally:
         if beside.is_dir():
             shutil.rmtree(beside, ignore_errors=True)
@@ -187,7 +187,7 @@ def _move_into_place(beside: Path, target: Path, new: bool) -> None:
     os.replace(beside, target)
 
 
-def _fsync(path: Path) -> None:
+def _fsync_file(path: Path) -> None:
     """Write the content of a file, or the entries of a folder, to the disk (fsync)."""
     with suppress(PermissionError):  # the folder may be writable but not readable
         descriptor = os.open(path, os.O_RDONLY)

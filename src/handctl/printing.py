@@ -28,10 +28,10 @@ def escape_text(text: str, kept: str = "") -> str:
     """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in kept else _escape(c) for c in text)
+    return "".join(c if c.isprintable() or c in kept else _escaped_character(c) for c in text)
 
 
-def _escape(character: str) -> str:
+def _escaped_character(character: str) -> str:
     """Return a character in the spelling of Python source."""
     return character.encode("unicode_escape", "replace").decode()
 

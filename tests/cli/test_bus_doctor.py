@@ -8,7 +8,7 @@ import json
 import pytest
 
 from handctl.cli.main import main
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from tests.drives.bench_process import drives
 
 
@@ -48,7 +48,7 @@ def test_an_odrive_with_firmware_05_is_found(capsys):
     assert "odrive 3 answers 20 of 20" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("protocol", GUARDED)
+@pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
 def test_two_drives_with_one_number_are_found(capsys, protocol):
     with drives("local:d", protocol, "--ids", "33", "--broken", "twin"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 1

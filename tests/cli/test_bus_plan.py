@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.checks.bus_plan import plan
+from handctl.cli.checks.bus_plan import bus_plan_report
 from handctl.cli.main import main
 from handctl.controller.bus_load import bus_loads, split_motors_over_buses
 from handctl.controller.setup import make_drives
@@ -47,7 +47,7 @@ def test_every_bus_of_a_split_fits(rate: float) -> None:
 
 def test_rate_above_every_split_is_reported() -> None:
     hand = load_hand("jamia")
-    assert plan(hand, bus_loads(hand), 5000.0)["split"] == []
+    assert bus_plan_report(hand, bus_loads(hand), 5000.0)["split"] == []
 
 
 def test_invalid_rate_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.hand.load import load_hand
 from tests.cli.refused import refused
 
@@ -36,7 +36,7 @@ def test_new_hand_file_passes_config_check(
     assert (place / "mine.toml").read_text().startswith("#:schema hand.schema.json\n")
 
 
-@pytest.mark.parametrize("protocol", GUARDED)
+@pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
 @pytest.mark.parametrize("tension", ["20", "300"])
 def test_a_new_hand_file_is_valid_for_every_drive_and_tension(
     place: Path, capsys: pytest.CaptureFixture[str], protocol: str, tension: str

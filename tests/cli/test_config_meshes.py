@@ -12,7 +12,7 @@ from firmware_sim.model_file import read_model_file
 from handctl.cli.checks.config_import import read_hand_description
 from handctl.cli.main import main
 from handctl.cli.runs.other_protocol import hand_in_protocol
-from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, meshes_of
+from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, meshes_of_hand
 from handctl.hand.load import (
     PACKAGED_HANDS_FOLDER,
     hand_content,
@@ -21,7 +21,7 @@ from handctl.hand.load import (
     packaged_hands,
 )
 from handctl.log.attached_meshes import MAX_BYTES
-from handctl.session.plan import Choice, make_plan
+from handctl.session.plan import RunChoice, make_plan
 from tests.cli.refused import refused, refused_lines
 from tests.cli.test_config_import import TRIPOD
 from tests.hand.mesh_files import (
@@ -114,7 +114,7 @@ def test_a_mesh_that_is_no_mesh_is_refused_and_a_run_begins_without_it(
         f"default.digit.{right}\n"
     )
     messages: list[str] = []
-    plan = make_plan(Choice(own), tell=messages.append)
+    plan = make_plan(RunChoice(own), tell=messages.append)
     assert messages == [f"handctl: caution: digit[{digit}].{right}" for digit in ("left", "right")]
     assert sorted(plan.attachments) == ["mesh/t42/inner.stl", "mesh/t42/palm.stl"]
 
@@ -123,7 +123,7 @@ def test_meshes_too_large_for_a_log_are_reported_before_the_run(own: Path) -> No
     with (own.parent / "t42" / "outer.stl").open("r+b") as large:
         large.truncate(MAX_BYTES)
     messages: list[str] = []
-    plan = make_plan(Choice(own), tell=messages.append)
+    plan = make_plan(RunChoice(own), tell=messages.append)
     assert not plan.attachments
     (line,) = messages
     assert line.startswith(
@@ -132,10 +132,10 @@ def test_meshes_too_large_for_a_log_are_reported_before_the_run(own: Path) -> No
 
 
 def test_a_plan_of_a_packaged_hand_has_its_meshes() -> None:
-    assert sorted(make_plan(Choice("t42")).attachments) == [
+    assert sorted(make_plan(RunChoice("t42")).attachments) == [
         f"mesh/t42/{one}.stl" for one in ("inner", "outer", "palm")
     ]
-    assert not make_plan(Choice("jamia")).attachments
+    assert not make_plan(RunChoice("jamia")).attachments
 
 
 def test_exports_name_meshes_relative_to_their_own_folder(own: Path) -> None:
@@ -187,7 +187,7 @@ def test_exported_meshes_come_back_to_their_places(
     mount = {"gravity_m_s2": known["mount"]["gravity_m_s2"]}
     mount |= {key: value for key, value in content["mount"].items() if "mesh" in key}
     again = hand_from_content(known | {"mount": mount, "digit": digits}, name)
-    assert {mesh.file for mesh in meshes_of(again)} == {
+    assert {mesh.file for mesh in meshes_of_hand(again)} == {
         f"../hand/{file}"
         for file in ("m.stl", "sub/mm.obj", "sub/mm.stl")[: 3 if len(digits) > 1 else 2]
     }

@@ -9,8 +9,8 @@ import pytest
 from handctl.cli.console.bench import parse_options
 from handctl.cli.main import main
 from handctl.drives.frame import Frame
-from handctl.drives.mit.codec import Ranges, command_message
-from handctl.drives.signals import Table
+from handctl.drives.mit.codec import MotorRanges, command_message
+from handctl.drives.signals import SignalTable
 from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives
@@ -127,7 +127,7 @@ def test_drive_of_another_host_is_not_commanded(capsys):
     """
     with drives("local:c", "cubemars", "--ids", "33"):
         other, over = LocalBus("c", 0, int), threading.Event()
-        heard, limp = [], Table(command_message(33, Ranges(12.5, 50.0, 18.0))).pack(0.0)
+        heard, limp = [], SignalTable(command_message(33, MotorRanges(12.5, 50.0, 18.0))).pack(0.0)
 
         def command():
             while not over.wait(0.01):

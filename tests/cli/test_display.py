@@ -3,9 +3,9 @@
 from handctl.campaign.stage import homed_run
 from handctl.cli.console import display
 from handctl.cli.console.display import DisplayProcess
-from handctl.core.types import Event, Mode
+from handctl.core.types import Mode, TickEvent
 from handctl.hand.load import load_hand
-from handctl.safety.faults.table import BY_ID, remedy_for
+from handctl.safety.faults.table import FAULT_BY_ID, remedy_for
 
 RATE_HZ = 500.0
 
@@ -29,7 +29,7 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
     assert errors, "the fault was not detected"
     lines = capfd.readouterr().err.splitlines()
     for text in errors:
-        assert remedy_for(text) == BY_ID[text.split()[0]].remedy
+        assert remedy_for(text) == FAULT_BY_ID[text.split()[0]].remedy
         first = next(i for i, line in enumerate(lines) if line.endswith(f"error  {text}"))
         assert lines[first + 1].strip() == f"what to do: {remedy_for(text)}"
     for advice in {remedy_for(event.text) for event in faults}:
@@ -40,12 +40,12 @@ def test_only_a_fault_has_a_remedy(capfd) -> None:
     """An event that is no fault prints no remedy, even if its text starts with the id of a fault."""
     display = DisplayProcess(("index_tendon",), (80.0,), RATE_HZ, 0.5)
     try:
-        fault = next(fault for fault in BY_ID.values() if fault.remedy)
+        fault = next(fault for fault in FAULT_BY_ID.values() if fault.remedy)
         text = f"{fault.id} {fault.title}"
-        assert display._event_text(Event("info", "mode", "", text)) == text
-        assert display._event_text(Event("error", "fault", "", text)).endswith(f"what to do: {fault.remedy}")
-        assert display._event_text(Event("error", "fault", "", text)) == text
-        assert display._event_text(Event("info", "gain", "motion.force_N", "26.0")) == "motion.force_N = 26.0"
+        assert display._event_text(TickEvent("info", "mode", "", text)) == text
+        assert display._event_text(TickEvent("error", "fault", "", text)).endswith(f"what to do: {fault.remedy}")
+        assert display._event_text(TickEvent("error", "fault", "", text)) == text
+        assert display._event_text(TickEvent("info", "gain", "motion.force_N", "26.0")) == "motion.force_N = 26.0"
     finally:
         display.close()
 

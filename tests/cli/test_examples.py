@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.main import FOLDERS
+from handctl.cli.main import VERBS_BY_FOLDER
 from handctl.cli.parsing.parser import RUNNING_HAND
 from tests.runtime.processes import SCALE
 
 EXAMPLES = {
     words: example
-    for folder in FOLDERS
+    for folder in VERBS_BY_FOLDER
     for words, example in importlib.import_module(f"handctl.cli.{folder}.arguments").EXAMPLES.items()
 }
 FINDINGS = {"doctor", "bus doctor"}

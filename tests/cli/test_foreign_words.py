@@ -10,8 +10,8 @@ import pytest
 
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.screen import rich_console
-from handctl.cli.main import VERBS, main
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.cli.main import VERB_HELP, main
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import PACKAGED_HANDS_FOLDER, parse_toml
@@ -120,7 +120,7 @@ def test_a_long_line_is_cut(capsys):
     assert len(capsys.readouterr().out) <= LONGEST_MESSAGE + 1
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", VERB_HELP)
 def test_argparse_messages_are_escaped_and_shortened(capsys, verb):
     for words in ([f"--no{ESCAPES}\n{'x' * 3000}"], [ESCAPES], [f"--gain{ESCAPES}=3"]):
         assert exit_code([verb, *words, "--no-such-option", ESCAPES]) == 2
@@ -226,7 +226,7 @@ def test_a_log_whose_name_is_a_folder(place, capsys, verb, name):
 
 
 @pytest.mark.parametrize("number", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
-@pytest.mark.parametrize("drive", PROTOCOLS)
+@pytest.mark.parametrize("drive", PROTOCOL_TRAITS)
 def test_invalid_node_number_is_refused(capsys, drive, number):
     words = ("conformance", "--protocol", drive, f"--node={number}", "--bus", "local:nobody")
     assert exit_code([*words, "--torque-limit-Nm", "0.1", "--dry-run"]) == 2

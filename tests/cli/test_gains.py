@@ -9,7 +9,7 @@ import time
 import pytest
 
 from handctl.cli.main import main
-from handctl.core.gains.gains import Gains, Provenance, gains_text
+from handctl.core.gains.gains import Gains, GainsProvenance, gains_text
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
@@ -30,7 +30,7 @@ def twice_changed_hand(place):
 
 
 def write_gains(path, hand, identity):
-    path.write_text(gains_text(Gains(), Provenance(hand=hand, identity=identity)))
+    path.write_text(gains_text(Gains(), GainsProvenance(hand=hand, identity=identity)))
 
 
 def output_of(capsys, *words):

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.main import GROUPS, VERBS, main, verb_parser
-from handctl.cli.parsing.parser import Parser
-from handctl.cli.parsing.renamed import RENAMED
-from handctl.core.gains.bounds import bounds
+from handctl.cli.main import VERB_GROUPS, VERB_HELP, main, verb_parser
+from handctl.cli.parsing.parser import VerbParser
+from handctl.cli.parsing.renamed import RENAMED_OPTIONS
+from handctl.core.gains.bounds import gain_bounds
 from tests.cli.refused import refused
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "command-line.md"
@@ -27,16 +27,16 @@ ONE_NAME = {
 """Options that several commands share, each with the names that no command may use instead."""
 
 
-def sub_parsers(parser: Parser) -> dict[str, Parser]:
+def sub_parsers(parser: VerbParser) -> dict[str, VerbParser]:
     """Return the parsers of a command's sub-commands by name."""
     found = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     return dict(found[0].choices) if found else {}
 
 
-def leaves() -> dict[str, Parser]:
+def leaves() -> dict[str, VerbParser]:
     """Return the parser of each sub-command, and of each command that has none."""
     found = {}
-    for verb in VERBS:
+    for verb in VERB_HELP:
         parser = verb_parser(verb)
         below = {f"{verb} {name}": one for name, one in sub_parsers(parser).items()}
         found.update(below or {verb: parser})
@@ -47,13 +47,13 @@ def test_help_shows_21_verbs_in_groups(capsys):
     with pytest.raises(SystemExit):
         main(["--help"])
     lines = capsys.readouterr().out.splitlines()
-    assert len(VERBS) == 21
-    assert all(any(line.startswith(f"  {verb:<11} ") for line in lines) for verb in VERBS)
-    assert all(f"{group.title}:" in lines for group in GROUPS.values())
+    assert len(VERB_HELP) == 21
+    assert all(any(line.startswith(f"  {verb:<11} ") for line in lines) for verb in VERB_HELP)
+    assert all(f"{group.title}:" in lines for group in VERB_GROUPS.values())
     assert lines[-1] == "  handctl demo --lockstep"
 
 
-@pytest.mark.parametrize("words", sorted({*VERBS, *leaves()}))
+@pytest.mark.parametrize("words", sorted({*VERB_HELP, *leaves()}))
 def test_every_help_ends_with_an_example_of_its_verb(capsys, words):
     with pytest.raises(SystemExit) as ended:
         main([*words.split(), "--help"])
@@ -87,7 +87,7 @@ def test_a_misspelt_word_is_answered_with_the_nearest_one(capsys, words, suggest
     assert suggestion in refused(capsys, *words.split())
 
 
-ROWS = [(verb, old, new) for verb, options in RENAMED.items() for old, new in options.items()]
+ROWS = [(verb, old, new) for verb, options in RENAMED_OPTIONS.items() for old, new in options.items()]
 
 
 @pytest.mark.parametrize(("verb", "old", "new"), ROWS, ids=[f"{verb} {old}" for verb, old, _ in ROWS])
@@ -185,7 +185,7 @@ def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, good)
         "_check_socketcan",
         "_check_interfaces",
         "_check_vulkan",
-        "_extras",
+        "_extras_finding",
         "_check_space",
     ):
         monkeypatch.setattr(doctor, name, lambda: ("a part", True, ""))
@@ -220,18 +220,18 @@ def test_the_time_of_all_cores_contains_the_stolen_part():
 def test_each_gain_is_shown_with_meaning_and_bounds(capsys):
     assert main(["gains", "show"]) == 0
     lines = capsys.readouterr().out.splitlines()[1:]
-    assert len(lines) == 2 * len(bounds())
+    assert len(lines) == 2 * len(gain_bounds())
     for key, text in zip(lines[::2], lines[1::2], strict=True):
-        gain = bounds()[key.split()[0]]
+        gain = gain_bounds()[key.split()[0]]
         assert gain.why
         assert text.startswith(f"    {gain.why.splitlines()[0]} ")
         assert f"at most {gain.high:g}" in text
     assert main(["gains", "show", "-q"]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 1 + len(bounds())
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(gain_bounds())
 
 
 def test_a_gain_with_a_unit_in_its_name_tells_the_unit():
-    for key, gain in bounds().items():
+    for key, gain in gain_bounds().items():
         if re.search(r"_(N|m|s|m_s|N_per_s|per_s)$", key):
             assert re.search(r"\[[^\]]+\]\.", gain.why.splitlines()[0]), key
 

@@ -100,7 +100,7 @@ def test_an_export_that_fails_leaves_nothing(place, monkeypatch, capsys, form):
     def full(path):
         raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("handctl.output._fsync", full)
+    monkeypatch.setattr("handctl.output._fsync_file", full)
     assert main(["log", "export", f"--{form}", LOG, "--output", "new", "--json"]) == 1
     assert capsys.readouterr() == ("", "handctl: new: No space left on device\n")
 

@@ -7,7 +7,7 @@ import tomllib
 
 import pytest
 
-from handctl.cli.main import VERBS, main
+from handctl.cli.main import VERB_HELP, main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
 from tests.cli.refused import refused
@@ -249,7 +249,7 @@ ARGUMENTS = {
 
 @pytest.mark.parametrize("verb", ARGUMENTS)
 def test_unknown_words_of_a_verb_are_refused(capsys, verb):
-    assert verb in VERBS
+    assert verb in VERB_HELP
     line = refused(capsys, verb, *ARGUMENTS[verb])
     assert line.startswith(f"handctl: {verb}")
     assert "expected" in line or "choose from" in line

@@ -12,17 +12,17 @@ from handctl.hand.load import load_hand
 from handctl.runtime.loop import LoopStats
 from handctl.session import pace
 from handctl.session.pace import pace_advice
-from handctl.session.plan import Plan
-from handctl.session.run import Outcome
+from handctl.session.plan import RunPlan
+from handctl.session.run import RunOutcome
 
 LATE, TORN = ("B03b", "N02"), ("T01",)
 
 
-def run_with_faults(*rows: str, cpu_s: float = 0.0) -> Outcome:
+def run_with_faults(*rows: str, cpu_s: float = 0.0) -> RunOutcome:
     """Return the outcome of a run that ended with given faults. Its loop took ``cpu_s`` of processor time [s]."""
     latched = [SimpleNamespace(id=row) for row in rows]
     state = SimpleNamespace(latched=latched, failure="fault" if rows else "", k=1000)
-    return Outcome(cast(State, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
+    return RunOutcome(cast(State, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def run_with_faults(*rows: str, cpu_s: float = 0.0) -> Outcome:
     ids=["simulated", "virtual", "real", "torn tendon", "nothing", "lockstep"],
 )
 def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tuple[str, ...], advised: bool) -> None:
-    plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus,) if bus else ())
+    plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus,) if bus else ())
     assert ("--time-scale" in pace_advice(plan, run_with_faults(*rows))) == advised
 
 
@@ -63,7 +63,7 @@ def test_the_advised_pace_is_measured(
     answer = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: answer if question == {"pace": True} else {})
     monkeypatch.setattr(pace, "usable_cores", lambda: 2)
-    plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
+    plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert pace_advice(plan, run_with_faults(*LATE, cpu_s=cpu_s)).endswith(
         f"handctl sim with --time-scale {number:g}"
     )
@@ -73,7 +73,7 @@ def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) 
     answer = {"pace": {"advice": None, "plant_s_per_cpu_s": 2.0}}
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: answer)
     monkeypatch.setattr(pace, "usable_cores", lambda: 1)
-    plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
+    plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert pace.slower_time_scale(plan, run_with_faults(*LATE, cpu_s=1.8)) == 0.5
 
 

@@ -14,7 +14,7 @@ from handctl.drives.discovery import DiscoveredNode
 from handctl.errors import PowerError
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from handctl.runtime.loop import LoopStats
-from handctl.session.run import Outcome
+from handctl.session.run import RunOutcome
 
 FAILURE = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_motor"
 
@@ -23,7 +23,7 @@ def left_enabled(plan, controller, log):
     """Return the outcome of a run after which a motor may still have torque."""
     state = controller.initial()
     state.decide(failure=FAILURE, unconfirmed=("index_motor",))
-    return Outcome(state, LoopStats(), {}, None, 0)
+    return RunOutcome(state, LoopStats(), {}, None, 0)
 
 
 @pytest.mark.parametrize(("module", "verb"), [(commission, "commission"), (identify, "identify")])

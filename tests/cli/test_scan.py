@@ -12,7 +12,7 @@ import pytest
 
 from firmware_sim.bus.frame import Frame as SimFrame
 from firmware_sim.nodes.moteus import registers
-from firmware_sim.programs.drive import Bench
+from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.cli.checks.fragment import hand_file_snippet
 from handctl.cli.main import main
@@ -20,7 +20,7 @@ from handctl.drives.discovery import TWO_DRIVES_WARNING
 from handctl.drives.frame import EXTENDED, REMOTE, Frame
 from handctl.drives.registry import make_drive
 from handctl.hand.file.sections import Bus, Motor
-from handctl.runtime.diagnostics.scan import Scan, requests_without_answers, scan_bus
+from handctl.runtime.diagnostics.scan import BusScan, requests_without_answers, scan_bus
 from tests.drives.bench_process import drives
 from tests.drives.protocol_bench import Bench as HandBench
 from tests.drives.protocol_bench import hand_file
@@ -55,8 +55,8 @@ def hear(bus, for_s, seen):
     seen += bus.drain()
 
 
-def scan_bench(*specs, talk=(), force=False, fault="") -> tuple[Scan, Bench, BenchBus]:
-    bench = Bench([drive_spec(*spec) for spec in specs], fault=fault)
+def scan_bench(*specs, talk=(), force=False, fault="") -> tuple[BusScan, SimulatedDriveBench, BenchBus]:
+    bench = SimulatedDriveBench([drive_spec(*spec) for spec in specs], fault=fault)
     bus = BenchBus(bench, talk)
     return scan_bus(bus, force, listen=hear), bench, bus
 
@@ -90,13 +90,13 @@ def test_robstride_motors_are_found_by_their_identity():
     assert found == [("mit", 3), ("moteus", 5), ("robstride", 1), ("robstride", 0x7F)]
     assert [node.serial for node in result.found[2:]] == ["5253050000000001", "525305000000007f"]
     assert [node.mode for node in bench.nodes[:2]] == [0, 0]
-    assert bench.nodes[3].command == registers.DEFAULTS, "to moteus node 5 the request writes no register"
+    assert bench.nodes[3].command == registers.REGISTER_DEFAULTS, "to moteus node 5 the request writes no register"
     assert all(frame.flags == 0 and len(frame.data) <= 8 for frame in bus.heard)
 
 
 @pytest.mark.parametrize("protocol", ["moteus", "robstride"])
 def test_two_drives_with_one_number_are_named(protocol):
-    bench = Bench([drive_spec(protocol, 7)], fault="twin")
+    bench = SimulatedDriveBench([drive_spec(protocol, 7)], fault="twin")
     (node,) = scan_bus(BenchBus(bench), listen=hear).found
     assert node.twins
 
@@ -109,7 +109,7 @@ def test_scan_only_listens_if_another_robstride_host_is_active(kind):
 
 
 def test_scan_does_not_change_an_enabled_moteus_or_robstride():
-    bench = Bench([drive_spec("moteus", 1), drive_spec("robstride", 2)])
+    bench = SimulatedDriveBench([drive_spec("moteus", 1), drive_spec("robstride", 2)])
     bench.receive(SimFrame(EXTENDED | 0x8001, bytes.fromhex("01000a022080000223000001ff")))
     bench.receive(SimFrame(EXTENDED | 3 << 24 | 0xFD02, bytes(8)))
     bench.advance(20_000_000)
@@ -140,7 +140,7 @@ def test_scan_sends_no_frame_that_an_odrive_would_obey():
 
 
 def test_an_enabled_drive_stays_as_it_is():
-    bench = Bench([drive_spec("mit", 2)])
+    bench = SimulatedDriveBench([drive_spec("mit", 2)])
     bench.receive(SimFrame(2, b"\xff" * 7 + b"\xfc"))
     result = scan_bus(BenchBus(bench), listen=hear)
     assert [node.state for node in result.found] == ["enabled"]
@@ -193,7 +193,7 @@ def test_two_drives_with_one_number_are_found(spec):
 
 def test_two_motors_that_answer_on_one_identifier_are_found():
     specs = [drive_spec("mit", 1), replace(drive_spec("mit", 2), options={"reply_id": 0x11})]
-    result = scan_bus(BenchBus(Bench(specs)), listen=hear)
+    result = scan_bus(BenchBus(SimulatedDriveBench(specs)), listen=hear)
     assert ["answers on 0x11 as motor" in node.notes[0] for node in result.found] == [True, True]
 
 
@@ -236,7 +236,9 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 
 def test_no_scan_request_enables_torque():
     """Drives that are enabled at zero torque get every request of a scan. None makes a torque."""
-    bench = Bench([drive_spec("mit", node) for node in (1, 2)] + [drive_spec("cia402", node) for node in (1, 32)])
+    bench = SimulatedDriveBench(
+        [drive_spec("mit", node) for node in (1, 2)] + [drive_spec("cia402", node) for node in (1, 32)]
+    )
     for node in (1, 2):
         bench.receive(SimFrame(node, b"\xff" * 7 + b"\xfc"))
     for question in requests_without_answers():
@@ -280,7 +282,7 @@ def test_a_bus_named_twice_is_refused(capsys):
 
 
 def test_the_last_frame_of_a_host_that_has_ended_is_no_host():
-    bench = Bench([drive_spec("mit", 1)])
+    bench = SimulatedDriveBench([drive_spec("mit", 1)])
     bus = BenchBus(bench)
     bus.waiting = [SimFrame(0x7FF, bytes(8))]
     assert scan_bus(bus, listen=hear).foreign == ()

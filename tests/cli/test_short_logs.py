@@ -8,7 +8,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.log.read.reader import RunLog
-from handctl.log.record import SIZES
+from handctl.log.record import TICK_SIZES_STRUCT
 from handctl.log.write.writer import LogWriter
 
 GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
@@ -18,7 +18,7 @@ def ticks_of(log: RunLog) -> list[bytes]:
     """Return the ticks of a log in the form in which the recorder receives them."""
     axes = [len(log.header.axis(name)) for name in ("joint", "tendon", "motor", "digit")]
     pairs = zip(log.messages(), log.packed(), strict=True)
-    return [SIZES.pack(len(message), *axes) + message + numbers for message, numbers in pairs]
+    return [TICK_SIZES_STRUCT.pack(len(message), *axes) + message + numbers for message, numbers in pairs]
 
 
 def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
@@ -55,7 +55,7 @@ def test_every_verb_reads_or_refuses_a_short_log(ticks: slice, place: Path, caps
 
 def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
     """Return a recorded tick that is moved by a number of ticks in time."""
-    at = SIZES.size + 4
+    at = TICK_SIZES_STRUCT.size + 4
     k, t_ns = struct.unpack_from("<qq", tick, at)
     return tick[:at] + struct.pack("<qq", k + ticks, t_ns + ticks * period_ns) + tick[at + 16 :]
 

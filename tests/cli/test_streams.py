@@ -11,7 +11,7 @@ from contextlib import closing
 import pytest
 
 from handctl.cli.console.screen import rich_console
-from handctl.cli.console.termination import Terminated, terminate_on_signals
+from handctl.cli.console.termination import TerminationRequested, terminate_on_signals
 from handctl.cli.main import main
 from handctl.paper.bench.pool import worker_pool
 from handctl.tune.search.workers import ProcessPool
@@ -106,7 +106,7 @@ def test_signal_ignored_through_nohup_stays_ignored():
     try:
         with terminate_on_signals():
             os.kill(os.getpid(), signal.SIGHUP)
-            with pytest.raises(Terminated):
+            with pytest.raises(TerminationRequested):
                 os.kill(os.getpid(), signal.SIGTERM)
     finally:
         signal.signal(signal.SIGHUP, before)

@@ -7,9 +7,9 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.retune import Designs, gain_change_events
+from handctl.controller.retune import DesignCache, gain_change_events
 from handctl.core.gains.bounds import checked_bound, different_values, values_by_key, with_values
-from handctl.core.gains.gains import Gains, Provenance, gains_text, load_gains_file, packaged_gains
+from handctl.core.gains.gains import Gains, GainsProvenance, gains_text, load_gains_file, packaged_gains
 from handctl.core.gains.motion_design import design_motion
 from handctl.core.model import HandModel
 from handctl.errors import ConfigError
@@ -46,7 +46,7 @@ def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia: HandMod
 def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
     gains = with_values(own_force(5.0), {"tendon.thumb_tendon.tension_force_N": 2.0, "motion.force_N": 9.0}, "test")
     path = tmp_path / "gains.toml"
-    path.write_text(gains_text(gains, Provenance(hand="jamia")))
+    path.write_text(gains_text(gains, GainsProvenance(hand="jamia")))
     assert load_gains_file(path).gains == gains
     assert values_by_key(gains)[KEY] == 5.0
     assert with_values(gains, values_by_key(gains), "test") == gains
@@ -93,7 +93,7 @@ def test_a_key_that_no_tendon_can_have_is_unknown(key: str) -> None:
 
 def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia: HandModel) -> None:
     gains = with_values(Gains(), {"tendon.wrist_flex.motion_force_N": 5.0}, "test", live=True)
-    progress = Designs().advance(jamia, PendingGains(gains))
+    progress = DesignCache().advance(jamia, PendingGains(gains))
     assert progress is not None
     assert progress.pending is None
     assert "no tendon 'wrist_flex'" in progress.events[0].text

@@ -22,8 +22,8 @@ from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.session.calibration import write_calibration
-from handctl.tune.scoring import Score
-from handctl.tune.search.search import SearchResult, Trial
+from handctl.tune.scoring import GainScore
+from handctl.tune.search.search import SearchResult, SearchTrial
 from tests.cli.refused import refused
 
 GOLDEN = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
@@ -40,7 +40,7 @@ def fake_search(monkeypatch):
 
 
 def test_a_search_without_a_good_trial_prints_json(fake_search, place, capsys):
-    fake_search.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, 0.5)))
+    fake_search.append(SearchTrial(0, {}, GainScore(1.0, 2.0, 3.0, 60.0, 0.5)))
     assert main(["tune", "search", "--plants", "1", "--trials", "1", "--json"]) == 1
     result = json.loads(capsys.readouterr().out)
     assert (result["trials"], result["good"], result["best"], result["gains"]) == (1, 0, None, None)
@@ -70,7 +70,7 @@ def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, 
 
 
 def scored(tracking):
-    return Score(tracking, 2.0, 3.0, 60.0, 0.0)
+    return GainScore(tracking, 2.0, 3.0, 60.0, 0.0)
 
 
 def test_a_measure_is_worse_only_beyond_its_spread():
@@ -85,13 +85,13 @@ def test_a_measure_is_worse_only_beyond_its_spread():
 
 @pytest.mark.parametrize(("accept", "code"), [(False, 1), (True, 0)])
 def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, accept, code):
-    from handctl.cli.tuning.tune_verify import _report
+    from handctl.cli.tuning.tune_verify import _report_verification
 
     rounds = [scored(1.0), scored(1.0), scored(3.0), scored(3.0), scored(3.0)]
     run = {"through": True, "returned": None, "failure": "", "rounds": rounds, "judged_by": "truth"}
     run |= {"log": "l", "picture": "p"}
     args = Namespace(candidate="new.toml", hand="jamia", accept_worse=accept, json=False)
-    assert _report(args, [run] * 3, SimpleNamespace(exit=0)) == code
+    assert _report_verification(args, [run] * 3, SimpleNamespace(exit=0)) == code
     said = capsys.readouterr().out
     assert "tracking: worse, 1.00 -> 3.00 deg" in said
     assert ("gains apply" in said) == accept
@@ -108,11 +108,11 @@ def test_an_existing_commissioning_log_is_accepted(place):
 
 
 def test_a_digit_whose_sweep_touches_another_digit_is_blocked():
-    from handctl.core.types import Event
+    from handctl.core.types import TickEvent
     from handctl.log.read.timeline import LoggedEvent, PhaseChange
     from handctl.tune.identify.identify import blocked_digits
 
-    event = LoggedEvent(50, 10**9, Event("info", "blocked", "middle", "middle is blocked: 7.0 N"))
+    event = LoggedEvent(50, 10**9, TickEvent("info", "blocked", "middle", "middle is blocked: 7.0 N"))
     phases = [PhaseChange(0, 0, "start"), PhaseChange(40, 0, "index sweep"), PhaseChange(60, 0, "ring sweep")]
     assert list(blocked_digits(SimpleNamespace(events=[event], phases=phases))) == ["index"]
     assert blocked_digits(SimpleNamespace(events=[], phases=phases)) == {}
@@ -128,7 +128,7 @@ def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(place, caps
 
 
 def test_units_in_brackets_are_no_markup(fake_search, capsys):
-    fake_search.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, -0.5)))
+    fake_search.append(SearchTrial(0, {}, GainScore(1.0, 2.0, 3.0, 60.0, -0.5)))
     assert main(["tune", "search", "--plants", "1", "--trials", "1", "--study", "[bold].study"]) == 0
     said = capsys.readouterr().out
     assert "[deg rms]" in said

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.cli.main import VERBS, main
+from handctl.cli.main import VERB_HELP, main
 from handctl.drives import registry
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.log.read.reader import RunLog
 
 BUS = ("--bus", "local:does-not-exist")
@@ -27,7 +27,7 @@ HEAVY = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
 
 
 def test_help_imports_nothing_that_only_a_run_needs():
-    words = [[verb, "--help"] for verb in sorted(VERBS)]
+    words = [[verb, "--help"] for verb in sorted(VERB_HELP)]
     code = f"""
 import contextlib, io, sys
 from handctl.cli.main import main
@@ -37,11 +37,11 @@ for words in {words!r}:
     print(words[0], *({HEAVY!r} & set(sys.modules)))
 """
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ended.stdout.split() == sorted(VERBS)
+    assert ended.stdout.split() == sorted(VERB_HELP)
 
 
 def test_the_protocol_option_lists_all_protocols():
-    assert sorted(PROTOCOLS) == sorted(registry.PROTOCOLS)
+    assert sorted(PROTOCOL_TRAITS) == sorted(registry.PROTOCOL_ENTRIES)
 
 
 def json_output(capsys, *words):

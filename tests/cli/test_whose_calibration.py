@@ -9,14 +9,14 @@ from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.plan import make_plan
 from handctl.cli.main import main
 from handctl.core.types import Mode
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import MoveDigits
-from handctl.runtime.clocks.lockstep import SIMULATED_HAND, LockstepClock, load_peer
-from handctl.session.calibration import commission, previous_identified, write_calibration
+from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepClock, load_peer
+from handctl.session.calibration import previous_identified, run_commissioning, write_calibration
 from handctl.session.run import make_controller, run_lockstep
 from tests.drives.protocol_bench import hand_file
 
@@ -36,14 +36,14 @@ class Bench:
         add_run_options(parser, bus_required=False)
         self.args = parser.parse_args(["--hand", str(hand), "--json"])
         self.plan, self.place = make_plan(self.args, lockstep=True), place
-        self.peer = load_peer(SIMULATED_HAND, hand_path=str(hand), period_ns=self.plan.period_ns, serials=serials)
+        self.peer = load_peer(SIMULATED_HAND_ENTRY, hand_path=str(hand), period_ns=self.plan.period_ns, serials=serials)
         self.clock = LockstepClock(self.peer, self.plan.period_ns)
 
     def runner(self, plan, controller, log):
         return run_lockstep(plan, controller, log, self.clock)
 
     def commission(self, name):
-        calibration, _ = commission(self.plan, self.place / f"{name}.mcap", self.runner)
+        calibration, _ = run_commissioning(self.plan, self.place / f"{name}.mcap", self.runner)
         return calibration
 
     def jog(self, calibration, name):
@@ -57,7 +57,7 @@ def modes(log):
         return [event.event.text for event in run.events if event.event.name == "mode"]
 
 
-@pytest.mark.parametrize("protocols", [[name] for name in GUARDED], ids="+".join)
+@pytest.mark.parametrize("protocols", [[name] for name in GUARDED_PROTOCOLS], ids="+".join)
 def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(place, protocols):
     """Regression: two hands of a design were used in one folder. The second got the tares and zeros of the first."""
     hand = hand_file(place, protocols)

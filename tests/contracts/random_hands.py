@@ -18,12 +18,12 @@ from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode, TickIn
 from handctl.drives import readback
 from handctl.drives.cia402 import codec as cia402
-from handctl.drives.contract import DriveState, Phase
+from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.moteus import codec as moteus
-from handctl.drives.motor_description import GUARDED
-from handctl.drives.signals import Message, Quantity, Table
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.signals import Message, Quantity, SignalTable
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content
 from handctl.programs.live import LiveProgram
@@ -86,7 +86,7 @@ def random_hand(tendons: int, random: Random) -> Hand:
         "sensor_node": node,
     }
     hand = hand_from_content(made, "random.toml")
-    hand = with_drives(hand, str(random.choice(GUARDED)))
+    hand = with_drives(hand, str(random.choice(GUARDED_PROTOCOLS)))
     servos = _motors_with_position_loop(hand, random)
     loop: dict[str, object] = {"control": "position"}
     if hand.motor[0].protocol == "moteus":
@@ -146,7 +146,7 @@ def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> by
         elif signal.quantity in (Quantity.TENSION, Quantity.ANGLE):
             value = float(value[signal.channel])
         values.append(value)
-    data = Table(message).pack(*values)
+    data = SignalTable(message).pack(*values)
     return random.bytes(len(data)) if random.random() < CORRUPT_FRACTION else data
 
 
@@ -254,7 +254,7 @@ def _enabled(drive: Any, protocol: str) -> DriveState:
     if protocol == "cia402":
         cursor = private.cursor._replace(step=len(drive.steps))
         private = private._replace(cursor=cursor, power=cia402.OPERATION_ENABLED, life_sign_ns=0)
-    return state._replace(phase=Phase.ENABLED, private=private)
+    return state._replace(phase=DrivePhase.ENABLED, private=private)
 
 
 def tick_hashes(tendons: int, seed: int) -> list[str]:

@@ -19,10 +19,10 @@ from numba import njit
 from numba.core.errors import TypingError
 
 import handctl
-from handctl.compiled import MARKED, SOURCES, borrow, kernel, prepare
+from handctl.compiled import KERNEL_FUNCTIONS, KERNEL_SOURCES, borrowed_array, compile_kernels, kernel
 from handctl.core.block import STATE, STREAM_RANGE
 from handctl.core.law.stream import begin_segments
-from handctl.core.schema import Layout
+from handctl.core.schema import BlockLayout
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import rebuild_controller
 from tests.contracts.random_hands import TICKS, tick_hashes
@@ -99,7 +99,7 @@ def hash_of_segments() -> str:
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
     axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
-    layout = Layout(STATE, dict.fromkeys(axes, 3))
+    layout = BlockLayout(STATE, dict.fromkeys(axes, 3))
     for i in range(200):
         block = layout.initial.copy()
         rows = layout.table(block, "coordinate")
@@ -127,7 +127,7 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
     def scaled(values: np.ndarray, by: float) -> np.ndarray:
         return values * by
 
-    prepare()
+    compile_kernels()
     np.testing.assert_array_equal(scaled(np.ones(3), 2.0), np.full(3, 2.0))
     np.testing.assert_array_equal(scaled(np.ones(6)[::2], 2.0), np.full(3, 2.0))
     with pytest.raises(TypeError, match="No matching definition"):
@@ -139,7 +139,7 @@ def test_only_a_contiguous_array_can_be_borrowed() -> None:
 
     @njit
     def third(values: np.ndarray) -> float:
-        return float(borrow(values, 1, (2,))[1])
+        return float(borrowed_array(values, 1, (2,))[1])
 
     values = np.arange(8.0).reshape(2, 4)
     assert third(values) == 2.0
@@ -149,7 +149,7 @@ def test_only_a_contiguous_array_can_be_borrowed() -> None:
 
 
 PROBE = """
-from handctl.compiled import inner, kernel
+from handctl.compiled import kernel, kernel_helper
 from handctl.core.block import STATE, state_tables
 from handctl.core.detectors import losses
 from handctl.core import block as s
@@ -168,10 +168,10 @@ from handctl.core.probe import misses
 layout = s.STATE.layout(dict.fromkeys(s.AXES, 1))
 block = layout.initial.copy()
 layout.view(block, "lost")[0] = 0b1010101010101
-compiled._KERNELS = {name: one for name, one in compiled._KERNELS.items() if "probe" in name}
-folder = compiled._FOLDER
+compiled._KERNEL_DISPATCHERS = {name: one for name, one in compiled._KERNEL_DISPATCHERS.items() if "probe" in name}
+folder = compiled._CACHE_FOLDER
 before = [] if folder is None else list(folder.rglob("probe.misses-*.nbi"))
-compiled.prepare()
+compiled.compile_kernels()
 assert (not misses.stats.cache_misses) == (folder is not None), "compiled by another process, and loaded by this one"
 print(bool(misses(block, layout.places)), len(before), folder is not None)
 """
@@ -300,13 +300,13 @@ def defined_names(node: ast.stmt) -> set[str]:
 
 def is_source(module: str) -> bool:
     """Return True if the cache folder depends on the text of a module."""
-    inside = tuple("handctl." + name.removesuffix(".py").replace("/", ".") + "." for name in SOURCES)
+    inside = tuple("handctl." + name.removesuffix(".py").replace("/", ".") + "." for name in KERNEL_SOURCES)
     return f"{module}.".startswith(inside)
 
 
 def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
     """The name of the cache folder depends on the text of every module that can change a kernel."""
-    kernels = [function for function in MARKED if function.__module__.startswith("handctl.")]
+    kernels = [function for function in KERNEL_FUNCTIONS if function.__module__.startswith("handctl.")]
     assert len(kernels) > 100
     origins = KernelSources()
     for function in kernels:
@@ -316,4 +316,4 @@ def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
 
 
 def test_every_source_of_kernels_exists() -> None:
-    assert [name for name in SOURCES if not (PACKAGE / name).exists()] == []
+    assert [name for name in KERNEL_SOURCES if not (PACKAGE / name).exists()] == []

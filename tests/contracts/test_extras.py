@@ -13,8 +13,8 @@ import pytest
 
 from firmware_sim.__main__ import EXTRA_PACKAGES
 from firmware_sim.__main__ import main as firmware_sim
-from handctl.cli.main import FOLDERS, VERBS, main
-from handctl.extras import EXTRAS, MissingExtraError, missing_extra, require_extra
+from handctl.cli.main import VERB_HELP, VERBS_BY_FOLDER, main
+from handctl.extras import EXTRA_BY_MODULE, MissingExtraError, missing_extra, require_extra
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -25,7 +25,7 @@ HOMES = (
 """Folders and files of the source that may import optional packages."""
 PARTS = {"pydantic_core"}
 """Packages that are part of a dependency, which pins them to one version."""
-HIDE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRAS)}))\n"
+HIDE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRA_BY_MODULE)}))\n"
 """Python code that hides every optional package from a process."""
 
 COMMANDS = [
@@ -68,7 +68,7 @@ def test_the_simulator_names_its_extra_as_well() -> None:
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     expected = "firmware_sim: a simulated hand needs mujoco: pip install 'handctl[sim]'\n"
     assert (ran.returncode, ran.stderr) == (2, expected)
-    assert {EXTRAS[package] for package in EXTRA_PACKAGES} == {"sim"}
+    assert {EXTRA_BY_MODULE[package] for package in EXTRA_PACKAGES} == {"sim"}
     assert callable(firmware_sim)
 
 
@@ -95,7 +95,7 @@ def test_an_import_that_fails_within_a_verb_names_the_verb(
 
 
 def test_what_is_installed_is_not_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    require_extra("view", *EXTRAS)
+    require_extra("view", *EXTRA_BY_MODULE)
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(MissingExtraError):
         require_extra("view", "pyarrow", "rerun")
@@ -114,10 +114,11 @@ def test_the_doctor_names_what_is_installed(
 
 
 def test_no_verb_s_help_or_module_needs_an_extra() -> None:
-    modules = [f"handctl.cli.{folder}.{verb}" for folder, verbs in FOLDERS.items() for verb in verbs]
+    modules = [f"handctl.cli.{folder}.{verb}" for folder, verbs in VERBS_BY_FOLDER.items() for verb in verbs]
     code = (
         f"{HIDE}import importlib\nfrom handctl.cli.main import main\n"
-        f"for name in {list(VERBS)}:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n        pass\n"
+        f"for name in {list(VERB_HELP)}:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n"
+        "        pass\n"
         f"for name in {modules}:\n    importlib.import_module(name)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
@@ -126,7 +127,7 @@ def test_no_verb_s_help_or_module_needs_an_extra() -> None:
 def test_each_extra_installs_what_it_is_named_for() -> None:
     extras = PROJECT["optional-dependencies"]
     distributions = packages_distributions()
-    for package, extra in EXTRAS.items():
+    for package, extra in EXTRA_BY_MODULE.items():
         names = {re.split(r"[=<>\[]", line)[0] for line in extras[extra]}
         assert names & set(distributions[package]), f"{extra} does not install {package}"
     listed = set(re.split(r"[\[\],]", extras["all"][0])[1:-1])
@@ -142,7 +143,7 @@ def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undecl
                 if name in {*sys.stdlib_module_names, *PARTS, "handctl"}:
                     continue
                 place = str(path.relative_to(ROOT))
-                if name in EXTRAS:
+                if name in EXTRA_BY_MODULE:
                     assert place.startswith(HOMES), f"{place} imports {name}"
                 else:
                     assert declared & set(distributions[name]), f"{place} imports {name}, which is not a dependency"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.scenarios import MATRIX, UNTESTED_ROWS
-from handctl.drives.motor_description import GUARDED
-from handctl.safety.faults.fault import DETECTED, LOST, REPLACED, TICK
+from handctl.campaign.scenarios import FAULT_MATRIX, UNTESTED_ROWS
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.safety.faults.fault import CHECKED_BY_FAULT_TABLE, DETECTED_FAULT, NOT_VISIBLE, WEAKER_SIGN
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.markdown import (
     catalogue_markdown,
@@ -19,13 +19,13 @@ from handctl.safety.faults.markdown import (
     is_late,
     late_rows,
 )
-from handctl.safety.faults.table import CATALOGUE, TABLE, remedy_for
+from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE, remedy_for
 
 ROOT = Path(__file__).parents[2]
 SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
 IDS = [f"{letter}{number:02}" for letter, size in SIZES.items() for number in range(1, size + 1)]
 """Identifiers of all faults: the 68 rows of the first catalogue, N17 from a trial, and I11 for streams."""
-BY_ID = {entry.id: entry for entry in CATALOGUE}
+BY_ID = {entry.id: entry for entry in FAULT_CATALOGUE}
 
 AUTOSAR = {
     "repetition": "B05", "loss": "B01 B02 B03", "delay": "B04", "insertion": "B06 B10", "masquerade": "B06 N13 H13",
@@ -52,28 +52,28 @@ An entry with - does not apply, and gives the reason.
 
 def test_the_catalogue_has_every_row_once_and_in_order() -> None:
     assert len(IDS) == 70
-    assert [entry.id for entry in CATALOGUE] == IDS
+    assert [entry.id for entry in FAULT_CATALOGUE] == IDS
 
 
 def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
-    judged = {fault.row for fault in TABLE}
+    judged = {fault.row for fault in FAULT_TABLE}
     assert judged <= set(IDS)
-    elsewhere = {entry.id for entry in CATALOGUE if entry.where != TICK}
-    assert {entry.id for entry in CATALOGUE if entry.where == TICK} <= judged
+    elsewhere = {entry.id for entry in FAULT_CATALOGUE if entry.where != CHECKED_BY_FAULT_TABLE}
+    assert {entry.id for entry in FAULT_CATALOGUE if entry.where == CHECKED_BY_FAULT_TABLE} <= judged
     assert judged & elsewhere <= {"B18", "N12"}, "only these rows are checked before arming and in every tick"
 
 
 def test_every_row_has_its_visibility_in_each_protocol() -> None:
-    for entry in CATALOGUE:
-        for visibility in map(entry.visibility, GUARDED):
+    for entry in FAULT_CATALOGUE:
+        for visibility in map(entry.visibility, GUARDED_PROTOCOLS):
             verdict, _, why = visibility.partition(": ")
-            assert verdict in (DETECTED, REPLACED, LOST), entry.id
-            assert why or verdict == DETECTED, f"{entry.id}: replaced by what, or lost why?"
+            assert verdict in (DETECTED_FAULT, WEAKER_SIGN, NOT_VISIBLE), entry.id
+            assert why or verdict == DETECTED_FAULT, f"{entry.id}: replaced by what, or lost why?"
 
 
 def test_every_fault_is_injected_or_has_a_reason() -> None:
-    campaign = {row.id for row in MATRIX}
-    for entry in CATALOGUE:
+    campaign = {row.id for row in FAULT_MATRIX}
+    for entry in FAULT_CATALOGUE:
         if entry.tested == "campaign":
             assert entry.id in campaign, entry.id
         elif entry.tested != "soak":
@@ -83,7 +83,7 @@ def test_every_fault_is_injected_or_has_a_reason() -> None:
 
 
 def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
-    for row in MATRIX:
+    for row in FAULT_MATRIX:
         entry = BY_ID[row.id]
         if row.rows[:1] == ("B11b",):  # second stage of B11, after ten ticks
             assert row.ticks == 11
@@ -107,7 +107,7 @@ H01 1 H02 1 H03 1 H04 1 H05 3 H06 1 H07 1 H08 200 H09 640 H10 1 H13 2 I07 2
 def test_a_reaction_later_than_required_has_a_reason() -> None:
     words = REQUIRED.split()
     required = dict(zip(words[::2], map(int, words[1::2]), strict=True))
-    for entry in CATALOGUE:
+    for entry in FAULT_CATALOGUE:
         assert entry.required == required.get(entry.id, 0), entry.id
         needs_why = (entry.ticks or entry.ms) and is_late(entry)
         assert bool(entry.why) == bool(needs_why), f"{entry.id}: late detection, and no other, needs a reason"
@@ -124,7 +124,7 @@ def test_the_pages_agree_with_the_code() -> None:
 
 
 def test_every_fault_says_in_one_line_what_to_do_about_it() -> None:
-    for fault in TABLE:
+    for fault in FAULT_TABLE:
         assert len(fault.remedy) <= 120, fault.id
         for text in (fault.cause, fault.remedy):
             assert text[0].isupper(), fault.id

@@ -12,10 +12,10 @@ from mcap.opcode import Opcode
 
 from firmware_sim.description import SimulatorError
 from fuzz import blind, files, logs, texts, wire
-from fuzz.__main__ import LONGEST, fuzzed
-from fuzz.drives import DRIVES
-from fuzz.targets import TARGETS, seeds
-from handctl.drives.contract import Phase
+from fuzz.__main__ import MAX_INPUT_BYTES, fuzz_target
+from fuzz.drives import FUZZED_DRIVES
+from fuzz.targets import TARGET_FACTORIES, seeds
+from handctl.drives.contract import DrivePhase
 
 UNCHANGED = ("hand", "task", "trajectory", "gains", "calibration", "log")
 """Fuzz targets that change a document. An empty fuzz input leaves the document unchanged."""
@@ -23,25 +23,27 @@ UNCHANGED = ("hand", "task", "trajectory", "gains", "calibration", "log")
 
 @pytest.mark.parametrize("name", UNCHANGED)
 def test_an_unchanged_document_is_accepted(name: str, tmp_path: Path) -> None:
-    assert TARGETS[name](tmp_path)(b"")
+    assert TARGET_FACTORIES[name](tmp_path)(b"")
 
 
-@pytest.mark.parametrize("name", [*DRIVES, "hand-text", "log-bytes", "request", "fault"])
+@pytest.mark.parametrize("name", [*FUZZED_DRIVES, "hand-text", "log-bytes", "request", "fault"])
 def test_seeds_of_a_corpus_are_accepted(name: str, tmp_path: Path) -> None:
-    target = TARGETS[name](tmp_path)
+    target = TARGET_FACTORIES[name](tmp_path)
     seed_inputs = seeds(name, tmp_path)
     assert seed_inputs
-    assert all(target(seed[: LONGEST[name]]) for seed in seed_inputs), "inputs of the largest length are accepted"
+    assert all(target(seed[: MAX_INPUT_BYTES[name]]) for seed in seed_inputs), (
+        "inputs of the largest length are accepted"
+    )
 
 
-@pytest.mark.parametrize("name", DRIVES)
+@pytest.mark.parametrize("name", FUZZED_DRIVES)
 def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> None:
     motor, seen = wire.path_to_torque(name, tmp_path)
-    assert {one.state.phase for one in seen} >= {Phase.SILENT, Phase.READY, Phase.ENABLED}
-    ours = wire.identifiers(motor, seen)
+    assert {one.state.phase for one in seen} >= {DrivePhase.SILENT, DrivePhase.READY, DrivePhase.ENABLED}
+    ours = wire.selectable_identifiers(motor, seen)
     for data in seeds(name, tmp_path):
         state, t_ns, recorded = seen[data[0]]
-        sent = [frame for frame, _ in wire.frames(data, ours, t_ns)]
+        sent = [frame for frame, _ in wire.frames_of_input(data, ours, t_ns)]
         assert [(frame.can_id, frame.data) for frame in sent] == [(frame.can_id, frame.data) for frame in recorded]
         after = functools.reduce(motor.receive, sent, state)
         assert after.misread == 0
@@ -51,7 +53,7 @@ def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> No
 def test_a_changed_field_of_a_log_is_found_by_its_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     error_lines: list[str] = []
     monkeypatch.setattr(files, "check_one_line", lambda error: error_lines.append(str(error)))
-    target = TARGETS["log"](tmp_path)
+    target = TARGET_FACTORIES["log"](tmp_path)
     parts = logs._parts(tmp_path / "small.mcap")
     messages = ((i, at) for i, part in enumerate(parts) for at, one in enumerate(part) if one[0] == Opcode.MESSAGE)
     part, tick = next(messages)
@@ -71,7 +73,7 @@ def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
         raise SimulatorError(text)
 
     monkeypatch.setattr(texts, "parse_fault", refuse)
-    target = TARGETS["fault"](tmp_path)
+    target = TARGET_FACTORIES["fault"](tmp_path)
     with pytest.raises(AssertionError):
         target(b"")
 
@@ -83,6 +85,6 @@ def test_fuzzing_without_an_accepted_input_is_a_failure(tmp_path: Path, monkeypa
         summary = f"Done 256 runs in 2 second(s), {taken} inputs accepted, corpus of 3 inputs"
         done = subprocess.CompletedProcess([], 0, "", summary)
         monkeypatch.setattr(subprocess, "run", lambda *words, done=done, **more: done)
-        line, good = fuzzed("log", 0, 256, blind=True)
+        line, good = fuzz_target("log", 0, 256, blind=True)
         assert good == accepted
         assert ("25.0 % accepted" in line) == accepted

@@ -11,7 +11,7 @@ from handctl import compiled, kernel_loading
 CHECKS = """
 import sys
 from handctl import compiled, kernel_loading
-compiled.prepare()
+compiled.compile_kernels()
 print("registered", "numba.np.arraymath" in sys.modules)
 print("imported", "numba.np.arrayobj" in sys.modules)
 print("loaded", compiled.square.stats.cache_hits != {}, compiled.square(3.0))
@@ -21,7 +21,7 @@ print("linked", njit(lambda value: square(value) + 1.0)(3.0))
 """
 UNKNOWN = "from handctl import kernel_loading\nkernel_loading.TESTED_VERSIONS = ()\n"
 
-pytestmark = pytest.mark.skipif(compiled._FOLDER is None, reason="no folder for compiled code")
+pytestmark = pytest.mark.skipif(compiled._CACHE_FOLDER is None, reason="no folder for compiled code")
 
 
 def lines(code: str) -> list[str]:
@@ -31,12 +31,12 @@ def lines(code: str) -> list[str]:
 
 
 def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:
-    compiled.prepare()
+    compiled.compile_kernels()
     assert lines(CHECKS) == ["registered False", "imported False", "loaded False 9.0", "linked 10.0"]
 
 
 def test_other_versions_of_numba_load_in_their_own_way() -> None:
-    compiled.prepare()
+    compiled.compile_kernels()
     assert lines(UNKNOWN + CHECKS) == ["registered True", "imported True", "loaded True 9.0", "linked 10.0"]
 
 

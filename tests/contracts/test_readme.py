@@ -3,7 +3,7 @@
 import tomllib
 from pathlib import Path
 
-from handctl.drives.registry import PROTOCOLS
+from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.session.exit_codes import ExitCode
 
 README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
@@ -31,7 +31,7 @@ def test_every_protocol_is_named() -> None:
         "mit": "MIT", "odrive": "ODrive", "cia402": "CiA 402", "cubemars": "CubeMars", "moteus": "moteus (CAN FD)",
         "robstride": "RobStride", "robstride_mit": "RobStride motors in MIT mode",
     }  # fmt: skip
-    assert [protocol for protocol in PROTOCOLS if names.get(protocol, protocol) not in README] == []
+    assert [protocol for protocol in PROTOCOL_ENTRIES if names.get(protocol, protocol) not in README] == []
 
 
 def test_every_extra_is_named() -> None:

@@ -11,12 +11,12 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from handctl.session.plan import Plan
+from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller
 from handctl.session.simulate import Simulator
 
 hand = load_hand(sys.argv[1])
-controller = make_controller(Plan(hand, Gains(), 200.0, ()), LiveProgram(), None, True)
+controller = make_controller(RunPlan(hand, Gains(), 200.0, ()), LiveProgram(), None, True)
 digit = hand.digit_names[0]
 follow = {"kind": "follow", "name": "f", "time_s": [0.0, 0.1, 0.2], "angle_deg": {digit: [20.0, 21.0, 20.0]}}
 requests = [

@@ -14,7 +14,7 @@ import numpy as np
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core.model import HandModel
-from handctl.core.types import Event, IoEvent, Mode, TickIn, TickOut
+from handctl.core.types import IoEvent, Mode, TickEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.sensors.node import SensorNode
@@ -201,7 +201,7 @@ class Bench:
         return seen
 
     @property
-    def events(self) -> list[Event]:
+    def events(self) -> list[TickEvent]:
         """Return all events that the controller has emitted so far."""
         return [event for _, _, out in self.history for event in out.events]
 

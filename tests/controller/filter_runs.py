@@ -11,7 +11,7 @@ import numpy as np
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core import stages
-from handctl.core.estimation.filter_stack import STATES, Regime, S, X
+from handctl.core.estimation.filter_stack import STATE_COUNT, S, TendonRegime, X
 from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
@@ -23,7 +23,7 @@ class FilterState(NamedTuple):
 
     Attributes:
         x: (7N,) the seven filter states of each tendon, tendon after tendon.
-        regimes: members of ``Regime``. stopped: whether the digit is on its open stop. turning: evidence that the
+        regimes: members of ``TendonRegime``. stopped: whether the digit is on its open stop. turning: evidence that the
             tendon leaves or enters slack.
         measured: whether the tendon's length is known. surprise: last load-cell innovation, divided by its standard
             deviation.
@@ -47,9 +47,9 @@ class FilterState(NamedTuple):
     started: bool = True
 
     @staticmethod
-    def of(x: np.ndarray, regime: Regime, stopped: bool) -> "FilterState":
+    def of(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
         """Return a filter state with every tendon in the same regime, from the states (7N,) of the tendons."""
-        n = len(x) // STATES
+        n = len(x) // STATE_COUNT
         none = np.zeros(n)
         no = (False,) * n
         usual = np.full(n, 2.0)
@@ -58,7 +58,7 @@ class FilterState(NamedTuple):
     @staticmethod
     def initial(n: int) -> "FilterState":
         """Return the state that the filter of N tendons has before the first reading of a sensor."""
-        return FilterState.of(np.zeros(STATES * n), Regime.SLACK, stopped=True)._replace(started=False)
+        return FilterState.of(np.zeros(STATE_COUNT * n), TendonRegime.SLACK, stopped=True)._replace(started=False)
 
 
 ROWS = {
@@ -73,13 +73,13 @@ The seven states and the covariance are not listed.
 
 def write_filter_state(state: State, filtered: FilterState) -> None:
     """Write a filter state into the block of a controller's state."""
-    state.tendon[s.TRAVEL : s.TRAVEL + STATES] = filtered.x.reshape(-1, STATES).T
+    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = filtered.x.reshape(-1, STATE_COUNT).T
     for name, row in ROWS.items():
         state.view(row)[...] = getattr(filtered, name)
     state.view("kind")[...] = state.view("regime") + 3 * (filtered.wary > 0.0)
     state.set_whole(s.COVARIANCE_PROPAGATED, filtered.covariance is not None)
     if filtered.covariance is not None:
-        state.view("covariance")[...] = filtered.covariance.reshape(-1, STATES**2).T
+        state.view("covariance")[...] = filtered.covariance.reshape(-1, STATE_COUNT**2).T
     state.set_whole(s.FILTER_STARTED, filtered.started)
 
 
@@ -94,8 +94,8 @@ def filter_state_of(state: State) -> FilterState:
     }
     carried = None
     if state.whole(s.COVARIANCE_PROPAGATED):
-        carried = state.view("covariance").T.reshape(-1, STATES, STATES).copy()
-    x = state.tendon[s.TRAVEL : s.TRAVEL + STATES].T.copy().ravel()
+        carried = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
+    x = state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT].T.copy().ravel()
     return FilterState(x, **found, covariance=carried, started=state.started)
 
 
@@ -144,7 +144,7 @@ def tick(
 
 def state_at_rest(model: HandModel, tension: float, closed: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the states (N, 7) and motor forces (N,) of a hand that rests with all joints at ``closed`` [rad]."""
-    x = np.zeros((model.tendon_count, STATES))
+    x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), closed)
     x[:, X] = x[:, S] + tension / model.space.stiffness
     return x, np.full(model.tendon_count, tension)
@@ -168,7 +168,7 @@ def noiseless_readings(
     )
 
 
-def all_in_regime(model: HandModel, regime: Regime, x: np.ndarray) -> FilterState:
+def all_in_regime(model: HandModel, regime: TendonRegime, x: np.ndarray) -> FilterState:
     """Return a filter state with every tendon in the same regime. No digit is on its open stop."""
     return FilterState.of(x.ravel(), regime, stopped=False)
 

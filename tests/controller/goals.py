@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 
@@ -19,7 +19,7 @@ def moving_goals(
     durations = duration if isinstance(duration, tuple) else (duration,) * len(model.digits)
     sizes = [digit.coupling.shape[1] for digit in model.digits]
     return tuple(
-        DigitGoal(Kind.MOTION, MinimumJerk(np.full(n, start), np.full(n, end), own), since=since)
+        DigitGoal(GoalKind.MOTION, MinimumJerk(np.full(n, start), np.full(n, end), own), since=since)
         for n, own in zip(sizes, durations, strict=True)
     )
 
@@ -29,6 +29,6 @@ def holding_goals(
 ) -> tuple[DigitGoal, ...]:
     """Return goals with which the tendons of all digits hold the same tension [N]."""
     return tuple(
-        DigitGoal(Kind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)
+        DigitGoal(GoalKind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)
         for s in model.digit_tendons
     )

@@ -16,7 +16,7 @@ from handctl.core.law.goal import DigitGoal
 from handctl.core.law.goals import write_goals
 from handctl.core.law.loads import allocate_bounded_tensions
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Places
+from handctl.core.schema import BlockArray, TablePlaces
 from handctl.safety.action import Action
 from tests.controller.synthetic import Estimate, active_state, constants, controller_of, state_with_estimate
 
@@ -131,7 +131,7 @@ def command_of(state: State) -> Command:
 
 
 @kernel("block", "layout", "constants", "layout")
-def _limit(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarray:
+def _limit(block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces) -> np.ndarray:
     return computed_torque.present_tension_limits(state_tables(block, at), constant_tables(of, of_at))
 
 
@@ -144,7 +144,7 @@ def limit_of(model: HandModel, state: State) -> np.ndarray:
 
 
 @kernel("block", "layout", "constants", "layout", "matrix")
-def _required(block: Block, at: Places, of: Block, of_at: Places, way: np.ndarray) -> int:
+def _required(block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces, way: np.ndarray) -> int:
     x, c = state_tables(block, at), constant_tables(of, of_at)
     reference.write_required_torque(x, c, way)
     return reference.write_required_tensions(x, c)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from handctl.core.estimation.filter_stack import STATES, D, E, FilterBlock, O, Regime, V, W
+from handctl.core.estimation.filter_stack import STATE_COUNT, D, E, FilterBlock, O, TendonRegime, V, W
 from handctl.core.model import HandModel
 
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
@@ -11,37 +11,37 @@ SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
 
 
 def rates_of_change(
-    model: HandModel, i: int, regime: Regime, state: np.ndarray, force: float, rate: float
+    model: HandModel, i: int, regime: TendonRegime, state: np.ndarray, force: float, rate: float
 ) -> np.ndarray:
     """Return the time derivatives of the seven filter states of tendon i."""
     space, gains = model.space, model.gains.filter
     x, v, s, w, d, e, o = state
     f = 0.0
-    if regime != Regime.SLACK:
+    if regime != TendonRegime.SLACK:
         f = space.stiffness[i] * (x - s - o) + space.damping[i] * (v - w)
     dv = (force + d - f - space.motor_damping[i] * v) / space.motor_mass[i]
-    if regime == Regime.FREE:
+    if regime == TendonRegime.FREE:
         ds, dw = w - rate / space.stiffness[i], dv - (w - v) / gains.free_time_s
     else:
         ds, dw = w - s / 1e4, -w / gains.held_time_s
     return np.array([v, dv, ds, dw, -d / unknown_motor_force(model, regime)[1], -e / 1e4, -o / 1e4])
 
 
-def unknown_motor_force(model: HandModel, regime: Regime) -> tuple[float, float, float]:
+def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, float, float]:
     """Return the deviation [N], time constant [s] and noise [N] of the unknown force on a motor."""
-    kind = "held" if regime == Regime.HELD else "motor"
+    kind = "held" if regime == TendonRegime.HELD else "motor"
     names = ("disturbance_N", "disturbance_time_s", "acceleration_noise_N")
     return tuple(getattr(model.gains.filter, f"{kind}_{name}") for name in names)
 
 
-def jacobians(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray]:
+def jacobians(model: HandModel, i: int, regime: TendonRegime) -> tuple[np.ndarray, np.ndarray]:
     """Return the matrices A and B of a tendon's linear differential equations, found column by column."""
-    zero = np.zeros(STATES)
-    A = np.column_stack([rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATES)])
+    zero = np.zeros(STATE_COUNT)
+    A = np.column_stack([rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATE_COUNT)])
     return A, np.column_stack([rates_of_change(model, i, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))])
 
 
-def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
+def intensity(model: HandModel, i: int, regime: TendonRegime) -> np.ndarray:
     """Return the spectral density of the process noise (STATES, STATES).
 
     The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
@@ -50,15 +50,15 @@ def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
     """
     space, gains = model.space, model.gains.filter
     disturbance, lasts, shaking = unknown_motor_force(model, regime)
-    spool = np.zeros(STATES)
+    spool = np.zeros(STATE_COUNT)
     spool[V] = shaking / space.motor_mass[i]
-    digit = np.zeros(STATES)
-    if regime == Regime.FREE:
+    digit = np.zeros(STATE_COUNT)
+    if regime == TendonRegime.FREE:
         spool[W] = spool[V]
         digit[W] = np.sqrt(2 / gains.free_time_s) * gains.free_rate_N_per_s / space.stiffness[i]
     else:
         digit[W] = np.sqrt(2 / gains.held_time_s) * gains.held_speed_m_s
-    unit = np.eye(STATES)
+    unit = np.eye(STATE_COUNT)
     sources = [
         spool,
         digit,
@@ -69,7 +69,7 @@ def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
     return sum(np.outer(source, source) for source in sources)
 
 
-def over_one_period(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def over_one_period(model: HandModel, i: int, regime: TendonRegime) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return F, B and the noise covariance of one control period in scaled units.
 
     A Runge-Kutta method integrates them.
@@ -106,13 +106,13 @@ def covariance_by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.nd
     raise AssertionError("the Riccati equation did not converge")
 
 
-def assumed_measurements(block: FilterBlock, regime: Regime) -> np.ndarray:
+def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray:
     """Return the measurement matrix H (2, 7) of the gain design.
 
     The load cell's error is in H for slack tendons only.
     """
     H = block.H[:2].copy()
-    H[1, E] = float(regime == Regime.SLACK)
+    H[1, E] = float(regime == TendonRegime.SLACK)
     return H
 
 
@@ -128,7 +128,7 @@ def joseph_update(block: FilterBlock, P: np.ndarray, missing: np.ndarray) -> tup
     H[1, E] = float(block.cell_error_observable)
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     gain[E] *= float(block.cell_error_observable)
-    rest = np.eye(STATES) - gain @ H
+    rest = np.eye(STATE_COUNT) - gain @ H
     return gain, rest @ P @ rest.T + gain @ R @ gain.T
 
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Mode
+from handctl.core.types import Mode, TickEvent
 from handctl.hand.load import load_hand
 from handctl.programs.program import Program
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 
 RATE_HZ = 250.0
 GONE_M = 0.05
@@ -38,7 +38,7 @@ class PlantRun:
     tension: list[np.ndarray] = field(default_factory=list)
     cell: list[np.ndarray] = field(default_factory=list)
     real: list[list[float]] = field(default_factory=list)
-    events: list[tuple[float, Event]] = field(default_factory=list)
+    events: list[tuple[float, TickEvent]] = field(default_factory=list)
 
     def events_named(self, name: str) -> list[tuple[float, str]]:
         """Return the time and the place of each event that has a given name."""
@@ -57,7 +57,9 @@ def run_on_plant(
         wrong: factors on parameters of the plant. The controller does not know them.
     """
     result = PlantRun()
-    with Simulator(hand, scene, seed, wrong, homed=True).against(homed_controller(model_of(hand), program)) as run:
+    with SimulatorSettings(hand, scene, seed, wrong, homed=True).against(
+        homed_controller(model_of(hand), program)
+    ) as run:
         plant, run.record = run.peer.world.plant, False
         for entry, out in run.ticks(seconds):
             t = entry.k / RATE_HZ

@@ -19,10 +19,10 @@ from handctl.core import stages
 from handctl.core.block import state_tables
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation import kalman
-from handctl.core.estimation.filter_stack import STATES, S, V, W, X
+from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.estimation.statics import winding_efficiency
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Places
+from handctl.core.schema import BlockArray, TablePlaces
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram
 from tests.controller.bench import controller
@@ -107,7 +107,7 @@ def active_state(model: HandModel) -> State:
     return _blank(model).copy()
 
 
-def constants(model: HandModel) -> tuple[Block, Places]:
+def constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
     """Return the last two arguments of every stage of a tick: the constants of a hand and their layout."""
     return controller_of(model)._constants
 
@@ -149,7 +149,7 @@ class LoadStatics(NamedTuple):
 
 
 @kernel("block", "layout", "constants", "layout")
-def _load_forces(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarray:
+def _load_forces(block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces) -> np.ndarray:
     return kalman._load_forces(state_tables(block, at), constant_tables(of, of_at))
 
 
@@ -161,7 +161,7 @@ def load_statics(
     The stretch offset of each tendon is chosen such that the tendon has its given tension.
     """
     state, space = active_state(model), model.space
-    state.tendon[s.TRAVEL : s.TRAVEL + STATES] = table.T
+    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = table.T
     damped = space.damping * (table[:, V] - table[:, W])
     state.view("stretch_offset")[...] = table[:, X] - table[:, S] - (tension - damped) / space.stiffness
     if friction_state is not None:
@@ -170,7 +170,7 @@ def load_statics(
 
 
 @kernel("constants", "layout", "vector", "count")
-def _efficiency(of: Block, of_at: Places, q: np.ndarray, tendons: int) -> np.ndarray:
+def _efficiency(of: BlockArray, of_at: TablePlaces, q: np.ndarray, tendons: int) -> np.ndarray:
     result = np.empty(tendons)
     for n in range(tendons):
         result[n] = winding_efficiency(constant_tables(of, of_at), n, q)
@@ -217,7 +217,7 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> Estimate:
 
 def balanced_state(model: HandModel, closed: float) -> np.ndarray:
     """Return filter states (N, 7) that balance springs and weight, with all coordinates at ``closed`` [rad]."""
-    x = np.zeros((model.tendon_count, STATES))
+    x = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], closed)
     x[:, X] = x[:, S] + load_statics(model, x, np.zeros(len(x))).resistance / model.space.stiffness

@@ -14,7 +14,7 @@ from handctl.controller.setup import make_controller
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Mode
+from handctl.core.types import Mode, TickEvent
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content, load_hand
 from handctl.hand.readiness import reasons_not_ready
@@ -23,7 +23,7 @@ from handctl.programs.commission import PULL_N, CommissionProgram, calibration_o
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
-from handctl.session.simulate import SimulatedHand, Simulation, Simulator
+from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
 
 RATE_HZ = 250.0
 HAND = "n_plus_1"
@@ -88,17 +88,17 @@ def moves(*angles: tuple[float, float]) -> Task:
 
 def ticks_of(
     peer: SimulatedHand, program: Program, calibration: Calibration | None, first: int, hand: Hand | None = None
-) -> tuple[Simulation, Iterator[None]]:
+) -> tuple[SimulatedRun, Iterator[None]]:
     """Begin a run of a program at tick ``first``. The simulated hand may have run before."""
     controller = make_controller(hand or n_plus_1(), Gains(), RATE_HZ, program, calibration, arm_at_once=True)
-    run = Simulation.of(controller, peer)
+    run = SimulatedRun.of(controller, peer)
     run.k = first
     run.record = False
     run.state.set_whole(s.K, first - 1)
     return run, (None for _ in run.ticks(first / RATE_HZ + 120.0))
 
 
-def events_of(run: Simulation) -> tuple[Event, ...]:
+def events_of(run: SimulatedRun) -> tuple[TickEvent, ...]:
     assert run.out is not None
     return run.out.events
 
@@ -115,7 +115,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(kind: str
     """
     hand = HANDS[kind]()
     period_ns = round(1e9 / RATE_HZ)
-    with Simulator(hand, None, seed).peer(period_ns) as peer:
+    with SimulatorSettings(hand, None, seed).peer(period_ns) as peer:
         plant = peer.world.plant
         run, ticks = ticks_of(peer, CommissionProgram(), None, 0, hand)
         for _ in ticks:
@@ -180,7 +180,7 @@ sink_speed_m_s = 0.2
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
-    with Simulator(n_plus_1(), CYLINDER, seed, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
+    with SimulatorSettings(n_plus_1(), CYLINDER, seed, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
         plant = peer.world.plant
         run, ticks = ticks_of(peer, TaskProgram(GRASP), None, 0)
         height, tension = dict[str, float](), dict[str, np.ndarray]()

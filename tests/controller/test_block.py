@@ -16,7 +16,7 @@ import pytest
 from handctl.controller.monitor import thresholds
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.state import Decisions, Lease, State, layout_of_state
+from handctl.controller.state import ClientLease, Decisions, State, layout_of_state
 from handctl.core import block as state_block
 from handctl.core import constants, hand_constants
 from handctl.core.block import STATE, state_tables
@@ -24,18 +24,18 @@ from handctl.core.constants import ELEMENTS, HAND, KINDS, constant_tables
 from handctl.core.gains.bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
-from handctl.core.schema import INT, Field, Schema
+from handctl.core.schema import INTEGER_TABLE_SUFFIX, BlockField, BlockSchema
 from handctl.drives.cia404.amplifier import AmplifierState
-from handctl.drives.contract import DriveState, Phase
-from handctl.drives.readback import Cursor
+from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.readback import ReadbackCursor
 from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
-from handctl.programs.grip import Grip
-from handctl.programs.program import Progress
+from handctl.programs.grip import GripState
+from handctl.programs.program import ProgramProgress
 from handctl.programs.streams import StreamPlan
-from handctl.safety.judge import Counting, Latched
+from handctl.safety.judge import CountedFault, LatchedFault
 from handctl.session.tasks import find_task
 from tests.conftest import NIGHTLY
 from tests.controller.bench import Bench
@@ -45,16 +45,16 @@ from tests.hand.many import fifteen_motors
 SEEDS = range(6)
 
 
-def names_of(of: list[Field]) -> list[str]:
+def names_of(of: list[BlockField]) -> list[str]:
     return [field.name for field in of]
 
 
-# Schema of a block and its layout.
+# BlockSchema of a block and its layout.
 
 
-def small_schema() -> tuple[Schema, dict[str, int]]:
+def small_schema() -> tuple[BlockSchema, dict[str, int]]:
     """Return a schema of three tables, and the lengths of its axes."""
-    schema = Schema("tendon", "joint*tendon", "run", "tendon_int")
+    schema = BlockSchema("tendon", "joint*tendon", "run", "tendon_int")
     schema.real("tension", "tendon", "N", "of a tendon", initial=2.5)
     schema.real("past", "tendon", "N", "the last ones", rows=3)
     schema.real("arms", "joint*tendon", "m", "moment arms")
@@ -99,7 +99,7 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
         part = layout.view(count, field.name)
         part += np.ones_like(part) if part.dtype == np.float64 else 0
     whole = np.concatenate([layout.view(np.arange(layout.size, dtype=np.float64), f.name).ravel() for f in schema.fields
-                            if not f.table.endswith(INT)])  # fmt: skip
+                            if not f.table.endswith(INTEGER_TABLE_SUFFIX)])  # fmt: skip
     assert len(set(whole.tolist())) == len(whole) == layout.size - 4
     assert (count[: layout.start("tendon_int")] == 1.0).all()
 
@@ -114,9 +114,9 @@ def state(request: pytest.FixtureRequest) -> State:
     block = layout.initial.copy()
     for field in STATE.fields:
         part = layout.view(block, field.name)
-        whole = field.table.endswith(INT)
+        whole = field.table.endswith(INTEGER_TABLE_SUFFIX)
         part[...] = rng.integers(-(2**40), 2**40, part.shape) if whole else rng.normal(size=part.shape)
-    return State(layout, block, Decisions((), Progress.initial(len(model.digits), "test")))
+    return State(layout, block, Decisions((), ProgramProgress.initial(len(model.digits), "test")))
 
 
 def constants_by_field(module: Any) -> dict[str, str]:
@@ -135,7 +135,7 @@ def constants_by_field(module: Any) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(("schema", "module"), [(STATE, state_block), (HAND, constants)])
-def test_every_field_is_declared_once_and_found_by_its_name(schema: Schema, module: Any) -> None:
+def test_every_field_is_declared_once_and_found_by_its_name(schema: BlockSchema, module: Any) -> None:
     names = names_of(schema.fields)
     assert len(set(names)) == len(names) > 50
     declared = constants_by_field(module)
@@ -152,7 +152,7 @@ def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
         rows = getattr(seen, field.table)[field.first : field.first + field.rows]
         np.testing.assert_array_equal(rows.ravel(), state.view(field.name).ravel(), err_msg=field.name)
         assert np.shares_memory(rows, state.block), field.name
-        assert rows.dtype == (np.int64 if field.table.endswith(INT) else np.float64), field.name
+        assert rows.dtype == (np.int64 if field.table.endswith(INTEGER_TABLE_SUFFIX) else np.float64), field.name
 
 
 def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
@@ -165,7 +165,7 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
 
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
-def test_a_difference_names_its_field(state: State, field: Field) -> None:
+def test_a_difference_names_its_field(state: State, field: BlockField) -> None:
     """The message names the first field that differs, in the order of the schema.
 
     It has the element and both values.
@@ -279,7 +279,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(hand: str | int, mon
 
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
-def test_every_element_of_every_field_changes_the_digest(active: Bench, field: Field) -> None:
+def test_every_element_of_every_field_changes_the_digest(active: Bench, field: BlockField) -> None:
     """Change each element of a state by one unit in the last place.
 
     By day the test takes only 16 elements of each field.
@@ -290,7 +290,11 @@ def test_every_element_of_every_field_changes_the_digest(active: Bench, field: F
     for at in range(size) if NIGHTLY else sorted({*np.linspace(0, size - 1, min(size, 16), dtype=int).tolist()}):
         changed = state.copy()
         values = changed.view(field.name).reshape(-1)
-        values[at] = values[at] + 1 if field.table.endswith(INT) else np.nextafter(np.nan_to_num(values[at]), 9e9)
+        values[at] = (
+            values[at] + 1
+            if field.table.endswith(INTEGER_TABLE_SUFFIX)
+            else np.nextafter(np.nan_to_num(values[at]), 9e9)
+        )
         digest = changed.digest()
         assert len(digest) == 8
         assert digest not in seen, at
@@ -301,22 +305,22 @@ def goals() -> Iterator[tuple[str, DigitGoal]]:
     move = MinimumJerk(np.array([0.1]), np.array([0.2]), 1.0)
     tension = np.array([5.0])
     yield "limp", DigitGoal()
-    yield "motion", DigitGoal(Kind.MOTION, move, since=1.0)
-    yield "since", DigitGoal(Kind.MOTION, move, since=2.0)
+    yield "motion", DigitGoal(GoalKind.MOTION, move, since=1.0)
+    yield "since", DigitGoal(GoalKind.MOTION, move, since=2.0)
     for name, value in (("start", np.array([0.11])), ("end", np.array([0.21])), ("duration", 1.1)):
-        yield name, DigitGoal(Kind.MOTION, replace(move, **{name: value}), since=1.0)
-    yield "tension", DigitGoal(Kind.TENSION, tension=tension)
-    yield "other tension", DigitGoal(Kind.TENSION, tension=tension + 1e-12)
-    yield "rate", DigitGoal(Kind.TENSION, tension=tension, rate=201.0)
-    yield "limit", DigitGoal(Kind.TENSION, tension=tension, force_limit=12.0)
+        yield name, DigitGoal(GoalKind.MOTION, replace(move, **{name: value}), since=1.0)
+    yield "tension", DigitGoal(GoalKind.TENSION, tension=tension)
+    yield "other tension", DigitGoal(GoalKind.TENSION, tension=tension + 1e-12)
+    yield "rate", DigitGoal(GoalKind.TENSION, tension=tension, rate=201.0)
+    yield "limit", DigitGoal(GoalKind.TENSION, tension=tension, force_limit=12.0)
 
 
-def progresses(before: Progress) -> Iterator[tuple[str, Progress]]:
+def progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
     """Yield a program's progress with one part changed, for each of its parts.
 
     The goals are changed part by part.
     """
-    grip = Grip(np.full(4, 20.0), np.full(4, np.nan), 1.0)
+    grip = GripState(np.full(4, 20.0), np.full(4, np.nan), 1.0)
     values: dict[str, list[Any]] = {
         "step": [before.step + 1], "since": [before.since + 1e-9], "phase": ["x"], "finished": [True],
         "failure": ["x"], "record": [(1.0,)], "tare": [(1.0,)], "contact": [(True, *before.contact[1:])],
@@ -326,7 +330,9 @@ def progresses(before: Progress) -> Iterator[tuple[str, Progress]]:
         "goals": [before.goals[::-1], *((goal, *before.goals[1:]) for _, goal in goals())],
         "task": [find_task(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip
-    assert values.keys() == {field.name for field in fields(Progress)}, "a new part of the progress needs a line here"
+    assert values.keys() == {field.name for field in fields(ProgramProgress)}, (
+        "a new part of the progress needs a line here"
+    )
     for name, others in values.items():
         for value in others:
             yield name, replace(before, **{name: value})
@@ -345,20 +351,28 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
     values: dict[str, list[Any]] = {
         "drives": [before.drives[::-1]],
         "progress": [progress for _, progress in progresses(before.progress)],
-        "latched": [(*before.latched, Latched("B01", "x")), (Latched("B01", "y"),), (Latched("B02", "x"),)],
-        "reported_faults": [(Counting("B01", "x", 1),), (Counting("B01", "x", 2),), (Counting("B01", "y", 1),)],
+        "latched": [
+            (*before.latched, LatchedFault("B01", "x")),
+            (LatchedFault("B01", "y"),),
+            (LatchedFault("B02", "x"),),
+        ],
+        "reported_faults": [
+            (CountedFault("B01", "x", 1),),
+            (CountedFault("B01", "x", 2),),
+            (CountedFault("B01", "y", 1),),
+        ],
         "refusals": [(1,), (2,), (1, 2)],
         "failure": ["x"],
         "unconfirmed": [("x",)],
         "gains": [pending.gains],
         "pending": [pending, replace(pending, step=1), replace(pending, gains=Gains())],
         "commander": ["one", "two"],
-        "lease": [Lease(*one) for one in (("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("a", 1, 1), ("a", 1, 2, True))],
+        "lease": [ClientLease(*one) for one in (("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("a", 1, 1), ("a", 1, 2, True))],
         "amplifiers": [
             (AmplifierState(0x21),),
             (AmplifierState(0x22),),
-            (AmplifierState(0x21, Phase.READY),),
-            (AmplifierState(0x21, cursor=Cursor(1)),),
+            (AmplifierState(0x21, DrivePhase.READY),),
+            (AmplifierState(0x21, cursor=ReadbackCursor(1)),),
             (AmplifierState(0x21, started_ns=1),),
             (AmplifierState(0x21, error_text="x"),),
             (AmplifierState(0x21), AmplifierState(0x22)),
@@ -385,8 +399,8 @@ def other_values(value: Any) -> list[Any]:
     """Return other values of the same type as a value. Those of a named tuple differ from it in one part each."""
     if isinstance(value, bool):
         return [not value]
-    if isinstance(value, Phase):
-        return [phase for phase in Phase if phase != value]
+    if isinstance(value, DrivePhase):
+        return [phase for phase in DrivePhase if phase != value]
     if isinstance(value, int | float):
         return [value + 1]
     if isinstance(value, str):

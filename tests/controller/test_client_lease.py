@@ -12,7 +12,7 @@ import pytest
 from handctl.controller.snapshot import snapshot_bytes
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from handctl.programs.requests import Alive, alive_text, is_routine, parse_request
+from handctl.programs.requests import AliveRequest, alive_text, is_routine, parse_request
 from tests.controller.test_stream import Client, check_ticks_repeat, live
 
 LEASE_S = 0.5
@@ -128,7 +128,7 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
 
 
 def test_alive_messages_are_requests() -> None:
-    assert parse_request(alive_text("client-1-2")) == Alive(do="alive", client="client-1-2")
+    assert parse_request(alive_text("client-1-2")) == AliveRequest(do="alive", client="client-1-2")
     assert is_routine(alive_text("client-1-2"))
     assert not is_routine(json.dumps({"do": "stop"}))
     assert isinstance(parse_request('{"do": "alive"}'), str)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.law.goal import Kind
+from handctl.core.law.goal import GoalKind
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.drives.frame import Frame
@@ -22,7 +22,7 @@ from handctl.programs.commission import (
     CommissionProgram,
     calibration_of_result,
 )
-from handctl.programs.program import Progress
+from handctl.programs.program import ProgramProgress
 from tests.controller.bench import Bench, bench
 from tests.controller.synthetic import empty_readings, estimate_under_tension, slack
 from tests.hand.many import fifteen_motors
@@ -61,7 +61,7 @@ def run_commissioning(
     never: int = -9,
     drift: float = 0.0,
     seed: int = 7,
-) -> Progress:
+) -> ProgramProgress:
     """Run the commissioning program.
 
     Tendon ``never`` does not become taut. A fraction ``loss`` of the ticks has no frames.
@@ -74,7 +74,7 @@ def run_commissioning(
     for k in range(round(60.0 / model.period)):
         walked += step * rng.normal(size=n) if drift else 0.0
         i = progress.step - 1
-        pulled = any(goal.kind != Kind.LIMP for goal in progress.goals)
+        pulled = any(goal.kind != GoalKind.LIMP for goal in progress.goals)
         tension = cells(i if pulled else -1) + BIAS_N + walked + noise * rng.normal(size=n)
         travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
@@ -86,7 +86,7 @@ def run_commissioning(
             estimate = estimate_under_tension(model, PULL_N)
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
         if pulled and not progress.finished and progress.phase.startswith("pull"):
-            pulls = [d for d, goal in enumerate(progress.goals) if goal.kind != Kind.LIMP]
+            pulls = [d for d, goal in enumerate(progress.goals) if goal.kind != GoalKind.LIMP]
             assert pulls == [next(d for d, s in enumerate(model.digit_tendons) if s.start <= i < s.stop)]
             goal = progress.goals[pulls[0]]
             assert goal.force_limit == PULL_FORCE_LIMIT_N
@@ -114,7 +114,7 @@ def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
     progress = run_commissioning(model, good(model), never=1)
     assert progress.failure.startswith(model.hand.tendon_names[1])
     assert "taut" in progress.failure
-    assert {goal.kind for goal in progress.goals} == {Kind.LIMP}, "let go"
+    assert {goal.kind for goal in progress.goals} == {GoalKind.LIMP}, "let go"
 
 
 def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
@@ -276,7 +276,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(model: HandModel, tar
     )
 
 
-def program_after_tare(model: HandModel, cells: Cells) -> Progress:
+def program_after_tare(model: HandModel, cells: Cells) -> ProgramProgress:
     """Return the progress of the commissioning program just after its tare."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:

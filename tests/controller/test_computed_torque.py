@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core.estimation.filter_stack import STATES, S, V, W, X
+from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.core.law.computed_torque import INTEGRAL_LIMIT_N, UNWIND_FRACTION
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel, _torque_limit
 from handctl.hand.load import load_hand
@@ -59,38 +59,38 @@ def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, j
     n = jamia.tendon_count
     column = st.lists(number, min_size=n, max_size=n).map(np.array)
     names = ("tension", "travel", "speed", "excursion", "rate", "disturbance", "external", "offset")
-    estimate = exact_estimate(jamia, np.zeros((n, STATES)))._replace(
+    estimate = exact_estimate(jamia, np.zeros((n, STATE_COUNT)))._replace(
         **{name: data.draw(column) for name in names}
     )
     estimate = estimate._replace(slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n))))
     state = LawState(*(data.draw(column) for _ in range(5)))
     angle = st.floats(-0.5, 2.6)
     kinds = {
-        Kind.LIMP: st.just(DigitGoal()),
-        Kind.MOTION: st.builds(
-            lambda a, b, d: DigitGoal(Kind.MOTION, MinimumJerk(np.array([a]), np.array([b]), d)),
+        GoalKind.LIMP: st.just(DigitGoal()),
+        GoalKind.MOTION: st.builds(
+            lambda a, b, d: DigitGoal(GoalKind.MOTION, MinimumJerk(np.array([a]), np.array([b]), d)),
             angle, angle, st.floats(1e-3, 10.0),
         ),
-        Kind.TENSION: st.builds(
-            lambda f, r: DigitGoal(Kind.TENSION, tension=np.array([f]), rate=r), number, st.floats(0.0, 5000.0)
+        GoalKind.TENSION: st.builds(
+            lambda f, r: DigitGoal(GoalKind.TENSION, tension=np.array([f]), rate=r), number, st.floats(0.0, 5000.0)
         ),
     }  # fmt: skip
-    goals = tuple(data.draw(kinds[data.draw(st.sampled_from(Kind))]) for _ in jamia.digits)
+    goals = tuple(data.draw(kinds[data.draw(st.sampled_from(GoalKind))]) for _ in jamia.digits)
     law, command = step(jamia, state, estimate, goals, data.draw(st.floats(0.0, 100.0)))
     assert np.isfinite(command.torque).all()
     assert (command.torque <= jamia.torque_limit * (1 + 1e-12)).all()
     assert (command.torque >= -UNWIND_FRACTION * jamia.torque_limit * (1 + 1e-12)).all()
-    held = np.array([goal.kind == Kind.TENSION for goal in goals])
+    held = np.array([goal.kind == GoalKind.TENSION for goal in goals])
     assert (np.abs(law.integral) <= INTEGRAL_LIMIT_N).all()
     assert (law.integral[~held] == 0.0).all()
-    assert np.isnan(command.q[: jamia.digits[0].joint_count]).all() == (goals[0].kind != Kind.MOTION)
+    assert np.isnan(command.q[: jamia.digits[0].joint_count]).all() == (goals[0].kind != GoalKind.MOTION)
     for d, goal in enumerate(goals):
-        if goal.kind == Kind.LIMP:
+        if goal.kind == GoalKind.LIMP:
             assert command.torque[d] == 0.0
             assert np.isnan(command.tension[d])
-        if goal.kind == Kind.MOTION:
+        if goal.kind == GoalKind.MOTION:
             assert jamia.floor[d] <= command.tension[d] <= jamia.ceiling[d]
-        if goal.kind == Kind.TENSION:
+        if goal.kind == GoalKind.TENSION:
             target = np.clip(goal.tension, 0.0, jamia.ceiling[d])
             before, now = state.setpoint[d], law.setpoint[d]
             assert abs(now - before) <= goal.rate * jamia.period + 1e-9
@@ -122,7 +122,7 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
     """Regression: the integral part of the tension loop must not grow without limit while a load cell is silent."""
     law = LawState.initial(model.tendon_count)
-    silent = exact_estimate(model, np.zeros((model.tendon_count, STATES)))
+    silent = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))
     for k in range(300):
         law, command = step(
             model, law, silent, holding_goals(model, 50.0, limit=12.0), k * model.period
@@ -133,7 +133,7 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
 
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
     law = LawState.initial(model.tendon_count)
-    slack = exact_estimate(model, np.zeros((model.tendon_count, STATES)))._replace(
+    slack = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
         slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(50):
@@ -146,7 +146,7 @@ def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
 def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
     """Even with a soft tension loop, a commanded tension of 3 N makes a slack tendon taut."""
     law = LawState.idle(np.zeros(model.tendon_count))
-    loose = exact_estimate(model, np.zeros((model.tendon_count, STATES)))._replace(
+    loose = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
         slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(round(0.1 / model.period)):
@@ -267,7 +267,7 @@ def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
 
 def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
     """The digits are fixed, and the control law gets the exact estimate of the tensions."""
-    x = np.zeros((model.tendon_count, STATES))
+    x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, X] = 10.0 / model.space.stiffness
     plant = Plant(model, x, held=True)
     plant.law = LawState.idle(np.full(len(x), 10.0))
@@ -294,8 +294,8 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
     np.testing.assert_array_equal(first[1].torque, second[1].torque)
 
 
-@pytest.mark.parametrize("kind", [Kind.MOTION, Kind.TENSION])
-def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: Kind) -> None:
+@pytest.mark.parametrize("kind", [GoalKind.MOTION, GoalKind.TENSION])
+def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: GoalKind) -> None:
     estimate = exact_estimate(jamia, balanced_state(jamia, 0.5))
     _, command = step(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
     assert not command.torque.any()

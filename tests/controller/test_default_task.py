@@ -10,7 +10,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
-from handctl.programs.task import Close, Hold, load_task
+from handctl.programs.task import ClosePhase, HoldPhase, load_task
 from handctl.programs.task_checks import check_task_for_hand
 from handctl.session.tasks import find_task
 from tests.hand.chains import SEEDS, random_tree
@@ -24,15 +24,15 @@ def test_the_default_task_suits_every_hand_and_reads_back_from_text(name: str, t
     (tmp_path / "task.toml").write_text(text)
     assert load_task(tmp_path / "task.toml") == task
     assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]
-    for digit in (one for one in hand.digit if one.name not in hand.carriers):
+    for digit in (one for one in hand.digit if one.name not in hand.carrier_digits):
         _, high = coordinate_range_deg(digit)
         close, hold = task.phase[1], task.phase[2]
-        assert isinstance(close, Close)
-        assert isinstance(hold, Hold)
+        assert isinstance(close, ClosePhase)
+        assert isinstance(hold, HoldPhase)
         assert isinstance(close.angle_deg, dict)
         assert isinstance(hold.tension_N, dict)
         angle = np.array(close.angle_deg[digit.name])
-        sideways = DigitModel.of(hand, digit.name).sideways
+        sideways = DigitModel.of(hand, digit.name).sideways_coordinates
         assert (sideways | ((angle > 0.5 * np.minimum(high, 120.0)) & (angle < high))).all()
         assert (angle[sideways] == 0.0).all()
         limits = [tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[digit.name]]]
@@ -49,8 +49,8 @@ def test_the_default_task_keeps_spreading_joints_centred_and_extensors_taut() ->
     content["tendon"].append({**content["tendon"][-1], "name": "thumb_ext", "motor": "thumb_m3", "moment_arm_m": arms})
     task, _ = default_task(hand_from_content(content, "an extensor"))
     close, hold = task.phase[1], task.phase[2]
-    assert isinstance(close, Close)
-    assert isinstance(hold, Hold)
+    assert isinstance(close, ClosePhase)
+    assert isinstance(hold, HoldPhase)
     assert isinstance(close.angle_deg, dict)
     assert isinstance(hold.tension_N, dict)
     assert close.angle_deg["thumb"] == (0.0, 85.0)
@@ -70,7 +70,7 @@ def test_a_digit_that_carries_others_keeps_its_angle() -> None:
         hand = random_tree(seed)
         task, _ = default_task(hand)
         _, close, hold, _, opened = task.phase
-        closing = set(hand.digit_names) - hand.carriers
+        closing = set(hand.digit_names) - hand.carrier_digits
         assert set(close.angle_deg) == set(hold.tension_N) == closing  # type: ignore[union-attr, arg-type]
         assert set(opened.angle_deg) == set(hand.digit_names)  # type: ignore[union-attr, arg-type]
 
@@ -91,7 +91,7 @@ def around_a_circle() -> Hand:
 def test_fingers_around_a_circle_press_alike_and_take_a_ball() -> None:
     hand = around_a_circle()
     hold = default_task(hand)[0].phase[2]
-    assert isinstance(hold, Hold)
+    assert isinstance(hold, HoldPhase)
     assert isinstance(hold.tension_N, dict)
     assert len(set(hold.tension_N.values())) == 1
     assert grasp_warnings(hand) == ()
@@ -108,6 +108,6 @@ def test_a_hand_that_holds_with_its_palm_takes_the_small_cylinder() -> None:
     hand = load_hand("orca_like")
     assert default_scene(hand) == "cylinder"
     hold = default_task(hand)[0].phase[2]
-    assert isinstance(hold, Hold)
+    assert isinstance(hold, HoldPhase)
     assert isinstance(hold.tension_N, dict)
     assert hold.tension_N["thumb"] > hold.tension_N["index"]

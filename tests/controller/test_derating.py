@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from handctl.campaign.scenarios import GRASP
+from handctl.campaign.scenarios import GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
 from handctl.controller.state import State
 from handctl.core import block as s
@@ -84,7 +84,7 @@ def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None
 def warm_grasp():
     """Return a hand with MIT drives that holds a cylinder."""
     with homed_run(hand_with_protocol("jamia", "mit"), 250.0, 0) as begun:
-        advance_to(begun, GRASP)
+        advance_to(begun, GRASP_STAGE)
         begun.until(lambda out: False, 0.6)  # the tensions settle
         yield begun
 

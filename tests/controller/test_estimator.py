@@ -3,7 +3,7 @@
 import numpy as np
 
 from handctl.core import stages
-from handctl.core.estimation.filter_stack import STATES, O, Regime, S, W, X
+from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
 from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
@@ -23,10 +23,10 @@ from tests.controller.synthetic import Readings, active_state, constants, empty_
 
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state = all_in_regime(model, Regime.FREE, x)
+    state = all_in_regime(model, TendonRegime.FREE, x)
     after, estimate = step(model, state, empty_readings(model), force, no_contact(model))
-    for i, row in enumerate(after.x.reshape(-1, STATES)):
-        block = model.filter.blocks[i][Regime.FREE]
+    for i, row in enumerate(after.x.reshape(-1, STATE_COUNT)):
+        block = model.filter.blocks[i][TendonRegime.FREE]
         np.testing.assert_allclose(row / SCALE, (block.F @ x[i] + block.B @ [force[i], 0.0]) / SCALE, atol=1e-9)
     assert np.isnan(estimate.innovation).all()
     assert np.isnan(estimate.nis).all()
@@ -39,10 +39,10 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
     holed = whole._replace(tension=whole.tension.copy())
     holed.tension[1] = np.nan
     results = [
-        step(model, all_in_regime(model, Regime.FREE, x), m, force, no_contact(model))[0].x
+        step(model, all_in_regime(model, TendonRegime.FREE, x), m, force, no_contact(model))[0].x
         for m in (whole, holed)
     ]
-    changed = np.abs(results[0] - results[1]).reshape(-1, STATES).max(axis=1) > 1e-12
+    changed = np.abs(results[0] - results[1]).reshape(-1, STATE_COUNT).max(axis=1) > 1e-12
     tendons = next(s for s in model.digit_tendons if s.start <= 1 < s.stop)
     assert changed[1]
     assert not changed[[i for i in range(len(x)) if not tendons.start <= i < tendons.stop]].any()
@@ -101,8 +101,8 @@ def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
     The motors are at rest.
     """
     n = model.tendon_count
-    x = np.zeros((n, STATES))
-    state = all_in_regime(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
+    x = np.zeros((n, STATE_COUNT))
+    state = all_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     met = []
     for cell in cells:
         measured = noiseless_readings(model, x, np.full(n, cell))
@@ -120,33 +120,33 @@ def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
 def test_slack_ends_by_tension_and_not_by_noise(model: HandModel) -> None:
     assert (
         regimes_of_readings(model, [2.4, -2.4, 0.0, 2.4, 2.4, -0.3, 0.9, 0.6])
-        == [{Regime.SLACK}] * 8
+        == [{TendonRegime.SLACK}] * 8
     )
-    assert regimes_of_readings(model, [TAUT_ABOVE_N + 0.1] * 8)[-1] == {Regime.HELD}, (
+    assert regimes_of_readings(model, [TAUT_ABOVE_N + 0.1] * 8)[-1] == {TendonRegime.HELD}, (
         "taut, and the springs hold the digit open"
     )
-    assert regimes_of_readings(model, [np.nan] * 20)[-1] == {Regime.SLACK}
+    assert regimes_of_readings(model, [np.nan] * 20)[-1] == {TendonRegime.SLACK}
 
 
 def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
     """A tendon that is wound slowly counts as taut before its tension is five standard deviations."""
     met = regimes_of_readings(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
-    assert met[2] == {Regime.SLACK}
-    assert Regime.SLACK not in met[-1]
+    assert met[2] == {TendonRegime.SLACK}
+    assert TendonRegime.SLACK not in met[-1]
 
 
 def test_slack_needs_a_few_ticks_in_a_row(model: HandModel) -> None:
     taut = [TAUT_ABOVE_N + 1.0] * 30
     once = regimes_of_readings(model, [*taut, 0.0, *taut[:5], 0.0, *taut[:5]])
-    assert Regime.SLACK not in set().union(*once[len(taut) :]), "one low sample is noise"
-    assert regimes_of_readings(model, [*taut, *[-0.5] * 60])[-1] == {Regime.SLACK}
+    assert TendonRegime.SLACK not in set().union(*once[len(taut) :]), "one low sample is noise"
+    assert regimes_of_readings(model, [*taut, *[-0.5] * 60])[-1] == {TendonRegime.SLACK}
 
 
 def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) -> None:
     n = model.tendon_count
-    x = np.zeros((n, STATES))
+    x = np.zeros((n, STATE_COUNT))
     x[:, X] = np.linspace(-2e-3, 2e-3, n)
-    state = all_in_regime(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
+    state = all_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     cell = np.full(n, 4.0)
     estimates = []
     for _ in range(60):
@@ -166,9 +166,9 @@ def test_a_stretch_offset_is_kept(model: HandModel) -> None:
     This offset must not change the excursion.
     """
     n = model.tendon_count
-    x, cell = np.zeros((n, STATES)), np.full(n, 4.0)
+    x, cell = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
     x[:, X] = 2e-3
-    state = all_in_regime(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
+    state = all_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     for _ in range(round(1.5 / model.period)):
         state, estimate = step(
             model, state, noiseless_readings(model, x, cell), cell, no_contact(model)
@@ -185,19 +185,19 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
         x[:, X] = x[:, S] + balance / model.space.stiffness
     measured = noiseless_readings(model, x, balance)
     free, before = step(
-        model, all_in_regime(model, Regime.FREE, x), measured, balance, no_contact(model)
+        model, all_in_regime(model, TendonRegime.FREE, x), measured, balance, no_contact(model)
     )
     held, after = step(
-        model, all_in_regime(model, Regime.FREE, x), measured, balance, (True,) * len(model.digits)
+        model, all_in_regime(model, TendonRegime.FREE, x), measured, balance, (True,) * len(model.digits)
     )
-    assert set(free.regimes) == {Regime.FREE}
-    assert set(held.regimes) == {Regime.HELD}
+    assert set(free.regimes) == {TendonRegime.FREE}
+    assert set(held.regimes) == {TendonRegime.HELD}
     assert np.abs(after.tension - before.tension).max() < 0.2
     assert np.abs(after.excursion - before.excursion).max() < 1e-6
     for state, contact, measured_now in ((held, (True,), measured), (held, (False,), measured)):
         estimate, now = step(model, state, measured_now, balance, contact * len(model.digits))
         assert np.abs(now.tension - balance).max() < 0.4
-        assert set(estimate.regimes) == {Regime.HELD if contact[0] else Regime.FREE}
+        assert set(estimate.regimes) == {TendonRegime.HELD if contact[0] else TendonRegime.FREE}
     assert n == len(after.tension)
 
 
@@ -208,7 +208,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     asked = load_statics(model, x, np.zeros(n)).resistance
     tension = asked + 10.0
     x[:, X] = x[:, S] + tension / model.space.stiffness
-    state = all_in_regime(model, Regime.HELD, x)
+    state = all_in_regime(model, TendonRegime.HELD, x)
     for _ in range(40):
         state, estimate = step(
             model,
@@ -218,9 +218,9 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
             (True,) * len(model.digits),
         )
     np.testing.assert_allclose(estimate.external, 10.0, atol=0.5)
-    x0, rest = np.zeros((n, STATES)), np.full(n, 4.0)
+    x0, rest = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
     x0[:, X] = rest / model.space.stiffness
-    state = all_in_regime(model, Regime.HELD, x0)._replace(stopped=(True,) * n)
+    state = all_in_regime(model, TendonRegime.HELD, x0)._replace(stopped=(True,) * n)
     state, estimate = step(
         model, state, noiseless_readings(model, x0, rest), rest, no_contact(model)
     )
@@ -240,7 +240,7 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
         wrong = x.copy()
         wrong[:, S] += 2e-5
         wrong[:, O] -= 2e-5
-        state = all_in_regime(jamia11, Regime.HELD, wrong)
+        state = all_in_regime(jamia11, TendonRegime.HELD, wrong)
         for k in range(500):
             measured = noiseless_readings(
                 jamia11, x, balance, excursion=with_encoders and k % 4 == 0
@@ -272,7 +272,7 @@ def test_unread_joints_give_no_excursion(jamia11: HandModel, jamia: HandModel) -
 def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
     state, measured = (
-        all_in_regime(model, Regime.FREE, x),
+        all_in_regime(model, TendonRegime.FREE, x),
         noiseless_readings(model, x, np.full(len(x), 0.2)),
     )
     copies = [state.x.copy(), measured.travel.copy(), measured.tension.copy(), force.copy()]
@@ -289,13 +289,13 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
     If it counted as stopped, each return would add an error to its angle.
     """
-    x = np.zeros((model.tendon_count, STATES))
+    x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = 1e-5
     cell = 0.9 * load_statics(model, x, np.zeros(len(x))).resistance
     x[:, X] = x[:, S] + cell / model.space.stiffness
     state, _ = step(
         model,
-        all_in_regime(model, Regime.FREE, x),
+        all_in_regime(model, TendonRegime.FREE, x),
         noiseless_readings(model, x, cell),
         cell,
         no_contact(model),
@@ -305,19 +305,19 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
 
 def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
     """When a digit stops there, the excursion that the filter had estimated becomes stretch offset of the tendon."""
-    x = np.zeros((model.tendon_count, STATES))
+    x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3
     cell = np.full(len(x), 4.0)
     x[:, X] = x[:, S] + x[:, O] + cell / model.space.stiffness
     state, estimate = step(
         model,
-        all_in_regime(model, Regime.HELD, x),
+        all_in_regime(model, TendonRegime.HELD, x),
         noiseless_readings(model, x, cell),
         cell,
         no_contact(model),
     )
     assert all(state.stopped)
-    table = state.x.reshape(-1, STATES)
+    table = state.x.reshape(-1, STATE_COUNT)
     np.testing.assert_allclose(table[:, O], -2.5e-5, atol=2e-6)
     np.testing.assert_allclose(table[:, S], 0.0, atol=1e-9)
     np.testing.assert_allclose(table[:, W], 0.0, atol=1e-9)
@@ -326,15 +326,15 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
 
 def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, none = all_in_regime(model, Regime.FREE, x), np.zeros(model.tendon_count)
+    state, none = all_in_regime(model, TendonRegime.FREE, x), np.zeros(model.tendon_count)
     found = []
     for direction in (None, 1.0, -1.0):
         known = None if direction is None else np.full(model.tendon_count, direction)
         args = (model, state, noiseless_readings(model, x, force), force, none)
         after, estimate = tick(*args, no_contact(model), friction_state=known)
-        assert set(after.regimes) == {Regime.FREE}
+        assert set(after.regimes) == {TendonRegime.FREE}
         touching, other = tick(*args, (True,) * len(model.digits), friction_state=known)
-        assert set(touching.regimes) == {Regime.HELD}
+        assert set(touching.regimes) == {TendonRegime.HELD}
         np.testing.assert_allclose(other.external, estimate.external, atol=0.02)
         pull = load_statics(model, x, force, known).pull
         resistance = load_statics(model, x, force, known).resistance
@@ -346,6 +346,6 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
 
 def test_evidence_of_slack_is_cleared_once_a_tendon_is_taut(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state = all_in_regime(model, Regime.FREE, x)._replace(turning=(1,) * model.tendon_count)
+    state = all_in_regime(model, TendonRegime.FREE, x)._replace(turning=(1,) * model.tendon_count)
     after, _ = step(model, state, noiseless_readings(model, x, force), force, no_contact(model))
     assert after.turning == (0,) * model.tendon_count

@@ -11,7 +11,7 @@ import pytest
 
 from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
-from handctl.core.estimation.filter_stack import MEASUREMENTS, STATES, E, Regime, S, V, X
+from handctl.core.estimation.filter_stack import MEASUREMENT_COUNT, STATE_COUNT, E, S, TendonRegime, V, X
 from handctl.core.estimation.kalman import _is_measurement_missing
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -75,7 +75,9 @@ class Course(NamedTuple):
     regimes: set[tuple[int, ...]]
 
 
-def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing: Missing | None = None) -> Course:
+def monte_carlo(
+    model: HandModel, regime: TendonRegime, ticks: int, seed: int, missing: Missing | None = None
+) -> Course:
     """Draw a true trajectory from the filter's own model in one regime, and run the filter on it.
 
     ``missing`` returns for a tick the encoders (first row) and load cells (second row) that are not
@@ -83,12 +85,12 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
     parts = [over_one_period(model, i, regime) for i in range(n)]
-    root = np.array([np.linalg.cholesky(Q + 1e-18 * np.eye(STATES)) for _, _, Q in parts])
+    root = np.array([np.linalg.cholesky(Q + 1e-18 * np.eye(STATE_COUNT)) for _, _, Q in parts])
     root[:, E] = 0.0
     F = np.array([F * SCALE[:, None] / SCALE for F, _, _ in parts])
     B = np.array([G * SCALE[:, None] for _, G, _ in parts])
     sigma = np.array([[*measurement_noise(model, i), 0.0] for i in range(n)])
-    closed, free = 0.5, regime == Regime.FREE
+    closed, free = 0.5, regime == TendonRegime.FREE
     truth, _ = state_at_rest(model, 40.0, closed)
     state = all_in_regime(model, regime, truth)
     contact = (not free,) * len(model.digits)
@@ -104,12 +106,12 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing
         rate = 5.0 * (40.0 - tension)
         z = truth @ model.filter.blocks[0][regime].H.T
         z[:, 1] = tension
-        z += sigma * rng.normal(size=(n, MEASUREMENTS))
+        z += sigma * rng.normal(size=(n, MEASUREMENT_COUNT))
         if missing is not None:
             z[:, :2][missing(k, rng).T] = np.nan
         measured = empty_readings(model)._replace(travel=z[:, 0], tension=z[:, 1])
         state, estimate = tick(model, state, measured, force, rate, contact)
-        noise = (root @ rng.normal(size=(n, STATES, 1)))[..., 0] * SCALE
+        noise = (root @ rng.normal(size=(n, STATE_COUNT, 1)))[..., 0] * SCALE
         inputs = np.column_stack((force, rate))
         truth = (F @ truth[..., None])[..., 0] + (B @ inputs[..., None])[..., 0] + noise
         error = estimate.tension - (tension_rows * truth).sum(axis=1)
@@ -119,8 +121,8 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing
     return Course(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
 
 
-@pytest.mark.parametrize("regime", [Regime.FREE, Regime.HELD])
-def test_estimator_is_consistent_with_its_own_model(plain: HandModel, regime: Regime) -> None:
+@pytest.mark.parametrize("regime", [TendonRegime.FREE, TendonRegime.HELD])
+def test_estimator_is_consistent_with_its_own_model(plain: HandModel, regime: TendonRegime) -> None:
     course = monte_carlo(plain, regime, 2500, seed=5)
     assert course.regimes == {(int(regime),) * plain.tendon_count}, "the run stayed in its regime"
     gains = plain.gains.filter
@@ -141,10 +143,10 @@ SPARSE: dict[str, Missing] = {
 }
 
 
-@pytest.mark.parametrize("regime", [Regime.FREE, Regime.HELD])
+@pytest.mark.parametrize("regime", [TendonRegime.FREE, TendonRegime.HELD])
 @pytest.mark.parametrize("what", SPARSE)
 def test_consistent_with_its_own_model_though_measurements_are_missing(
-    plain: HandModel, regime: Regime, what: str
+    plain: HandModel, regime: TendonRegime, what: str
 ) -> None:
     """The filter's error has the size that its covariance predicts, within the uncertainty of the sample."""
     missing = SPARSE[what]
@@ -160,7 +162,7 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 
 def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, sigma = all_in_regime(model, Regime.FREE, x), []
+    state, sigma = all_in_regime(model, TendonRegime.FREE, x), []
     for k in range(300):
         measured = noiseless_readings(model, x, np.full(model.tendon_count, 25.0))
         if 20 <= k < 25:
@@ -178,11 +180,12 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
 
 
 @pytest.mark.parametrize(("column", "regime", "counts"), [
-    (None, Regime.FREE, False), (0, Regime.FREE, True), (1, Regime.FREE, True), (2, Regime.FREE, False),
-    (0, Regime.SLACK, True), (1, Regime.SLACK, False), (1, Regime.HELD, True),
+    (None, TendonRegime.FREE, False), (0, TendonRegime.FREE, True), (1, TendonRegime.FREE, True),
+    (2, TendonRegime.FREE, False),
+    (0, TendonRegime.SLACK, True), (1, TendonRegime.SLACK, False), (1, TendonRegime.HELD, True),
 ])  # fmt: skip
 def test_missing_measurement_is_detected_in_each_regime(
-    model: HandModel, column: int | None, regime: Regime, counts: bool
+    model: HandModel, column: int | None, regime: TendonRegime, counts: bool
 ) -> None:
     """A missing joint encoder or a missing load cell of a slack tendon is not counted as missing."""
     z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
@@ -197,11 +200,11 @@ def test_missing_measurement_is_detected_in_each_regime(
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
     """In a tick without encoder readings, the first digit gets into contact. The last digit does not."""
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, touched = all_in_regime(model, Regime.FREE, x), (True, *no_contact(model)[1:])
+    state, touched = all_in_regime(model, TendonRegime.FREE, x), (True, *no_contact(model)[1:])
     unread, none = empty_readings(model)._replace(tension=force), np.zeros(model.tendon_count)
     after, _ = tick(model, state, unread, force, none, touched, missed=4)
     first, last = 0, model.tendon_count - 1
-    assert (after.regimes[first], after.regimes[last]) == (int(Regime.HELD), int(Regime.FREE))
+    assert (after.regimes[first], after.regimes[last]) == (int(TendonRegime.HELD), int(TendonRegime.FREE))
     assert after.covariance is not None
     steady = [model.filter.blocks[n][after.regimes[n]].P for n in range(model.tendon_count)]
     np.testing.assert_array_equal(after.covariance[first], steady[first])
@@ -232,15 +235,15 @@ MISSING_SAMPLES: dict[str, Missing] = {
 }
 
 
-@pytest.mark.parametrize("regime", Regime)
+@pytest.mark.parametrize("regime", TendonRegime)
 @pytest.mark.parametrize("what", MISSING_SAMPLES)
-def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regime: Regime, what: str) -> None:
+def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regime: TendonRegime, what: str) -> None:
     """The filter agrees with numpy for as long as it updates the covariances.
 
     A slack tendon has only its encoder.
     """
     rng, n = np.random.default_rng(9), model.tendon_count
-    slack = regime == Regime.SLACK
+    slack = regime == TendonRegime.SLACK
     x, force = state_at_rest(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
     x[:, X] -= slack * 1e-3
     state = all_in_regime(model, regime, x)._replace(measured=(True,) * n)
@@ -251,7 +254,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regim
         z = np.where(missing, np.nan, (x[:, X], force))
         read = noiseless_readings(model, x, z[1])._replace(travel=z[0])
         before = state
-        state, _ = step(model, state, read, force, (regime == Regime.HELD,) * len(model.digits))
+        state, _ = step(model, state, read, force, (regime == TendonRegime.HELD,) * len(model.digits))
         assert set(state.regimes) == {regime}
         if before.covariance is None and state.covariance is None:
             continue
@@ -271,14 +274,14 @@ def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, pred
     """The covariance grows over the skipped ticks, but at most over the time for which motors hold the last command."""
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
-    state = all_in_regime(model, Regime.FREE, x)
+    state = all_in_regime(model, TendonRegime.FREE, x)
     after, _ = tick(model, state, measured, force, none, no_contact(model), missed=missed)
-    assert set(after.regimes) == {Regime.FREE}
+    assert set(after.regimes) == {TendonRegime.FREE}
     F, Q = (parts(model, after.regimes, name) for name in "FQ")
     read = np.zeros(2, dtype=bool)
     P = np.array(
         [
-            joseph_update(own[Regime.FREE], own[Regime.FREE].P, read)[1]
+            joseph_update(own[TendonRegime.FREE], own[TendonRegime.FREE].P, read)[1]
             for own in model.filter.blocks
         ]
     )
@@ -292,8 +295,8 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
     """A second filter computes each tendon in plain loops. A missing measurement has no row in its update."""
     rng, n = np.random.default_rng(3), model.tendon_count
     x, force = state_at_rest(model, 25.0, 0.6)
-    state, second = all_in_regime(model, Regime.FREE, x), x.copy()
-    blocks = [blocks[Regime.FREE] for blocks in model.filter.blocks]
+    state, second = all_in_regime(model, TendonRegime.FREE, x), x.copy()
+    blocks = [blocks[TendonRegime.FREE] for blocks in model.filter.blocks]
     P = [block.P.copy() for block in blocks]
     compared = 0
     for _ in range(300):
@@ -304,14 +307,14 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
         state, _ = step(
             model, state, Readings(*z.T, empty_readings(model).joints), push, no_contact(model)
         )
-        if set(state.regimes) != {Regime.FREE}:
+        if set(state.regimes) != {TendonRegime.FREE}:
             break
         for i, block in enumerate(blocks):
-            H, here = assumed_measurements(block, Regime.FREE), ~np.isnan(z[i, :2])
+            H, here = assumed_measurements(block, TendonRegime.FREE), ~np.isnan(z[i, :2])
             H, R = H[here], np.diag(block.R[here])
             gain = np.linalg.solve(H @ P[i] @ H.T + R, H @ P[i]).T
             gain[E] = 0.0
-            P[i] = (np.eye(STATES) - gain @ H) @ P[i] @ (np.eye(STATES) - gain @ H).T + gain @ R @ gain.T
+            P[i] = (np.eye(STATE_COUNT) - gain @ H) @ P[i] @ (np.eye(STATE_COUNT) - gain @ H).T + gain @ R @ gain.T
             P[i] = block.F @ P[i] @ block.F.T + block.Q
             innovation = z[i] - block.H @ second[i]
             read = 0.0 if np.isnan(z[i, 2]) else innovation[2]

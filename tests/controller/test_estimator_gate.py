@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from handctl.core.estimation.consistency import consistency_events
-from handctl.core.estimation.filter_stack import STATES, E, Regime, S, V, X
+from handctl.core.estimation.filter_stack import STATE_COUNT, E, S, TendonRegime, V, X
 from handctl.core.estimation.kalman import MEAN_NIS_S, SLACK_LENGTH_M
 from handctl.core.model import HandModel
-from handctl.core.types import Event
+from handctl.core.types import TickEvent
 from tests.controller.filter_runs import FilterState, parts, state_of, tick
 from tests.controller.synthetic import Estimate, empty_readings
 
@@ -17,9 +17,9 @@ TENSION = 20.0
 class Held:
     """A hand whose tendons have a constant tension. Its filter gets one sample per call."""
 
-    def __init__(self, model: HandModel, regime: Regime = Regime.HELD) -> None:
+    def __init__(self, model: HandModel, regime: TendonRegime = TendonRegime.HELD) -> None:
         self.model, n = model, model.tendon_count
-        x = np.zeros((n, STATES))
+        x = np.zeros((n, STATE_COUNT))
         x[:, 2] = 2e-3
         x[:, X] = x[:, 2] + TENSION / model.space.stiffness
         self.travel = x[:, X]
@@ -85,11 +85,11 @@ def slack_state(hand: Held, error: float, loose: float, seconds: float) -> Estim
     The load cell of tendon 0 reads ``error`` [N] where there is no tension.
     """
     model = hand.model
-    x = np.zeros((model.tendon_count, STATES))
+    x = np.zeros((model.tendon_count, STATE_COUNT))
     hand.travel = np.full(model.tendon_count, -loose)
     x[:, X] = hand.travel
     known = (True,) * model.tendon_count
-    hand.state = FilterState.of(x.ravel(), Regime.SLACK, stopped=True)._replace(measured=known)
+    hand.state = FilterState.of(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(measured=known)
     for _ in range(round(seconds / model.period)):
         n = model.tendon_count
         read = empty_readings(model)._replace(travel=hand.travel, tension=np.zeros(n))
@@ -104,7 +104,7 @@ def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> 
     estimate = slack_state(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
     np.testing.assert_allclose(estimate.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02)
     np.testing.assert_allclose(estimate.tension, 0.0, atol=1e-9)
-    assert hand.state.regimes == (Regime.SLACK,) * model.tendon_count
+    assert hand.state.regimes == (TendonRegime.SLACK,) * model.tendon_count
 
 
 def test_a_nearly_taut_tendon_does_not_update_the_load_cell_error(model: HandModel) -> None:
@@ -124,7 +124,7 @@ def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> 
 
 def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     hand = Held(model).settled()
-    names, events = model.hand.tendon_names, list[Event]()
+    names, events = model.hand.tendon_names, list[TickEvent]()
     for k in range(round(3 * MEAN_NIS_S / model.period)):
         before = hand.state
         hand.sample(TENSION, travel=4e-5 * (-1) ** k)
@@ -150,20 +150,20 @@ def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, pre
     after, estimate = tick(model, state, empty_readings(model), force, rate, nowhere, missed=missed)
     once, _ = tick(model, state, empty_readings(model), force, rate, nowhere)
     F, B = (parts(model, once.regimes, name) for name in "FB")
-    x, inputs = once.x.reshape(-1, STATES, 1), np.column_stack((force, np.zeros(model.tendon_count)))[..., None]
+    x, inputs = once.x.reshape(-1, STATE_COUNT, 1), np.column_stack((force, np.zeros(model.tendon_count)))[..., None]
     for _ in range(missed if predicted_s is None else round(predicted_s / model.period)):
         x = F @ x + B @ inputs
     np.testing.assert_allclose(after.x, x.ravel(), rtol=1e-12, atol=1e-15)
-    np.testing.assert_array_equal(estimate.travel, after.x[X::STATES])
+    np.testing.assert_array_equal(estimate.travel, after.x[X::STATE_COUNT])
     assert after[1:5] == once[1:5], "nothing else is judged of what nobody saw"
 
 
 def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
     """Return half closed digits held at 20 N while their rotors wind, and the forces that balance the tension [N]."""
-    x = np.zeros((model.tendon_count, STATES))
+    x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
     x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
-    return FilterState.of(x.ravel(), Regime.HELD, stopped=False), np.full(model.tendon_count, 20.0)
+    return FilterState.of(x.ravel(), TendonRegime.HELD, stopped=False), np.full(model.tendon_count, 20.0)
 
 
 @pytest.mark.parametrize("every", [5, 11, 30])

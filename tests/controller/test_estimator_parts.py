@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handctl.core.block import state_tables
-from handctl.core.estimation.filter_stack import STATES, O, Regime, S, W, X
+from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
 from handctl.core.estimation.kalman import (
     SLACK_LENGTH_M,
     STOP_BAND_REST_M,
@@ -41,22 +41,22 @@ def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> N
     assert not at_stop(was, 0.0, most, 10.0)
 
 
-def filter_state(model: HandModel, regime: Regime, **columns: float) -> FilterState:
+def filter_state(model: HandModel, regime: TendonRegime, **columns: float) -> FilterState:
     """Return a filter state with every tendon in the same regime and off its stop.
 
     Columns of the states are set by name.
     """
-    x = np.zeros((model.tendon_count, STATES))
+    x = np.zeros((model.tendon_count, STATE_COUNT))
     for name, value in columns.items():
         x[:, {"X": X, "S": S, "W": W, "O": O}[name]] = value
     return FilterState.of(x.ravel(), regime, stopped=False)
 
 
-def explained_by_contact(model: HandModel, regime: Regime, rate: float) -> np.ndarray:
+def explained_by_contact(model: HandModel, regime: TendonRegime, rate: float) -> np.ndarray:
     """Return the part of 20 N that contact explains while the digits move at a rate [m/s], without readings."""
     stretch = (20.0 + model.space.damping * rate) / model.space.stiffness
     state = filter_state(model, regime, S=2e-3, W=rate)
-    x = state.x.reshape(-1, STATES).copy()
+    x = state.x.reshape(-1, STATE_COUNT).copy()
     x[:, X] = x[:, S] + stretch
     return corrected_state(model, state._replace(x=x.ravel()), empty_readings(model)).view(
         "external"
@@ -64,13 +64,13 @@ def explained_by_contact(model: HandModel, regime: Regime, rate: float) -> np.nd
 
 
 def test_damping_of_a_moving_digit_is_no_contact(model: HandModel) -> None:
-    still, moves = (explained_by_contact(model, Regime.FREE, rate) for rate in (0.0, 0.05))
+    still, moves = (explained_by_contact(model, TendonRegime.FREE, rate) for rate in (0.0, 0.05))
     np.testing.assert_allclose(moves - still, -0.05 * model.space.load_damping, rtol=1e-9)
     assert still.all(), "20 N are more than springs ask here"
 
 
 def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel) -> None:
-    assert not explained_by_contact(model, Regime.SLACK, 0.0).any()
+    assert not explained_by_contact(model, TendonRegime.SLACK, 0.0).any()
 
 
 def used_measurements(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray:
@@ -88,11 +88,11 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
     n = model.tendon_count
     measured = empty_readings(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
     for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
-        state = filter_state(model, Regime.SLACK, X=x + more, S=s, O=o)._replace(
+        state = filter_state(model, TendonRegime.SLACK, X=x + more, S=s, O=o)._replace(
             measured=(True,) * n
         )
         assert np.isfinite(used_measurements(model, state, measured)[:, 1]).all() == usable
-    state = filter_state(model, Regime.SLACK, X=x, S=s, O=o)
+    state = filter_state(model, TendonRegime.SLACK, X=x, S=s, O=o)
     assert np.isnan(used_measurements(model, state, measured)[:, 1]).all(), (
         "its length is not known"
     )
@@ -119,29 +119,29 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     """
     n = model.tendon_count
     above = next(above for above, worth in EVIDENCE if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth)
-    state = filter_state(model, Regime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(
+    state = filter_state(model, TendonRegime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(
         measured=(known,) * n
     )
     after = regimes_after_sample(model, state, above + 1e-6)
-    assert after.regimes == ((Regime.FREE if turns else Regime.SLACK),) * n
+    assert after.regimes == ((TendonRegime.FREE if turns else TendonRegime.SLACK),) * n
     assert (after.turning == (0,) * n) == turns
     assert after.measured == (known,) * n
 
 
 def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
     n = model.tendon_count
-    state = filter_state(model, Regime.SLACK, S=2e-3)
+    state = filter_state(model, TendonRegime.SLACK, S=2e-3)
     for _ in range(POINTS_OF_TAUT):
         state = regimes_after_sample(model, state, EVIDENCE[0][0] + 1.0)
-    assert (state.regimes, state.measured) == ((Regime.FREE,) * n, (True,) * n)
+    assert (state.regimes, state.measured) == ((TendonRegime.FREE,) * n, (True,) * n)
 
 
 def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: HandModel) -> None:
-    state = filter_state(model, Regime.SLACK, S=1e-4)._replace(stopped=(True,) * model.tendon_count)
+    state = filter_state(model, TendonRegime.SLACK, S=1e-4)._replace(stopped=(True,) * model.tendon_count)
     after = regimes_after_sample(model, state, EVIDENCE[0][0] + 1e-6)
     assert after.stopped == state.stopped
-    assert (after.x[S::STATES] == 0.0).all()
-    assert (state.x[S::STATES] == 1e-4).all(), "of the state before nothing is changed"
+    assert (after.x[S::STATE_COUNT] == 0.0).all()
+    assert (state.x[S::STATE_COUNT] == 1e-4).all(), "of the state before nothing is changed"
 
 
 def test_an_estimate_has_every_column_before_the_first_reading(model: HandModel) -> None:

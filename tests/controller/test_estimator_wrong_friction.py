@@ -9,11 +9,11 @@ from handctl.compiled import kernel
 from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import kalman
-from handctl.core.estimation.filter_stack import STATES, Regime
+from handctl.core.estimation.filter_stack import STATE_COUNT, TendonRegime
 from handctl.core.estimation.kalman import MAX_ADDED_NOISE_S, NOISE_NIS_LIMIT, NOISE_NIS_LIMIT_OF_HAND, NOISE_NIS_S
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Places
+from handctl.core.schema import BlockArray, TablePlaces
 from handctl.document import validate_content
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
@@ -74,7 +74,7 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     model = model_of(hand)
     x, force = state_at_rest(model, 20.0, 0.5)
     read = noiseless_readings(model, x, np.full(model.tendon_count, 21.0))
-    sure = all_in_regime(model, Regime.FREE, x)
+    sure = all_in_regime(model, TendonRegime.FREE, x)
     doubting = sure._replace(wary=np.full(model.tendon_count, MAX_ADDED_NOISE_S))
     (after, estimate), (after_doubt, estimate_doubt) = (
         step(model, state, read, force, no_contact(model)) for state in (sure, doubting)
@@ -87,7 +87,14 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
 
 
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix")
-def _judge(block: Block, at: Places, of: Block, of_at: Places, innovation: np.ndarray, information: np.ndarray) -> None:
+def _judge(
+    block: BlockArray,
+    at: TablePlaces,
+    of: BlockArray,
+    of_at: TablePlaces,
+    innovation: np.ndarray,
+    information: np.ndarray,
+) -> None:
     kalman._judge_consistency(state_tables(block, at), constant_tables(of, of_at), innovation, information, True)
 
 
@@ -144,20 +151,20 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
         lately, wary = averages_and_doubts(jamia11, lately, wary, np.full(n, 2.0))
     assert not wary.any()
     state = active_state(jamia11)
-    state.view("regime")[...] = regimes = np.arange(n) % len(Regime)
+    state.view("regime")[...] = regimes = np.arange(n) % len(TendonRegime)
     x = interpreted(state_tables)(state.block, state.layout.places)
     assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()
     state.view("wary")[...] = 1e-9
-    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == (regimes + len(Regime)).tolist()
+    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == (regimes + len(TendonRegime)).tolist()
 
 
 @pytest.mark.parametrize("hand", HANDS)
 def test_the_filter_in_doubt_is_stable(hand: str) -> None:
     """For every taut tendon, the errors of all estimated states decay while the filter is in doubt."""
     for blocks in model_of(hand).filter.blocks:
-        for regime in (Regime.FREE, Regime.HELD):
-            block = blocks[regime + len(Regime)]
-            own = np.delete(np.arange(STATES), 5)
+        for regime in (TendonRegime.FREE, TendonRegime.HELD):
+            block = blocks[regime + len(TendonRegime)]
+            own = np.delete(np.arange(STATE_COUNT), 5)
             H, K = block.H[:2, own], block.K[np.ix_(own, [0, 1])]
             error = block.F[np.ix_(own, own)] @ (np.eye(len(own)) - K @ H)
             assert np.abs(np.linalg.eigvals(error)).max() < 1.0

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from handctl.core import constants as h
-from handctl.core.estimation.filter_stack import STATES, TRANSITION_CACHE_SIZE, E, FilterDesign, O, Regime, S, X
+from handctl.core.estimation.filter_stack import (
+    STATE_COUNT,
+    TRANSITION_CACHE_SIZE,
+    E,
+    FilterDesign,
+    O,
+    S,
+    TendonRegime,
+    X,
+)
 from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import FilterGains, Gains
 from handctl.core.model import HandModel, _joint_period
@@ -43,8 +52,8 @@ def one_of_each(model: HandModel) -> list[int]:
     return [0, model.tendon_count - 1]
 
 
-@pytest.mark.parametrize("regime", Regime)
-def test_discrete_model_and_gains_agree_with_the_differential_equations(model: HandModel, regime: Regime) -> None:
+@pytest.mark.parametrize("regime", TendonRegime)
+def test_discrete_model_and_gains_agree_with_the_differential_equations(model: HandModel, regime: TendonRegime) -> None:
     for i in one_of_each(model):
         block = model.filter.blocks[i][regime]
         F, G, Q = over_one_period(model, i, regime)
@@ -54,20 +63,24 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(model: H
         P = covariance_by_doubling(F, H, Q, R)
         innovation = H @ P @ H.T + R
         gain = np.linalg.solve(innovation, H @ P).T
-        gain[E] *= regime == Regime.SLACK
+        gain[E] *= regime == TendonRegime.SLACK
         np.testing.assert_allclose(block.K[:, :2] / SCALE[:, None], gain, rtol=1e-5, atol=1e-6 * np.abs(gain).max())
         row, gains = block.tension_row * SCALE, model.gains.filter
-        drift = 0.0 if regime == Regime.SLACK else gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
+        drift = (
+            0.0
+            if regime == TendonRegime.SLACK
+            else gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
+        )
         np.testing.assert_allclose(block.tension_variance, row @ P @ row + drift, rtol=1e-6)
         np.testing.assert_allclose(block.innovation_information, np.linalg.inv(innovation), rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("regime", Regime)
-def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Regime) -> None:
+@pytest.mark.parametrize("regime", TendonRegime)
+def test_measurement_rows_predict_the_measurements(model: HandModel, regime: TendonRegime) -> None:
     for i, blocks in enumerate(model.filter.blocks):
         H, row = blocks[regime].H, blocks[regime].tension_row
         state = np.array([3e-4, 0.01, 1e-4, 0.002, 5.0, 7.0, 4e-5])
-        taut = regime != Regime.SLACK
+        taut = regime != TendonRegime.SLACK
         tension = (model.space.stiffness[i] * 1.6e-4 + model.space.damping[i] * 0.008) if taut else 0.0
         np.testing.assert_allclose(row @ state, tension, rtol=1e-12)
         np.testing.assert_allclose(H @ state, [state[X], tension + state[E], state[S]], rtol=1e-12)
@@ -81,11 +94,11 @@ def test_every_regime_is_stable_at_every_rate(
     design = model_parts.design(name, rate_hz)
     for blocks in design.blocks:
         for block in blocks:
-            error = block.F @ (np.eye(STATES) - block.K @ block.H)
+            error = block.F @ (np.eye(STATE_COUNT) - block.K @ block.H)
             assert np.abs(np.linalg.eigvals(error)).max() < 1.0
             without = block.K.copy()
             without[:, 2] = 0.0
-            assert np.abs(np.linalg.eigvals(block.F @ (np.eye(STATES) - without @ block.H))).max() < 1.0, (
+            assert np.abs(np.linalg.eigvals(block.F @ (np.eye(STATE_COUNT) - without @ block.H))).max() < 1.0, (
                 "no joint frame"
             )
 
@@ -105,10 +118,10 @@ def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(jamia: H
 
 def test_the_transition_of_all_tendons_is_that_of_its_blocks(model: HandModel, rng: np.random.Generator) -> None:
     n = model.tendon_count
-    kinds = rng.integers(0, 2 * len(Regime), n)
+    kinds = rng.integers(0, 2 * len(TendonRegime), n)
     found = model.filter.transition(kinds.tobytes())
-    x, u = rng.normal(size=(n, STATES)), rng.normal(size=(n, 2))
-    moved, driven = (found.F @ x.T.ravel()).reshape(STATES, n).T, (found.B @ u.T.ravel()).reshape(STATES, n).T
+    x, u = rng.normal(size=(n, STATE_COUNT)), rng.normal(size=(n, 2))
+    moved, driven = (found.F @ x.T.ravel()).reshape(STATE_COUNT, n).T, (found.B @ u.T.ravel()).reshape(STATE_COUNT, n).T
     for i, kind in enumerate(kinds.tolist()):
         block = model.filter.blocks[i][kind]
         np.testing.assert_allclose(moved[i], block.F @ x[i], rtol=1e-9, atol=1e-9)
@@ -149,7 +162,7 @@ def test_asking_for_other_gains_gives_other_filters() -> None:
     hand = load_hand("jamia")
     calm = HandModel.of(hand, Gains(), 500.0)
     wild = HandModel.of(hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0)
-    free = [m.filter.blocks[0][Regime.FREE].tension_variance for m in (calm, wild)]
+    free = [m.filter.blocks[0][TendonRegime.FREE].tension_variance for m in (calm, wild)]
     assert free[1] > free[0], "who trusts the model less knows the tension less"
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.law.trajectory import Curve
+from handctl.core.law.trajectory import CurveTrajectory
 from handctl.errors import ConfigError
-from handctl.programs.task import Follow, load_trajectory
+from handctl.programs.task import FollowPhase, load_trajectory
 
 GOOD = """schema = 1
 name = "wave"
@@ -24,7 +24,7 @@ thumb = [5.0, 5.0, 15.0, 0.0]
 
 def test_a_curve_meets_its_points_and_rests_at_the_ends() -> None:
     times, angles = (0.0, 0.4, 1.0, 1.5), (0.1, 0.5, 0.2, 0.9)
-    curve = Curve.through(times, angles, 3)
+    curve = CurveTrajectory.through(times, angles, 3)
     for t, angle in zip(times, angles, strict=True):
         np.testing.assert_allclose(curve.at(t)[0], np.full(3, angle), atol=1e-12)
     for t in (0.0, curve.duration):
@@ -34,7 +34,7 @@ def test_a_curve_meets_its_points_and_rests_at_the_ends() -> None:
 
 
 def test_velocity_and_acceleration_are_the_derivatives() -> None:
-    curve, h = Curve.through((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1), 1e-5
+    curve, h = CurveTrajectory.through((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1), 1e-5
     for t in np.linspace(0.05, 1.35, 40):
         (before, _, _), (_, speed, acceleration), (after, _, _) = (curve.at(t + d) for d in (-h, 0.0, h))
         assert (after - before) / (2 * h) == pytest.approx(speed, abs=1e-6)
@@ -43,7 +43,7 @@ def test_velocity_and_acceleration_are_the_derivatives() -> None:
 
 
 def test_peak_speed_is_the_largest_on_the_way() -> None:
-    curve = Curve.through((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1)
+    curve = CurveTrajectory.through((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1)
     sampled = max(abs(curve.at(t)[1][0]) for t in np.linspace(0.0, 1.4, 20001))
     assert curve.peak_speed() == pytest.approx(sampled, rel=1e-6)
 
@@ -53,7 +53,7 @@ def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:
     path.write_text(GOOD)
     first, follow = load_trajectory(path).phase
     assert first.angle_deg == {"index": 0.0, "thumb": 5.0}  # type: ignore[union-attr]
-    assert isinstance(follow, Follow)
+    assert isinstance(follow, FollowPhase)
     assert follow.time_s[-1] == 2.0
 
 
@@ -84,8 +84,8 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
     path = tmp_path / "wave.toml"
     path.write_text(GOOD)
     follow = load_trajectory(path).phase[1]
-    assert isinstance(follow, Follow)
-    curve = Curve.through(follow.time_s, tuple(map(math.radians, follow.angle_deg["index"])), 1)
+    assert isinstance(follow, FollowPhase)
+    curve = CurveTrajectory.through(follow.time_s, tuple(map(math.radians, follow.angle_deg["index"])), 1)
     assert curve.at(0.5)[0][0] == pytest.approx(math.radians(20.0))
 
 
@@ -97,5 +97,5 @@ def test_very_close_times_do_not_bypass_the_speed_limit(gap, recwarn):
     """
     angles = {"index": (0.0, 1.0, 0.0)}
     with pytest.raises(ValueError, match="at most 700 deg/s"):
-        Follow(kind="follow", time_s=(0.0, gap, 1.0), angle_deg=angles)
+        FollowPhase(kind="follow", time_s=(0.0, gap, 1.0), angle_deg=angles)
     assert not recwarn.list

@@ -8,14 +8,14 @@ import pytest
 
 from handctl.core import constants as h
 from handctl.core.estimation.contact import SMOOTH_S
-from handctl.core.estimation.filter_stack import STATES, S, X
+from handctl.core.estimation.filter_stack import STATE_COUNT, S, X
 from handctl.core.estimation.tip import joint_lever, tip_force
-from handctl.core.law.goal import Kind
+from handctl.core.law.goal import GoalKind
 from handctl.core.model import HandModel
-from handctl.core.types import Event
+from handctl.core.types import TickEvent
 from handctl.hand.dynamics import static_torque
 from handctl.programs.grasp import RELEASE_TIMEOUT_S, RELEASED_WITHIN_N, SETTLE_AFTER_CLOSE_S, TaskProgram
-from handctl.programs.program import TIGHTEN_TIMEOUT_S, Progress
+from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.task import Task
 from tests.controller.synthetic import (
     Estimate,
@@ -53,11 +53,11 @@ class ProgramRun:
 
     def __init__(self, model: HandModel, task: dict[str, object] = TASK) -> None:
         self.model, self.program = model, TaskProgram(Task.model_validate_json(json.dumps(task)))
-        self.progress: Progress = self.program.initial(model)
-        self.events: list[Event] = []
+        self.progress: ProgramProgress = self.program.initial(model)
+        self.events: list[TickEvent] = []
         self.t, self.state = 0.0, active_state(model)
 
-    def tick(self, estimate: Estimate) -> tuple[Event, ...]:
+    def tick(self, estimate: Estimate) -> tuple[TickEvent, ...]:
         self.t += self.model.period
         self.state.view("closing")[...] = self.progress.closing or 0
         felt = detect_contacts(self.model, self.state, estimate)
@@ -106,11 +106,11 @@ def hand_in_contact(
 
 def test_phases_come_in_the_order_of_the_task_and_last_as_long(model: HandModel, taut: Estimate) -> None:
     run = ProgramRun(model)
-    assert {goal.kind for goal in run.progress.goals} == {Kind.LIMP}, "limp until active"
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.LIMP}, "limp until active"
     assert run.until("tighten", taut) <= 2 * model.period
-    assert {goal.kind for goal in run.progress.goals} == {Kind.TENSION}
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.TENSION}
     assert run.until("home", taut) == pytest.approx(0.3, abs=2.1 * model.period)
-    assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
     assert run.until("preshape", taut) == pytest.approx(0.2, abs=1.1 * model.period)
     assert run.until("close", taut) == pytest.approx(0.3, abs=1.1 * model.period)
     everything = hand_in_contact(model, dict.fromkeys(model.hand.digit_names, 12.0))
@@ -231,9 +231,9 @@ def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estima
     assert [i for i, c in enumerate(run.progress.contact) if c] == [index], "only the digit that touches"
     assert [(event.name, event.where) for event in events] == [("contact", "index")]
     goal = run.progress.goals[index]
-    assert goal.kind == Kind.TENSION
+    assert goal.kind == GoalKind.TENSION
     np.testing.assert_allclose(goal.tension, 15.0, err_msg="holds what it has, as that is more than it shall")
-    assert {g.kind for i, g in enumerate(run.progress.goals) if i != index} == {Kind.MOTION}
+    assert {g.kind for i, g in enumerate(run.progress.goals) if i != index} == {GoalKind.MOTION}
 
 
 def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
@@ -245,7 +245,7 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
             own[:] = 0.4
         forces.append(2.5 + d)
         q[digit.joints], balance[digit.tendons] = own, forces[-1] * (digit.torque_to_tension @ joint_lever(digit, own))
-    x = np.zeros((model.tendon_count, STATES))
+    x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = x[:, X] = model.hand.moment_arms @ q
     np.testing.assert_allclose(
         felt(model, exact_estimate(model, x)._replace(external=balance)), forces
@@ -274,7 +274,7 @@ def test_closing_without_contact_ends_with_a_message(model: HandModel, taut: Est
     assert not any(run.progress.contact)
     warnings = [event.text for event in run.events if event.level == "warn"]
     assert warnings == ["hold: no digit is in contact"]
-    assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
 
 
 def test_only_named_digits_in_contact_hold(model: HandModel, taut: Estimate) -> None:
@@ -286,7 +286,7 @@ def test_only_named_digits_in_contact_hold(model: HandModel, taut: Estimate) -> 
     run.until("hold", touch)
     np.testing.assert_allclose(run.progress.goals[names.index("index")].tension, 30.0)
     assert run.progress.goals[names.index("ring")] is before, "the task says nothing about it"
-    assert run.progress.goals[names.index("thumb")].kind == Kind.MOTION, "it met nothing"
+    assert run.progress.goals[names.index("thumb")].kind == GoalKind.MOTION, "it met nothing"
 
 
 def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate) -> None:
@@ -340,7 +340,7 @@ def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Esti
     assert run.progress.contact[index], "until it has let go"
     run.until("again", taut)
     assert not any(run.progress.contact), "free again"
-    assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}, "all close"
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}, "all close"
     assert run.until("more", taut) > 0.3
     assert not any(run.progress.contact)
     assert [event.text for event in run.events if event.level == "warn"] == ["more: no digit is in contact"]
@@ -355,7 +355,7 @@ def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut
     run.touch(touch)
     run.until("again", touch)
     assert run.progress.contact[index]
-    assert run.progress.goals[index].kind == Kind.TENSION
+    assert run.progress.goals[index].kind == GoalKind.TENSION
 
 
 def test_a_goal_tip_force_becomes_the_tension_that_makes_it(model: HandModel, taut: Estimate) -> None:
@@ -384,7 +384,7 @@ def test_contact_ends_with_the_next_move(model: HandModel, taut: Estimate) -> No
     run.touch(hand_in_contact(model, {"index": 12.0}))
     run.until("move", taut)
     assert not any(run.progress.contact)
-    assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
     run.until("again", taut)
     assert not any(run.progress.touching)
 

@@ -12,7 +12,7 @@ from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from handctl.drives.contract import Phase
+from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
@@ -79,7 +79,7 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(hand: Bench) -> 
     unread.set_whole(s.FILTER_STARTED, 0)
     assert decided(hand, unread) == (Mode.DONE, "no position from middle_motor")
     late = unread.copy()
-    hand.controller.keep(late, 1, blind._replace(phase=Phase.CONFIGURING))
+    hand.controller.keep(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
     assert decided(hand, late) == (Mode.DONE, "middle_motor: not configured in time")
     unread.mode_since = 0.0
     assert decided(hand, unread)[0] == Mode.INVENTORY

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.core.law.trajectory import Curve
+from handctl.core.law.trajectory import CurveTrajectory
 from handctl.document import validate_content
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
@@ -16,7 +16,7 @@ from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task, trajectory_from
 from handctl.programs.task_checks import check_task_for_hand
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.plant_run import model_of
 
 SETTLED_DEG = 2.0
@@ -33,7 +33,9 @@ def move(angles: dict[str, Any], seconds: float = 0.4) -> dict[str, Any]:
 def end_of(hand: str, program: Task, seconds: float) -> dict[str, float]:
     """Return the true joint angles [deg] of a simulated hand after a task."""
     check_task_for_hand(program, load_hand(hand), "t")
-    with Simulator(hand, None, 0, homed=True).against(homed_controller(model_of(hand), TaskProgram(program))) as run:
+    with SimulatorSettings(hand, None, 0, homed=True).against(
+        homed_controller(model_of(hand), TaskProgram(program))
+    ) as run:
         run.record = False
         for _entry, out in run.ticks(seconds):
             angles = np.degrees(run.peer.world.plant.engine.q)
@@ -73,8 +75,8 @@ def test_a_joint_of_a_one_tendon_digit_stands_for_all() -> None:
 def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
     times = (0.0, 0.4, 1.0, 1.7)
     points = np.array([[0.0, 0.1], [0.5, 0.0], [0.2, 0.7], [0.9, 0.3]])
-    both = Curve.through(times, points, 2)
-    ones = [Curve.through(times, tuple(column), 1) for column in points.T]
+    both = CurveTrajectory.through(times, points, 2)
+    ones = [CurveTrajectory.through(times, tuple(column), 1) for column in points.T]
     for t in (-0.1, 0.0, 0.3, 0.4, 1.2, 1.7, 2.0):
         assert both.at(t) == pytest.approx(np.hstack([one.at(t) for one in ones]), abs=1e-12)
     assert both.peak_speed() == pytest.approx(max(one.peak_speed() for one in ones))

@@ -11,7 +11,7 @@ from handctl.core.types import Mode, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from handctl.safety.faults.bus import WINDOW
+from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 from tests.controller.bench import Bench, bench
 
 
@@ -72,7 +72,7 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(be
     """The replies to three ticks arrive at once, near the tick in which the controller forgets older requests."""
     run = active_on_a_bus_without_stamps()
     waiting: list[Frame] = []
-    while (run.k + before) % WINDOW:
+    while (run.k + before) % LOSS_WINDOW_TICKS:
         run.tick()
     run.to_host = lambda frames: waiting.extend(frames) or []
     run.run(2 * run.period_ns * 1e-9)
@@ -136,7 +136,7 @@ def test_missing_replies_excuse_one_duplicate_over_a_long_time() -> None:
     run.to_host = lambda frames: stamped(run, [frame for frame in frames if frame.can_id != 0x11])
     run.run(3 * run.period_ns * 1e-9)
     run.to_host = lambda frames: stamped(run, frames)
-    run.run(2 * WINDOW * run.period_ns * 1e-9)
+    run.run(2 * LOSS_WINDOW_TICKS * run.period_ns * 1e-9)
     run.to_host = lambda frames: stamped(run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]])
     assert not second_answers(run.tick())
     assert [text[:3] for text in second_answers(run.tick())] == ["B05"]

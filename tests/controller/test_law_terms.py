@@ -8,7 +8,7 @@ import pytest
 from handctl.core import block as s
 from handctl.core import stages
 from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
@@ -189,4 +189,4 @@ def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: Estimat
     assert np.isnan(law.friction_state[tendons:]).all()
     held = np.where(np.arange(model.tendon_count) < tendons, 0.0, law.setpoint) @ model.hand.moment_arms
     np.testing.assert_allclose(command.joint_torque[joints:], held[joints:], rtol=1e-12)
-    assert goals[2].kind == Kind.TENSION
+    assert goals[2].kind == GoalKind.TENSION

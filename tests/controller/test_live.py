@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core.law.goal import Kind
+from handctl.core.law.goal import GoalKind
 from handctl.core.model import HandModel
 from handctl.programs.live import JogProgram, LiveProgram, apply_goal
-from handctl.programs.program import TIGHTEN_TIMEOUT_S, Progress
+from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.requests import HoldTension, MoveDigits, parse_request
 from tests.controller.synthetic import Estimate, empty_readings, estimate_under_tension, slack
 
@@ -20,7 +20,7 @@ def goal_from(text: str) -> MoveDigits | HoldTension:
     return request
 
 
-def live(model: HandModel, estimate: Estimate) -> tuple[LiveProgram, Progress]:
+def live(model: HandModel, estimate: Estimate) -> tuple[LiveProgram, ProgramProgress]:
     """Return a live program and its progress at the moment at which it waits for requests."""
     program = LiveProgram()
     progress, t = program.initial(model), 0.0
@@ -43,7 +43,7 @@ def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
             assert moved.goals[d] is progress.goals[d]
             continue
         goal = moved.goals[d]
-        assert goal.kind == Kind.MOTION
+        assert goal.kind == GoalKind.MOTION
         assert goal.trajectory is not None
         np.testing.assert_allclose(goal.trajectory.start, 0.3, atol=1e-9)
         np.testing.assert_allclose(goal.trajectory.end, math.radians(40 if name == "index" else 10))
@@ -52,7 +52,7 @@ def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
         model, moved, goal_from('{"do": "hold", "tension_N": {"index": 25}, "rate_N_per_s": 9}'), estimate, 8.0
     )
     goal = held.goals[0]
-    assert (goal.kind, goal.rate) == (Kind.TENSION, 9.0)
+    assert (goal.kind, goal.rate) == (GoalKind.TENSION, 9.0)
     np.testing.assert_array_equal(goal.tension, np.full(model.digit_tendons[0].stop, 25.0))
     assert held.goals[-1] is moved.goals[-1]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.core.law.allocation import tensions_for_torque
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
 from tests.controller.goals import moving_goals
 from tests.controller.law_runs import load_of, way_of
@@ -64,7 +64,7 @@ def test_the_load_of_each_digit_is_limited_separately(hand: str, request: pytest
 
 def test_resting_digits_load_no_moving_digit(jamia11: HandModel) -> None:
     goals = ways(jamia11, 0.0, (0.5,) * 4)
-    alone = (goals[0], *(replace(goal, kind=Kind.LIMP, trajectory=None) for goal in goals[1:]))
+    alone = (goals[0], *(replace(goal, kind=GoalKind.LIMP, trajectory=None) for goal in goals[1:]))
     way = way_of(jamia11, goals, 0.2)
     own = jamia11.digit_tendons[0]
     both = [load_of(jamia11, one, way)[own] for one in (goals, alone)]

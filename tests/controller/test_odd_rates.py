@@ -11,12 +11,12 @@ import pytest
 from handctl.controller.setup import make_controller
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Event, Mode
+from handctl.core.types import Mode, TickEvent
 from handctl.document import validate_content
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 from tests.conftest import NIGHTLY
 
 RATES_HZ = (250.0, 300.0, 333.0, 400.0, 450.0, 500.0, 640.0, 1000.0)
@@ -40,14 +40,14 @@ def controller_at(hand: str, rate_hz: float) -> Controller:
     return make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
 
 
-def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[Event]]:
+def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
     """Return the mean NIS per degree of freedom in a free motion, and the events about estimates and faults.
 
     NIS is the normalised innovation squared. The mean is over tendons and ticks.
     """
     nis: list[np.ndarray] = []
-    events: list[Event] = []
-    with Simulator(hand, seed=seed, homed=True).against(controller_at(hand, rate_hz)) as run:
+    events: list[TickEvent] = []
+    with SimulatorSettings(hand, seed=seed, homed=True).against(controller_at(hand, rate_hz)) as run:
         for _, out in run.ticks(3.0):
             events += [event for event in out.events if event.name in ("estimate", "fault")]
             if out.mode == Mode.ACTIVE:

@@ -11,7 +11,7 @@ from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.hand.wrist import on_wrist
 
@@ -61,7 +61,7 @@ def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
     apart = list[np.ndarray]()
     external = list[float]()
     controller = homed_controller(model, TaskProgram(waving(known)), hand)
-    with Simulator(hand, None, seed, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, None, seed, homed=True).against(controller) as run:
         run.record = False
         for _, out in run.ticks(10.0):
             if [event for event in out.events if event.level == "error"]:
@@ -105,4 +105,4 @@ def test_arms_are_divided_between_a_digit_and_its_carriers() -> None:
     assert not hand.carrier_arms[:, joints].any()
     assert np.array_equal(hand.own_arms[tendons, joints], hand.moment_arms[tendons, joints])
     assert np.count_nonzero(hand.carrier_arms) == hand.moment_arms.shape[0] - 1
-    assert hand.covered[hand.digit_tendons["wrist"]].all()
+    assert hand.tendons_with_encoders[hand.digit_tendons["wrist"]].all()

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_sim.nodes.mit.codec import Ranges, decode_command
-from handctl.campaign.scenarios import FREE, GRASP
+from firmware_sim.nodes.mit.codec import FrameRanges, decode_command
+from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
 from handctl.controller.monitor.thresholds import servo_steps
 from handctl.controller.setup import make_controller, make_drives
@@ -32,8 +32,8 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content, load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from handctl.runtime.mailbox import STOP
-from handctl.session.simulate import Simulation, Simulator
+from handctl.runtime.mailbox import STOP_REQUEST
+from handctl.session.simulate import SimulatedRun, SimulatorSettings
 from tests.faults.test_relaxing import check_relaxing
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -81,17 +81,17 @@ def to_and_fro(hand: Hand, moves: int, duration_s: float) -> TaskProgram:
 
 
 @contextmanager
-def moving(hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, moves: int = 6) -> Iterator[Simulation]:
+def moving(hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, moves: int = 6) -> Iterator[SimulatedRun]:
     """Yield the run of a simulated hand that moves to and fro. The run is at the start of its first move."""
     controller = make_controller(
         hand, packaged_gains(hand.name), rate_hz, to_and_fro(hand, moves, 0.6), None, arm_at_once=True
     )
-    with Simulator(hand, None, seed, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, None, seed, homed=True).against(controller) as run:
         assert run.until(lambda out: out.phase == "move 0", 5.0)
         yield run
 
 
-def stiffness_sent(run: Simulation) -> np.ndarray:
+def stiffness_sent(run: SimulatedRun) -> np.ndarray:
     return run.state.view("servo_kp")
 
 
@@ -157,7 +157,7 @@ def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
 def test_a_position_command_makes_the_predicted_torque() -> None:
     hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF)
     with moving(hand) as run:
-        model, ranges = run.controller.model, Ranges(12.5, 50.0, 0.8)
+        model, ranges = run.controller.model, FrameRanges(12.5, 50.0, 0.8)
         sent = 0
         for _ in range(400):
             out = run.tick()
@@ -210,16 +210,16 @@ def test_a_stiff_moteus_follows_better(name: str, seed: int) -> None:
 def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(name: str, protocol: str) -> None:
     hand = loop_hand(name, protocol, None)
     with homed_run(hand, RATE_HZ, 0) as run:
-        advance_to(run, FREE)
+        advance_to(run, FREE_STAGE)
         assert (stiffness_sent(run) > 0.0).all()
-        advance_to(run, GRASP)
+        advance_to(run, GRASP_STAGE)
         run.tick()
         assert not stiffness_sent(run).any()
         np.testing.assert_allclose(run.state.view("servo_torque"), run.state.view("torque"))
         for _ in range(round(RATE_HZ)):
             assert run.tick().mode == Mode.ACTIVE
             assert not stiffness_sent(run).any()
-        run.tick(requests=(STOP,))
+        run.tick(requests=(STOP_REQUEST,))
         while run.state.mode != Mode.DONE:
             run.tick()
             assert not stiffness_sent(run).any()
@@ -298,7 +298,7 @@ def test_relaxing_from_a_position_loop_raises_no_command(fault: str, protocol: s
         check_relaxing(run, run.k + 40, round(0.06 * RATE_HZ), fault)
 
 
-def lose_gains(run: Simulation, name: str) -> None:
+def lose_gains(run: SimulatedRun, name: str) -> None:
     """Let a drive make only the torque of its commands, as if it ignored the gains kp and kd in them."""
     motor: Any = run.peer.world.plant.motors[name]  # type: ignore[attr-defined]
     motor.power_stage_fault = lambda _: float(np.clip(motor.servo.torque, -motor.servo.limit, motor.servo.limit))

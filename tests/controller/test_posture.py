@@ -17,11 +17,11 @@ from handctl.core.constants import constant_tables
 from handctl.core.estimation import posture
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Places
+from handctl.core.schema import BlockArray, TablePlaces
 from handctl.core.types import Mode
 from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.programs.grasp import TaskProgram
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task
 from tests.controller.synthetic import (
     Estimate,
@@ -71,7 +71,7 @@ def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureT
     """Yield the values of each tick of a simulated grasp."""
     model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
     program = TaskProgram(find_task(Path(task), model.hand)[0])
-    with Simulator(path, scene, seed, homed=True).against(homed_controller(model, program)) as run:
+    with SimulatorSettings(path, scene, seed, homed=True).against(homed_controller(model, program)) as run:
         plant, run.record = run.peer.world.plant, False
         for _, out in run.ticks():
             numbers, real = out.telemetry, np.array(plant.engine.q)
@@ -179,7 +179,13 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
 
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix", "count")
 def _fuse(
-    block: Block, at: Places, of: Block, of_at: Places, columns: np.ndarray, spread: np.ndarray, t_ns: int
+    block: BlockArray,
+    at: TablePlaces,
+    of: BlockArray,
+    of_at: TablePlaces,
+    columns: np.ndarray,
+    spread: np.ndarray,
+    t_ns: int,
 ) -> None:
     posture._fuse_encoders(state_tables(block, at), constant_tables(of, of_at), columns, spread, t_ns)
 

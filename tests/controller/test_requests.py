@@ -7,14 +7,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, Stop, events_for_request, parse_request
+from handctl.programs.requests import (
+    ArmRequest,
+    ClearRequest,
+    CutRequest,
+    HoldTension,
+    MoveDigits,
+    StopRequest,
+    events_for_request,
+    parse_request,
+)
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES
 
 GOOD = [
-    ('{"do": "arm"}', Arm),
-    ('{"do": "stop"}', Stop),
-    ('{"do": "cut"}', Cut),
-    ('{"do": "clear"}', Clear),
+    ('{"do": "arm"}', ArmRequest),
+    ('{"do": "stop"}', StopRequest),
+    ('{"do": "cut"}', CutRequest),
+    ('{"do": "clear"}', ClearRequest),
     ('{"do": "move", "angle_deg": {"index": 30}}', MoveDigits),
     ('{"do": "hold", "tension_N": {"index": 20.5, "thumb": 0}, "rate_N_per_s": 10}', HoldTension),
 ]
@@ -118,5 +127,7 @@ def test_events_of_a_request_end_at_the_next_request() -> None:
 
 @pytest.mark.parametrize("by", ["a b", "x" * 41, "\n", "é!"])
 def test_sender_name_is_one_short_word(by: str) -> None:
-    assert parse_request(json.dumps({"do": "stop", "by": "handctl-1.2_x"})) == Stop(do="stop", by="handctl-1.2_x")
+    assert parse_request(json.dumps({"do": "stop", "by": "handctl-1.2_x"})) == StopRequest(
+        do="stop", by="handctl-1.2_x"
+    )
     assert isinstance(parse_request(json.dumps({"do": "stop", "by": by})), str)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from handctl.core.law.computed_torque import MIN_TRIM_N, TRIM_TIME_S
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
 from tests.controller.goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, step
@@ -84,7 +84,7 @@ def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
 
 
 def test_limp_digits_have_no_trim(jamia: HandModel) -> None:
-    goals = (*holding_goals(jamia, 20.0, AT_ONCE)[:3], DigitGoal(Kind.LIMP))
+    goals = (*holding_goals(jamia, 20.0, AT_ONCE)[:3], DigitGoal(GoalKind.LIMP))
     trimmed = idle(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
     _, command = step(jamia, trimmed, estimate_under_tension(jamia, 20.0), goals, 0.0)
     assert command.torque[3] == 0.0

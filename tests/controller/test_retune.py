@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.retune import CACHE_SIZE, Designs
+from handctl.controller.retune import CACHE_SIZE, DesignCache
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core import block as s
-from handctl.core.gains.bounds import bounds, checked_bound, values_by_key, with_values
+from handctl.core.gains.bounds import checked_bound, gain_bounds, values_by_key, with_values
 from handctl.core.gains.gains import Gains, TensionGains
 from handctl.core.gains.motion_design import design_motion, design_piece_count
 from handctl.core.model import HandModel
@@ -43,7 +43,7 @@ def noiseless_hand(model: HandModel) -> Bench:
     Its tendons are taut, and it waits for requests.
     """
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
-    peer = load_peer("firmware_sim.rig:Rig", **options)
+    peer = load_peer("firmware_sim.rig:LockstepHand", **options)
     desk = Bench(controller(model, LiveProgram()), peer)
     desk.until(Mode.ACTIVE)
     while desk.state.progress.phase != "live":
@@ -61,7 +61,7 @@ def holding(jamia: HandModel) -> Bench:
 
 
 def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandModel) -> None:
-    run, designs = controller(jamia, LiveProgram()), Designs()
+    run, designs = controller(jamia, LiveProgram()), DesignCache()
     used = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
     whole = designs.controller(run, used)
     for force in range(20, 20 + 3 * CACHE_SIZE):
@@ -93,7 +93,8 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
     desk = Bench(
-        controller(jamia, CommissionProgram()), load_peer("firmware_sim.rig:Rig", hand_path=str(hand_path("jamia")))
+        controller(jamia, CommissionProgram()),
+        load_peer("firmware_sim.rig:LockstepHand", hand_path=str(hand_path("jamia"))),
     )
     desk.until(Mode.ACTIVE)
     out = desk.tick(change({"motion.force_N": 20.0}))
@@ -245,7 +246,7 @@ def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -
 
 
 def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> None:
-    known = bounds()
+    known = gain_bounds()
     assert known.keys() == values_by_key(Gains()).keys()
     assert len(known) > 20
     for key, bound in known.items():
@@ -261,7 +262,7 @@ def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high:
 
     A bound that is not allowed itself is approached to one hundredth of the default.
     """
-    for key, bound in bounds().items():
+    for key, bound in gain_bounds().items():
         if bound.live:
             value = bound.high if high else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
             gains = with_values(Gains(), {key: value if not bound.whole else round(value)}, "test", live=True)

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from handctl.core import block as s
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
-from handctl.core.types import Event
+from handctl.core.types import TickEvent
 from handctl.programs import grip
 from handctl.programs.grasp import TaskProgram
-from handctl.programs.grip import SLIP_EXCURSION_M, Grip, GripPlan, advance_grip
+from handctl.programs.grip import SLIP_EXCURSION_M, GripPlan, GripState, advance_grip
 from handctl.programs.task import Task
 from tests.controller.plant_run import run_on_plant
 from tests.controller.synthetic import Estimate, active_state, detect_contacts, estimate_under_tension
@@ -30,15 +30,15 @@ class GraspRun:
     def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
         self.model, self.quiet = model, estimate_under_tension(model, TENSION_N, 0.5)
         sizes = [tendons.stop - tendons.start for tendons in model.digit_tendons]
-        held = [DigitGoal(Kind.TENSION, tension=np.full(size, TENSION_N)) for size in sizes]
+        held = [DigitGoal(GoalKind.TENSION, tension=np.full(size, TENSION_N)) for size in sizes]
         self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
         self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
         self.t = 0.0
-        self.grip = Grip.of(model, self.goals, self.quiet, self.t)
+        self.grip = GripState.of(model, self.goals, self.quiet, self.t)
         self.state = active_state(model)
         detect_contacts(model, self.state, self.quiet)
         self.state.set_whole(s.GRIPPING, 1)
-        self.events: list[Event] = []
+        self.events: list[TickEvent] = []
 
     def tick(self, estimate: Estimate, seconds: float) -> None:
         for _ in range(round(seconds / self.model.period)):
@@ -69,7 +69,7 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
     assert [event.where for event in held.events] == [model.hand.digit_names[0]]
     for goal in held.goals[:-1]:
         np.testing.assert_allclose(goal.tension, grip.RAISE_FACTOR * TENSION_N)
-    assert held.goals[-1].kind == Kind.LIMP, "what does not hold is left alone"
+    assert held.goals[-1].kind == GoalKind.LIMP, "what does not hold is left alone"
 
 
 def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.gains.bounds import bounds, with_values
+from handctl.core.gains.bounds import gain_bounds, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.errors import ConfigError
@@ -23,7 +23,7 @@ ODD = {
     "filter.held_time_s": 1e-12,
     "filter.encoder_noise_counts": 1e-200,
 }
-WEIGHTS = [key for key, bound in bounds().items() if bound.open_low and not key.startswith("contact")]
+WEIGHTS = [key for key, bound in gain_bounds().items() if bound.open_low and not key.startswith("contact")]
 
 
 @pytest.mark.parametrize("key", ODD)
@@ -36,7 +36,7 @@ def test_solver_failure_is_one_line(key: str) -> None:
 @settings(max_examples=12)
 @given(st.dictionaries(st.sampled_from(WEIGHTS), st.floats(-30.0, 0.0), min_size=1))
 def test_gains_within_bounds_are_designed_or_refused(powers: dict[str, float]) -> None:
-    known = bounds()
+    known = gain_bounds()
     gains = with_values(Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test")
     with suppress(ConfigError):
         model = HandModel.of(load_hand("jamia_bench"), gains, 500.0)

@@ -13,10 +13,10 @@ import pytest
 
 from handctl.controller.setup import make_controller
 from handctl.core import block as s
-from handctl.core.estimate import Estimate, Measured
+from handctl.core.estimate import Estimate, TickMeasurements
 from handctl.core.estimation.spool_pair import net_tension_at_joint, net_tension_at_spool
 from handctl.core.gains.gains import Gains
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.redundancy import tendon_directions
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
@@ -25,17 +25,17 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.load import hand_content, hand_from_content, load_hand, validate_content
 from handctl.hand.readiness import reasons_not_ready
 from handctl.log.header import RunHeader
-from handctl.log.topics.message_streams import Registry
-from handctl.log.topics.state_topics import SPOOL_PAIRS, StateTopics
-from handctl.log.topics.topic_set import Topics
+from handctl.log.topics.message_streams import TopicRegistry
+from handctl.log.topics.state_topics import SPOOL_PAIRS_TOPIC, StateTopics
+from handctl.log.topics.topic_set import TopicSet
 from handctl.programs.calibration import Calibration
 from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
 from handctl.programs.default_task import default_task
 from handctl.programs.grasp import TaskProgram
-from handctl.programs.program import Program, Progress, ProgressAndEvents
-from handctl.programs.task import Close, Hold, Task
+from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents
+from handctl.programs.task import ClosePhase, HoldPhase, Task
 from handctl.session.calibration import homed_calibration
-from handctl.session.simulate import SimulatedHand, Simulation, Simulator
+from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
 from tests.controller.synthetic import interpreted
 
 RATE_HZ = 500.0
@@ -93,7 +93,7 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
     tendon, motor = finger().tendon[0], finger().motor[0]
     pretension = tendon.pretension_N
     assert pretension is not None
-    with Simulator(finger(), None, 0, homed=True).peer(2_000_000) as peer:
+    with SimulatorSettings(finger(), None, 0, homed=True).peer(2_000_000) as peer:
         plant = peer.world.plant
         plant.engine.set_joints([0.0, 0.0], [0.0, 0.0])
         plant.motors[motor.name].theta = stretch_mm * 1e-3 / motor.spool_radius_m
@@ -109,10 +109,10 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
 
 def run_of(
     peer: SimulatedHand, hand: Hand, program: Program, calibration: Calibration | None, first: int
-) -> Simulation:
+) -> SimulatedRun:
     """Begin a run of a program at tick ``first``. The simulated hand may have run before."""
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
-    run = Simulation.of(controller, peer)
+    run = SimulatedRun.of(controller, peer)
     run.k = first
     run.record = False
     run.state.set_whole(s.K, first - 1)
@@ -139,7 +139,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
     Joints follow within a degree, and no tendon exceeds its limit.
     """
     hand = finger()
-    with Simulator(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
+    with SimulatorSettings(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
         plant = peer.world.plant
         run = run_of(peer, hand, CommissionProgram(), None, 0)
         for _, out in run.ticks(60.0):
@@ -175,15 +175,15 @@ class Pull:
 
     tension: float
 
-    def initial(self, model: HandModel) -> Progress:
-        return Progress.initial(len(model.digits), "pull")
+    def initial(self, model: HandModel) -> ProgramProgress:
+        return ProgramProgress.initial(len(model.digits), "pull")
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         if progress.step:
             return progress, ()
-        goal = DigitGoal(Kind.TENSION, tension=np.full(2, self.tension), rate=60.0)
+        goal = DigitGoal(GoalKind.TENSION, tension=np.full(2, self.tension), rate=60.0)
         return replace(progress, step=1, goals=(goal,), contact=(True,)), ()
 
 
@@ -195,7 +195,7 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
     """
     hand = finger()
     limit = hand.tendon[0].tension_max_N
-    with Simulator(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
+    with SimulatorSettings(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
         run = run_of(peer, hand, Pull(tension), homed_calibration(hand, {}), 0)
         model = run.controller.model
         goal = np.clip(tension, model.floor, model.ceiling)
@@ -209,7 +209,7 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
 @pytest.mark.parametrize(("tension", "tendon"), [(40.0, "finger_mcp"), (-40.0, "finger_mcp_antagonist")])
 def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) -> None:
     hand = finger()
-    with Simulator(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
+    with SimulatorSettings(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
         run = run_of(peer, hand, Pull(tension), homed_calibration(hand, {}), 0)
         peer.inject(f"snap tendon={tendon} at=2s")
         faults = [event.text for _, out in run.ticks(4.5) for event in out.events if event.level == "error"]
@@ -287,8 +287,8 @@ def test_orca_like_closes_its_fingers_and_does_not_spread_them() -> None:
     assert len(hand.joints) == len(hand.motor) == 17
     assert hand.is_pair.all()
     close, hold = default_task(hand)[0].phase[1:3]
-    assert isinstance(close, Close)
-    assert isinstance(hold, Hold)
+    assert isinstance(close, ClosePhase)
+    assert isinstance(hold, HoldPhase)
     assert isinstance(close.angle_deg, dict)
     assert set(close.angle_deg) == {"index", "middle", "ring", "pinky", "thumb"}
     for name in ("index", "middle", "ring", "pinky"):
@@ -301,11 +301,11 @@ def test_orca_like_closes_its_fingers_and_does_not_spread_them() -> None:
 
 def test_the_log_has_both_tensions_of_each_pair() -> None:
     header = RunHeader.of_hand(load_hand("orca_like").to_toml(), 2_500_000)
-    assert SPOOL_PAIRS in {channel.topic for channel in Topics(header).channels}
-    assert SPOOL_PAIRS not in {
-        channel.topic for channel in Topics(RunHeader.of_hand(load_hand("jamia").to_toml(), 2_500_000)).channels
+    assert SPOOL_PAIRS_TOPIC in {channel.topic for channel in TopicSet(header).channels}
+    assert SPOOL_PAIRS_TOPIC not in {
+        channel.topic for channel in TopicSet(RunHeader.of_hand(load_hand("jamia").to_toml(), 2_500_000)).channels
     }
-    state = StateTopics(header, Registry())
+    state = StateTopics(header, TopicRegistry())
     net = np.zeros((1, 17))
     net[0, :3] = 4.0, -30.0, 30.0
     both = state._pair_tensions(net).reshape(17, 2)

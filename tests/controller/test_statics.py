@@ -9,17 +9,17 @@ from handctl.compiled import kernel
 from handctl.core import stages
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import statics
-from handctl.core.estimation.filter_stack import STATES, S, V
+from handctl.core.estimation.filter_stack import STATE_COUNT, S, V
 from handctl.core.estimation.tip import reduced_tip_lever, tip_force
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Places
+from handctl.core.schema import BlockArray, TablePlaces
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import forward_kinematics, tip_jacobian
 from tests.controller.synthetic import active_state, constants, efficiency, load_statics
 
 
 @kernel("constants", "layout", "vector")
-def _static_torque(block: Block, at: Places, q: np.ndarray) -> np.ndarray:
+def _static_torque(block: BlockArray, at: TablePlaces, q: np.ndarray) -> np.ndarray:
     torque = np.empty(len(q))
     statics.write_static_torque(constant_tables(block, at), q, torque)
     return torque
@@ -32,7 +32,7 @@ def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
 
 def filter_table_at(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
     """Return filter states (N, 7) of a hand whose digits are at given coordinates."""
-    table = np.zeros((model.tendon_count, STATES))
+    table = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
         table[tendons, S] = digit.reduced_moment_arms @ one
     table[:, V] = speed

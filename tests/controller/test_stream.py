@@ -13,9 +13,9 @@ from handctl.controller.snapshot import restore_state, snapshot_bytes
 from handctl.controller.state import layout_of_state
 from handctl.controller.streams import stream_status
 from handctl.core import block as s
-from handctl.core.law.goal import Kind
+from handctl.core.law.goal import GoalKind
 from handctl.core.law.stream import begin_segments
-from handctl.core.law.trajectory import Streamed
+from handctl.core.law.trajectory import StreamedTrajectory
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut
 from handctl.hand.dynamics import static_torque
@@ -24,7 +24,7 @@ from handctl.programs.live import LiveProgram
 from handctl.programs.requests import is_target, parse_target, target_text
 from handctl.programs.streams import continued_move, horizon_s, mapping_of_stream, nearest_holdable_posture
 from handctl.programs.task import Task
-from handctl.session.simulate import Simulation, Simulator, homed_controller
+from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 100.0
 MIDDLE_DEG, SWING_DEG = 30.0, 20.0
@@ -44,7 +44,7 @@ class Client:
         outs: outputs of all ticks since the hand began to wait for requests.
     """
 
-    def __init__(self, run: Simulation, model: HandModel, name: str = "one") -> None:
+    def __init__(self, run: SimulatedRun, model: HandModel, name: str = "one") -> None:
         self.run, self.model, self.name, self.sent = run, model, name, 0
         self.outs = list[TickOut]()
         assert run.until(lambda out: out.phase == "live", 5.0)
@@ -99,11 +99,11 @@ class Client:
 def live(model: HandModel) -> Iterator[Client]:
     """Yield a client of a simulated hand that waits for requests."""
     hand = model.hand.name
-    with Simulator(hand, homed=True).against(homed_controller(model, LiveProgram())) as run:
+    with SimulatorSettings(hand, homed=True).against(homed_controller(model, LiveProgram())) as run:
         yield Client(run, model)
 
 
-def true_angle(run: Simulation) -> float:
+def true_angle(run: SimulatedRun) -> float:
     """Return the mean joint angle of the first digit in the simulator [deg]."""
     return float(np.degrees(run.peer.world.plant.engine.q[:3]).mean())
 
@@ -143,7 +143,7 @@ def error_of_trajectory(model: HandModel) -> float:
     follow = {"kind": "follow", "name": "follow", "time_s": times.tolist(), "angle_deg": angles}
     task = {"schema": 1, "name": "sine", "phase": [stay, follow]}
     program = TaskProgram(Task.model_validate_json(json.dumps(task)))
-    with Simulator(model.hand.name, homed=True).against(homed_controller(model, program)) as run:
+    with SimulatorSettings(model.hand.name, homed=True).against(homed_controller(model, program)) as run:
         began, missed = None, []
         while run.out is None or run.out.mode != Mode.DONE:
             if run.out is not None and run.out.phase == "follow":
@@ -167,7 +167,7 @@ def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
         check_ticks_repeat(client.run, middle, at)
 
 
-def check_ticks_repeat(run: Simulation, middle: bytes, at: int) -> None:
+def check_ticks_repeat(run: SimulatedRun, middle: bytes, at: int) -> None:
     """Check that the recorded ticks repeat to the last bit, from the start and from a snapshot after ``at`` ticks."""
     controller = run.controller
     for state, ticks in (
@@ -695,5 +695,5 @@ def test_a_stream_needs_no_goal_objects_per_target(jamia: HandModel) -> None:
         goals = client.run.state.progress.goals
         client.follow(lambda t: 10.0 * t, 0.2)
         assert client.run.state.progress.goals is goals
-        assert goals[0].kind == Kind.MOTION
-        assert isinstance(goals[0].trajectory, Streamed)
+        assert goals[0].kind == GoalKind.MOTION
+        assert isinstance(goals[0].trajectory, StreamedTrajectory)

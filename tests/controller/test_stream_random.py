@@ -21,7 +21,7 @@ from handctl.core.types import Mode
 from handctl.hand.load import load_hand, packaged_hands
 from handctl.programs.live import LiveProgram
 from handctl.session.plan import highest_rate_of_buses
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.test_stream import Client
 
 Array = NDArray[np.float64]
@@ -116,7 +116,7 @@ def test_random_targets_cause_no_fault(space: str, hand: str, kind: Callable[...
     times = np.arange(round(SECONDS * rate)) / rate
     targets = kind(np.random.default_rng(seed), low, high, times)
     trip = np.array([tendon.tension_trip_N for tendon in model.hand.tendon])
-    with Simulator(hand, None, seed, homed=True).against(homed_controller(model, LiveProgram())) as run:
+    with SimulatorSettings(hand, None, seed, homed=True).against(homed_controller(model, LiveProgram())) as run:
         run.record = False
         client = Client(run, model)
         assert client.open(space, names, rate_Hz=rate).startswith("stream")

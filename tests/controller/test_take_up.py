@@ -3,12 +3,12 @@
 import pytest
 
 from handctl.core.block import state_tables
-from handctl.core.estimation.filter_stack import Regime
+from handctl.core.estimation.filter_stack import TendonRegime
 from handctl.core.estimation.take_up import NEARLY_TAUT_M, is_nearly_taut, is_regime_over, regime_evidence
 from handctl.core.model import HandModel
 from tests.controller.synthetic import active_state, interpreted
 
-SLACK = int(Regime.SLACK)
+SLACK = int(TendonRegime.SLACK)
 
 
 @pytest.mark.parametrize(("length_is_known", "samples"), [(True, 1), (False, 3)])

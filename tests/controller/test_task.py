@@ -9,11 +9,11 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.programs.program import TARE_PHASE
 from handctl.programs.task import (
-    Close,
+    ClosePhase,
     DigitShape,
-    Hold,
-    Move,
-    Release,
+    HoldPhase,
+    MovePhase,
+    ReleasePhase,
     check_task,
     load_task,
     shapes_of_digits,
@@ -126,7 +126,7 @@ def _written(folder: Path, text: str) -> Path:
 def test_phases_have_the_type_of_their_kind(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
     path.write_text(GOOD + '[[phase]]\nkind = "close"\n[[phase]]\nkind = "release"\n')
-    assert [type(phase) for phase in load_task(path).phase] == [Move, Hold, Close, Release]
+    assert [type(phase) for phase in load_task(path).phase] == [MovePhase, HoldPhase, ClosePhase, ReleasePhase]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from firmware_sim.scene.scene import load_scene
 from handctl.hand.load import load_hand, packaged_hands
-from handctl.programs.task import Close, Follow, Hold, Move, Release
+from handctl.programs.task import ClosePhase, FollowPhase, HoldPhase, MovePhase, ReleasePhase
 from handctl.session.tasks import find_task
 
 ROOT = Path(__file__).parents[2]
@@ -40,6 +40,6 @@ def test_every_packaged_task_and_its_scenes_are_named() -> None:
 
 
 def test_every_key_of_every_phase_is_named() -> None:
-    for kind in (Move, Close, Hold, Release, Follow):
+    for kind in (MovePhase, ClosePhase, HoldPhase, ReleasePhase, FollowPhase):
         for key in kind.model_fields.keys() - {"kind", "name"}:
             assert f"`{key}`" in PAGE, (kind.__name__, key)

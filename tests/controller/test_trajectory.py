@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core.law.trajectory import PEAK_SPEED, Curve, MinimumJerk, duration_for
+from handctl.core.law.trajectory import PEAK_SPEED, CurveTrajectory, MinimumJerk, duration_for
 from handctl.core.plain import plain_bytes
 
 angles = st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2).map(np.array)
@@ -78,7 +78,7 @@ times = st.lists(st.floats(0.05, 2.0), min_size=1, max_size=6).map(lambda steps:
 def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) -> None:
     when = data.draw(times)
     points = tuple(data.draw(st.lists(st.floats(-0.5, 2.0), min_size=len(when), max_size=len(when))))
-    curve = Curve.through(when, points, 2)
+    curve = CurveTrajectory.through(when, points, 2)
     assert curve.duration == when[-1]
     for t, point in zip(when, points, strict=True):
         np.testing.assert_allclose(curve.at(t)[0], [point, point], atol=1e-9)
@@ -94,7 +94,7 @@ def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) 
 
 @given(points=st.lists(st.floats(-0.5, 2.0), min_size=4, max_size=4), share=st.floats(0.02, 0.98))
 def test_curve_derivatives_match_differences(points: list[float], share: float) -> None:
-    curve, h = Curve.through((0.0, 0.4, 1.0, 1.3), tuple(points), 1), 1e-5
+    curve, h = CurveTrajectory.through((0.0, 0.4, 1.0, 1.3), tuple(points), 1), 1e-5
     t = share * 1.3
     if min(abs(t - knot) for knot in (0.4, 1.0)) < 2 * h:
         return
@@ -110,10 +110,10 @@ def test_every_number_of_a_way_is_in_its_plain_form() -> None:
         MinimumJerk(np.array([0.1]), np.array([1.0]), 1.0),
         MinimumJerk(np.array([0.0]), np.array([1.1]), 1.0),
         MinimumJerk(np.array([0.0]), np.array([1.0]), 1.1),
-        Curve.through((0.0, 1.0), (0.0, 1.0), 1),
-        Curve.through((0.0, 1.1), (0.0, 1.0), 1),
-        Curve.through((0.0, 1.0), (0.1, 1.0), 1),
-        Curve.through((0.0, 1.0), (0.0, 1.1), 1),
-        Curve.through((0.0, 1.0), (0.0, 1.0), 3),
+        CurveTrajectory.through((0.0, 1.0), (0.0, 1.0), 1),
+        CurveTrajectory.through((0.0, 1.1), (0.0, 1.0), 1),
+        CurveTrajectory.through((0.0, 1.0), (0.1, 1.0), 1),
+        CurveTrajectory.through((0.0, 1.0), (0.0, 1.1), 1),
+        CurveTrajectory.through((0.0, 1.0), (0.0, 1.0), 3),
     ]
     assert len({plain_bytes(way) for way in ways}) == len(ways)

@@ -10,16 +10,16 @@ from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import structure
 from handctl.core.gains.gains import Gains
-from handctl.core.hand_constants import HandConstants, _compliance
+from handctl.core.hand_constants import HandConstants, _joint_compliance
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Places
+from handctl.core.schema import BlockArray, TablePlaces
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.hand.load import packaged_hands
 from handctl.hand.tendons import excursions
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.controller.synthetic import active_state
 from tests.hand.varied import with_varying_arms
@@ -30,12 +30,14 @@ SEEDS = range(20) if NIGHTLY else range(2)
 
 
 @kernel("block", "layout", "block", "layout")
-def _update(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+def _update(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> None:
     structure.update_structure(state_tables(block, at), constant_tables(constants, constants_at))
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
-def _arm(block: Block, at: Places, constants: Block, constants_at: Places, n: int, j: int, q: float) -> np.ndarray:
+def _arm(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces, n: int, j: int, q: float
+) -> np.ndarray:
     c = constant_tables(constants, constants_at)
     return np.array([
         structure.joint_excursion(c, n, j, q), structure.moment_arm(c, n, j, q), structure.arm_slope(c, n, j, q),
@@ -74,7 +76,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None
                 found = view[field] if field == "excursion_to_joints" else view[field].T
                 np.testing.assert_allclose(found[block], here.excursion_to_joints, rtol=1e-4, atol=1e-3)
             square = np.ix_(*[range(*digit.joints.indices(len(q)))] * 2)
-            np.testing.assert_allclose(view["compliance"][square], _compliance(here), rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(view["compliance"][square], _joint_compliance(here), rtol=1e-4, atol=1e-4)
             balance = view["balance"][digit.tendons]
             if model.redundancy.surplus[digit.tendons.start]:
                 assert (balance > 0.0).all()
@@ -109,7 +111,7 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
     """Return the RMSE of true against commanded joint angles [deg] while a simulated hand moves."""
     task = TaskProgram(moves((5.0, 0.5), (42.0, 0.7), (15.0, 0.6), (45.0, 0.6), (10.0, 0.6)))
     errors = list[np.ndarray]()
-    with Simulator(hand, None, seed, homed=True).against(homed_controller(model, task, hand)) as run:
+    with SimulatorSettings(hand, None, seed, homed=True).against(homed_controller(model, task, hand)) as run:
         run.record = False
         for _, out in run.ticks(10.0):
             assert not [event for event in out.events if event.level == "error"]

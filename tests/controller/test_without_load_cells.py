@@ -14,15 +14,15 @@ import pytest
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.model import BLIND_SIGMAS, HandModel
-from handctl.core.types import Event, Mode
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.core.types import Mode, TickEvent
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content
 from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
-from handctl.session.simulate import Simulation, Simulator, homed_controller
+from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 500.0
 SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
@@ -83,7 +83,7 @@ class BlindRun:
     tension: list[np.ndarray] = field(default_factory=list)
     sigma: list[np.ndarray] = field(default_factory=list)
     true: list[np.ndarray] = field(default_factory=list)
-    events: list[Event] = field(default_factory=list)
+    events: list[TickEvent] = field(default_factory=list)
     height: float = 0.0
 
     def error(self, *phases: str) -> np.ndarray:
@@ -100,7 +100,7 @@ def run_without_sensors(
     Injected faults contain their own times.
     """
     rows = BlindRun()
-    with Simulator(without(), scene, seed, homed=True).against(homed_controller(model_of(), program)) as run:
+    with SimulatorSettings(without(), scene, seed, homed=True).against(homed_controller(model_of(), program)) as run:
         run.record = False
         for fault in faults:
             run.peer.inject(fault)
@@ -119,8 +119,8 @@ def run_without_sensors(
 @pytest.mark.parametrize("bare", [(), ("index_tendon", "thumb_tendon")])
 def test_hand_commissions_with_the_tares_of_its_load_cells(bare: tuple[str, ...], seed: int) -> None:
     hand = without(*bare)
-    with Simulator(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
-        run = Simulation.of(make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer)
+    with SimulatorSettings(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
+        run = SimulatedRun.of(make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer)
         for _, out in run.ticks(30.0):
             assert not [event for event in out.events if event.level == "error"]
         found = calibration_of_result(model_of(*bare), run.state.progress, "2026-01-01T00:00:00+00:00")
@@ -157,7 +157,7 @@ def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
 def test_a_hand_without_sensors_sends_no_sync() -> None:
     hand = without()
     controller = homed_controller(model_of(), TaskProgram(TASK))
-    with Simulator(hand, None, 0, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, None, 0, homed=True).against(controller) as run:
         sync = (controller.sensors.bus, hand.sensor_node.sync_id)
         for _, out in run.ticks(1.0):
             assert sync not in {(frame.bus, frame.can_id) for frame in out.frames}
@@ -168,11 +168,11 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
     content: dict[str, Any] = hand_content("jamia")
     del content["sensor_node"]
     content["motor"] = [
-        motor | {"protocol": "cia402", "options": PROTOCOLS["cia402"].options} for motor in content["motor"]
+        motor | {"protocol": "cia402", "options": PROTOCOL_TRAITS["cia402"].options} for motor in content["motor"]
     ]
     hand = hand_from_content(content, "cia402")
     model = HandModel.of(hand, Gains(), 250.0)
-    with Simulator(hand, None, 0, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:
+    with SimulatorSettings(hand, None, 0, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:
         assert run.until(lambda out: out.mode == Mode.ACTIVE, 10.0)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.main import VERBS, verb_parser
+from handctl.cli.main import VERB_HELP, verb_parser
 from handctl.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -23,7 +23,7 @@ def commands(text: str) -> list[list[str]]:
     for block in FENCE.findall(text):
         lines += re.findall(r"^ *(?:sudo )?handctl ([^\n#;&|]+)$", block, re.MULTILINE)
     plain = [line for line in lines if not re.search(r"[<>\[\]]|\.\.\.", line)]
-    return [words for words in map(shlex.split, plain) if words[0] in VERBS]
+    return [words for words in map(shlex.split, plain) if words[0] in VERB_HELP]
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())

@@ -8,7 +8,7 @@ import pytest
 
 from handctl.cli.main import main
 from tools.figures.numbers import TABLE_PATTERN, rows_of
-from tools.figures.runs import DEMO
+from tools.figures.runs import DEMO_COMMAND
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "docs" / "start" / "ten-minutes.md"]
@@ -18,7 +18,7 @@ TOLERANCE, ROUNDED = 0.1, 0.051
 
 
 def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([*DEMO, "--log", str(tmp_path / "demo.mcap")]) == 0
+    assert main([*DEMO_COMMAND, "--log", str(tmp_path / "demo.mcap")]) == 0
     right = " ".join(f"{name} {value}" for name, value in rows_of(json.loads(capsys.readouterr().out)))
     for page in PAGES:
         places = [match[2] for match in TABLE_PATTERN.finditer(page.read_text(encoding="utf-8"))]

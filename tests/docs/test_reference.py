@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.main import VERBS
-from tools.reference.blocks import BLOCK_PATTERN, BLOCKS, filled, pages
+from handctl.cli.main import VERB_HELP
+from tools.reference.blocks import BLOCK_FUNCTIONS, BLOCK_PATTERN, filled_page, pages
 from tools.reference.topics import registered
 
 ROOT = Path(__file__).parents[2]
@@ -21,18 +21,18 @@ def test_no_page_is_stale(page: str) -> None:
 
 def test_every_block_has_a_page() -> None:
     written = {match[2] for text, _ in PAGES.values() for match in BLOCK_PATTERN.finditer(text)}
-    assert written == set(BLOCKS)
+    assert written == set(BLOCK_FUNCTIONS)
 
 
 def test_a_changed_block_is_stale() -> None:
     text = "<!-- generated: exit-codes -->\n\n| 0 | fine |\n\n<!-- end of generated -->\n"
-    assert "| 71 | `REMOVE_POWER` |" in filled(text)
-    assert filled(filled(text)) == filled(text)
+    assert "| 71 | `REMOVE_POWER` |" in filled_page(text)
+    assert filled_page(filled_page(text)) == filled_page(text)
 
 
 def test_every_verb_has_a_section_with_its_example() -> None:
     page = PAGES["docs/reference/verbs.md"][0]
-    for verb in VERBS:
+    for verb in VERB_HELP:
         section = page.split(f"\n### handctl {verb}\n")[1].split("\n### ")[0]
         assert "example:\n" in section, verb
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from handctl.drives.contract import DriveState, DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from tests.drives.motor import ScriptedMotor
@@ -54,7 +54,7 @@ class MotorRig:
         self.t_ns += PERIOD_NS
         return self.state
 
-    def until(self, target: DriveTarget, *phases: Phase, ticks: int = 300) -> DriveState:
+    def until(self, target: DriveTarget, *phases: DrivePhase, ticks: int = 300) -> DriveState:
         """Run ticks until the drive is in one of the given phases, or fail."""
         for _ in range(ticks):
             if self.tick(target).phase in phases:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.rig import Rig
-from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
+from firmware_sim.rig import LockstepHand
+from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.drives.registry import make_drive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.file.sections import Motor
@@ -22,7 +22,7 @@ OPTIONS = {
     name: "[motor.options]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in traits.options.items())
     if traits.options
     else ""
-    for name, traits in PROTOCOLS.items()
+    for name, traits in PROTOCOL_TRAITS.items()
 }
 """Options that a motor needs in each protocol, as text of a section of the hand file."""
 
@@ -41,7 +41,7 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
         text = text.replace('"mit"', f'"{protocol}"')
         text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", text)
         options = OPTIONS[protocol] + extra
-        if PROTOCOLS[protocol].can_fd and "data_bitrate" not in head:
+        if PROTOCOL_TRAITS[protocol].can_fd and "data_bitrate" not in head:
             head = head.replace("bitrate = 1000000\n", "bitrate = 1000000\ndata_bitrate = 5000000\n")
         motors[i] = text.rstrip() + "\n" + options + "\n" if options else text
     path = folder / "hand.toml"
@@ -68,7 +68,7 @@ class Bench:
         """Start the simulator and the drives of a hand file."""
         self.hand = load_hand(str(path))
         self.period_ns = period_ns
-        self.rig = Rig(str(path), seed=3, period_ns=period_ns, wire=wire)
+        self.rig = LockstepHand(str(path), seed=3, period_ns=period_ns, wire=wire)
         buses = self.hand.bus_names
         motors = [self.hand.motor_of(name) for name in self.hand.tendon_names]
         self.drives: list[Drive] = [make_drive(motor, buses.index(motor.bus)) for motor in motors]
@@ -91,7 +91,7 @@ class Bench:
         self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * self.period_ns, list(outgoing))]
         self.k += 1
 
-    def until(self, target: DriveTarget, phase: Phase, ticks: int = 400) -> None:
+    def until(self, target: DriveTarget, phase: DrivePhase, ticks: int = 400) -> None:
         """Run ticks until all drives are in a phase, or fail."""
         for _ in range(ticks):
             self.tick(target)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from firmware_sim.rig import Rig
-from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
+from firmware_sim.rig import LockstepHand
+from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.sensors.node import SensorNode
@@ -24,7 +24,7 @@ class Bench:
 
     def __init__(self) -> None:
         """Start the simulator and the drives of the packaged hand."""
-        self.rig = Rig("jamia", seed=3, period_ns=PERIOD_NS)
+        self.rig = LockstepHand("jamia", seed=3, period_ns=PERIOD_NS)
         self.drives: list[Drive] = [make_drive(HAND.motor_of(name), 0) for name in HAND.tendon_names]
         self.states: list[DriveState] = [drive.initial() for drive in self.drives]
         self.node = SensorNode.of(HAND.sensor_node, 0, HAND.tendon_names, HAND.joints)
@@ -46,7 +46,7 @@ class Bench:
         self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * PERIOD_NS, list(outgoing))]
         self.k += 1
 
-    def until(self, target: DriveTarget, phase: Phase, ticks: int = 200) -> None:
+    def until(self, target: DriveTarget, phase: DrivePhase, ticks: int = 200) -> None:
         """Run ticks until all drives are in a phase, or fail."""
         for _ in range(ticks):
             self.tick(target)
@@ -63,8 +63,8 @@ def bench() -> Iterator[Bench]:
 
 
 def test_a_drive_goes_from_silent_to_enabled_and_back(bench: Bench) -> None:
-    bench.until(DriveTarget.POLL, Phase.READY)
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
         bench.tick(DriveTarget.ENABLE, 0.05)
     assert sorted(bench.tensions) == [0, 1, 2, 3]
@@ -74,19 +74,19 @@ def test_a_drive_goes_from_silent_to_enabled_and_back(bench: Bench) -> None:
         assert 5.0 < bench.tensions[i] < 15.0, "0.05 N m on a spool of 5 mm is 10 N, friction aside"
     bench.tick(DriveTarget.DISABLE)
     bench.tick(DriveTarget.DISABLE)
-    assert [state.phase for state in bench.states] == [Phase.READY] * 4
+    assert [state.phase for state in bench.states] == [DrivePhase.READY] * 4
     assert (bench.sensors.number("stale"), bench.sensors.misread) == (0, False)
     assert [state.misread for state in bench.states] == [0] * 4
 
 
 def test_the_watchdog_fires_on_silence_and_clear_makes_the_drive_ready(bench: Bench) -> None:
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(40):  # 80 ms, longer than the watchdog's 50 ms
         bench.tick(DriveTarget.LISTEN)
-    bench.until(DriveTarget.ENABLE, Phase.FAULT, ticks=3)
+    bench.until(DriveTarget.ENABLE, DrivePhase.FAULT, ticks=3)
     assert {state.error_text for state in bench.states} == {"communication lost: the drive's watchdog fired"}
     for i, drive in enumerate(bench.drives):
         bench.states[i], frames = drive.clear(bench.states[i])
         assert len(frames) == 1
-    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
     assert [state.error for state in bench.states] == [0] * 4

@@ -10,19 +10,19 @@ import cantools
 import pytest
 
 from firmware_sim.bus.frame import Frame as WireFrame
-from firmware_sim.rig import Rig
-from handctl.campaign.stage import GRASP, advance_to, homed_run
+from firmware_sim.rig import LockstepHand
+from handctl.campaign.stage import GRASP_STAGE, advance_to, homed_run
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.core.types import Mode
 from handctl.drives.cia404.load_cells import Cia404LoadCells
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.dbc import dbc_of_bus
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, load_hand
 from handctl.runtime.diagnostics.scan import scan_bus
-from handctl.session.simulate import Simulation
+from handctl.session.simulate import SimulatedRun
 from tests.drives.wired import Wired
 
 TENDONS = ("a", "b", "c")
@@ -126,7 +126,7 @@ class Bench:
 
     def __init__(self, hand: Hand, path: str) -> None:
         """Start the simulator of a hand file."""
-        self.rig = Rig(path, seed=1, period_ns=PERIOD_NS)
+        self.rig = LockstepHand(path, seed=1, period_ns=PERIOD_NS)
         self.sensors = make_sensors(hand)
         self.states = [one.initial() for one in self.sensors.amplifiers]
         self.k = 0
@@ -151,7 +151,7 @@ class Bench:
                 self.states[i] = amplifier.receive(self.states[i], frame)
         self.k += 1
 
-    def until(self, phase: Phase, ticks: int = 400) -> None:
+    def until(self, phase: DrivePhase, ticks: int = 400) -> None:
         """Run ticks until all amplifiers are in a phase, or fail."""
         for _ in range(ticks):
             self.tick()
@@ -176,7 +176,7 @@ def make_bench(folder: Any, **changed: Any) -> Bench:
 
 
 def test_the_set_up_reads_each_object_back_and_starts_the_amplifier(bench: Bench) -> None:
-    bench.until(Phase.READY)
+    bench.until(DrivePhase.READY)
     for node in bench.nodes:
         objects = node.objects
         assert node.nmt == 0x05
@@ -189,19 +189,19 @@ def test_the_set_up_reads_each_object_back_and_starts_the_amplifier(bench: Bench
 
 
 def test_a_unit_that_is_right_already_is_not_written(bench: Bench) -> None:
-    bench.until(Phase.READY)
+    bench.until(DrivePhase.READY)
     written = [frame.data[1:4] for frame in bench.sent if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20]
     assert bytes.fromhex("316101") in written
     bench.states = [one.initial() for one in bench.sensors.amplifiers]
     bench.sent.clear()
-    bench.until(Phase.READY)
+    bench.until(DrivePhase.READY)
     written = [frame.data[1:4] for frame in bench.sent if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20]
     assert bytes.fromhex("316101") not in written
     assert bytes.fromhex("001801") in written
 
 
 def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: Bench) -> None:
-    bench.until(Phase.READY)
+    bench.until(DrivePhase.READY)
     assert {frame.can_id for frame in bench.sent} == {0x000, 0x080, 0x621, 0x622}
     assert {frame.data[0] for frame in bench.sent if frame.can_id == 0x000} == {0x80, 0x01}
 
@@ -265,30 +265,30 @@ def test_frames_before_the_set_up_are_not_used() -> None:
 
 
 def test_a_restart_needs_the_set_up_again_and_not_while_torque_may_act(bench: Bench) -> None:
-    bench.until(Phase.READY)
+    bench.until(DrivePhase.READY)
     bench.nodes[0].restart()
     bench.tick(DriveTarget.ENABLE)
     bench.tick(DriveTarget.ENABLE)
-    assert [state.phase for state in bench.states] == [Phase.SILENT, Phase.READY]
+    assert [state.phase for state in bench.states] == [DrivePhase.SILENT, DrivePhase.READY]
     bench.sent.clear()
     for _ in range(50):
         bench.tick(DriveTarget.ENABLE)
     assert {frame.can_id for frame in bench.sent} == {0x080}
-    bench.until(Phase.READY)
+    bench.until(DrivePhase.READY)
 
 
 # Faults of the amplifiers.
 
 
-def nodes_of(simulation: Simulation) -> list[Any]:
+def nodes_of(simulation: SimulatedRun) -> list[Any]:
     """Return the simulated amplifiers of a run."""
     return simulation.peer.world.sensor_nodes  # type: ignore[attr-defined]
 
 
-def faults_of(hand: Hand, seed: int, start: Callable[[Simulation], None], ticks: int = 60) -> tuple[set[str], int]:
+def faults_of(hand: Hand, seed: int, start: Callable[[SimulatedRun], None], ticks: int = 60) -> tuple[set[str], int]:
     """Return the faults that follow a disturbance of a grasp, and the tick in which the controller first reacts."""
     with homed_run(hand, 500.0, seed) as simulation:
-        advance_to(simulation, GRASP)
+        advance_to(simulation, GRASP_STAGE)
         start(simulation)
         found: set[str] = set()
         first = -1
@@ -300,11 +300,11 @@ def faults_of(hand: Hand, seed: int, start: Callable[[Simulation], None], ticks:
         return found, first
 
 
-def inject(text: str) -> Callable[[Simulation], None]:
+def inject(text: str) -> Callable[[SimulatedRun], None]:
     return lambda simulation: simulation.peer.inject(text)
 
 
-def restart_all(simulation: Simulation) -> None:
+def restart_all(simulation: SimulatedRun) -> None:
     for node in nodes_of(simulation):
         node.restart()
 
@@ -357,7 +357,7 @@ def test_two_amplifiers_with_one_number_are_found() -> None:
 def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
     for value in ("int32", "real32"):
         with homed_run(with_amplifiers(process_value=value), 500.0, seed) as simulation:
-            advance_to(simulation, GRASP)
+            advance_to(simulation, GRASP_STAGE)
             for _ in range(500):
                 assert simulation.tick().mode == Mode.ACTIVE
             truth = simulation.peer.truth()["tension"]

@@ -8,10 +8,11 @@ import pytest
 from handctl.drives.cia402 import codec as cia402
 from handctl.drives.mit import codec as mit
 from handctl.drives.odrive import codec as odrive
-from handctl.drives.signals import Table
+from handctl.drives.signals import SignalTable
 
 STATUS = {
-    0x0000: cia402.NOT_READY, 0x0040: cia402.OFF, 0x0021: cia402.READY_TO_SWITCH_ON, 0x0023: cia402.SWITCHED_ON,
+    0x0000: cia402.NOT_READY, 0x0040: cia402.SWITCH_ON_DISABLED, 0x0021: cia402.READY_TO_SWITCH_ON,
+    0x0023: cia402.SWITCHED_ON,
     0x0027: cia402.OPERATION_ENABLED, 0x0007: cia402.QUICK_STOP, 0x000F: cia402.FAULT_REACTION, 0x0008: cia402.FAULT,
 }  # fmt: skip
 
@@ -19,7 +20,7 @@ STATUS = {
 def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
     """The position of a TPDO is in counts, its torque in thousandths of the rated torque."""
     message = cia402.feedback_message(5, 1, 1.0, 1.0, 0.0)
-    table = Table(message._replace(signals=tuple(signal._replace(scale=1.0) for signal in message.signals)))
+    table = SignalTable(message._replace(signals=tuple(signal._replace(scale=1.0) for signal in message.signals)))
     assert table.unpack(bytes.fromhex("3706 feffffff 18fc")) == [0x7, 0x1, -2, -1000]
     assert table.unpack(bytes.fromhex("3786 00000080 0080")) == [0x7, 0x1, -(2**31), -(2**15)]
     assert cia402.power_state(0x0637) == cia402.OPERATION_ENABLED
@@ -38,7 +39,7 @@ def test_a_word_that_the_standard_does_not_know_is_no_state() -> None:
 
 def test_a_command_is_a_control_word_and_a_torque() -> None:
     top = cia402.MAX_TORQUE_COUNT
-    command = Table(cia402.command_message(5, 1.0, 1000.0, top))
+    command = SignalTable(cia402.command_message(5, 1.0, 1000.0, top))
     assert command.pack(-1000.4).hex(" ") == "0f 00 18 fc"
     assert command.pack(1.0).hex(" ") == "0f 00 01 00"
     assert command.pack(top).hex(" ") == "0f 00 ff 7f"

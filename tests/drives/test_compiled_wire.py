@@ -13,19 +13,19 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-from fuzz.drives import DRIVES, Fuzzed
+from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.drives.cia402.drive import Cia402Drive
-from handctl.drives.contract import UNSTEADY, Drive, DriveState, DriveTarget, Phase
+from handctl.drives.contract import NO_STEADY_STATUS, Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, ERROR, FDF, REMOTE, Frame
 from handctl.drives.odrive.drive import OdriveDrive
-from handctl.drives.registry import PROTOCOLS
+from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.drives.sensors.node import SensorNode
 from tests.drives.protocol_bench import PERIOD_NS, Bench, hand_file
 from tests.drives.wired import Wired
 
-VARIANTS = DRIVES | {
-    "mit-fd": Fuzzed("mit", "[motor.options]\nfd = true\n"),
-    "odrive-torque": Fuzzed("odrive", "torque_feedback = true\n"),
+VARIANTS = FUZZED_DRIVES | {
+    "mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n"),
+    "odrive-torque": FuzzedDrive("odrive", "torque_feedback = true\n"),
 }
 SEEDS, TICKS = range(20), 150
 NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
@@ -40,8 +40,8 @@ def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
         lines = path.read_text().splitlines(keepends=True)
         path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
         bench = Bench(path)
-        bench.until(DriveTarget.POLL, Phase.READY)
-        bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+        bench.until(DriveTarget.POLL, DrivePhase.READY)
+        bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
         drive, state, t_ns = bench.drives[0], bench.states[0], bench.k * PERIOD_NS
         heard: list[Frame] = []
         for _ in range(60):
@@ -118,7 +118,7 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
         state, frames = drive.advance(state, t_ns, target, torque)
         assert wired.send(target, [torque], t_ns) == list(frames)
         assert are_states_equal(wired.drive(0), state, drive)
-        if drive.steady_status(state) == UNSTEADY and chance.random() < 0.3:
+        if drive.steady_status(state) == NO_STEADY_STATUS and chance.random() < 0.3:
             state = enabled_now(begin, t_ns)
             wired.keep(0, state)
         t_ns += PERIOD_NS
@@ -155,11 +155,11 @@ def test_invalid_torque_is_never_sent(name: str) -> None:
 @pytest.mark.parametrize("name", VARIANTS)
 def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
     drive, state, t_ns, _ = enable_drive(name)
-    assert drive.steady_status(state) != UNSTEADY
+    assert drive.steady_status(state) != NO_STEADY_STATUS
     due = drive.due_ns(state)
     assert due > t_ns - PERIOD_NS
-    for silent in (drive.initial(), state._replace(phase=Phase.READY), state._replace(phase=Phase.FAULT)):
-        assert drive.steady_status(silent) == UNSTEADY
+    for silent in (drive.initial(), state._replace(phase=DrivePhase.READY), state._replace(phase=DrivePhase.FAULT)):
+        assert drive.steady_status(silent) == NO_STEADY_STATUS
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -180,4 +180,4 @@ def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
 
 
 def test_every_protocol_has_a_case() -> None:
-    assert {variant.protocol for variant in VARIANTS.values()} == set(PROTOCOLS)
+    assert {variant.protocol for variant in VARIANTS.values()} == set(PROTOCOL_ENTRIES)

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, Error
-from firmware_sim.programs.drive import Bench as DriveBench
+from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, FeedbackError
+from firmware_sim.programs.drive import SimulatedDriveBench as DriveBench
 from firmware_sim.programs.drive_types import drive_spec
-from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
-from handctl.drives.mit.cubemars import MODELS, CubemarsDrive
+from handctl.drives.mit.cubemars import MOTOR_MODEL_RANGES, CubemarsDrive
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
@@ -39,9 +39,9 @@ def first(bench: Bench) -> CubemarsNode:
 
 
 def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench) -> None:
-    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
     assert servo_torques(bench) == [0.0] * 4
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
         bench.tick(DriveTarget.ENABLE, 0.05)
     world = bench.rig.world
@@ -51,49 +51,52 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench)
         assert state.torque == pytest.approx(0.05, abs=2 * STEP_N_M)
         assert state.temperature == 25.0
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=STEP_N_M)
-    bench.until(DriveTarget.DISABLE, Phase.READY, ticks=100)
+    bench.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert world.malformed == 0
 
 
 def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off(bench: Bench) -> None:
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(100):
         bench.incoming = []
         bench.tick(DriveTarget.DISABLE)
-    assert {state.phase for state in bench.states} == {Phase.ENABLED}
+    assert {state.phase for state in bench.states} == {DrivePhase.ENABLED}
     drive, state = bench.drives[0], bench.states[0]
     pulling = bytes((0x10, 0x80, 0, 0x7F, 0xF9, 0, 30, 0))
     for tick in range(20):
         state = drive.receive(state, Frame(0x10, pulling, 0, 0, bench.k * 2_000_000 + tick))
         state, frames = drive.advance(state, bench.k * 2_000_000 + tick, DriveTarget.DISABLE, 0.0)
-        assert state.phase == Phase.ENABLED
+        assert state.phase == DrivePhase.ENABLED
         assert frames == drive.cut()
 
 
 @pytest.mark.parametrize(
     ("error", "words", "cause"),
-    [(Error.HOT, "over-temperature", Cause.HOT), (Error.UNDER_VOLTAGE, "under-voltage", Cause.VOLTAGE),
-     (Error.ENCODER, "encoder error", Cause.OTHER)],
+    [(FeedbackError.HOT, "over-temperature", DriveFaultCause.HOT),
+     (FeedbackError.UNDER_VOLTAGE, "under-voltage", DriveFaultCause.VOLTAGE),
+     (FeedbackError.ENCODER, "encoder error", DriveFaultCause.OTHER)],
 )  # fmt: skip
-def test_an_error_has_a_text_and_ends_only_by_a_clear(bench: Bench, error: Error, words: str, cause: Cause) -> None:
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+def test_an_error_has_a_text_and_ends_only_by_a_clear(
+    bench: Bench, error: FeedbackError, words: str, cause: DriveFaultCause
+) -> None:
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     first(bench).trip(error)
     for _ in range(5):
         bench.tick(DriveTarget.ENABLE, 0.05)
     state = bench.states[0]
-    assert (state.phase, state.error_text, bench.drives[0].cause(state.error)) == (Phase.FAULT, words, cause)
+    assert (state.phase, state.error_text, bench.drives[0].cause(state.error)) == (DrivePhase.FAULT, words, cause)
     bench.clear()
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
-    assert bench.states[0].phase == Phase.FAULT, "it still has it"
-    first(bench).trip(Error.NONE)
+    assert bench.states[0].phase == DrivePhase.FAULT, "it still has it"
+    first(bench).trip(FeedbackError.NONE)
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE)
-    assert bench.states[0].phase == Phase.FAULT
+    assert bench.states[0].phase == DrivePhase.FAULT
     bench.clear()
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
 
 
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
@@ -124,14 +127,14 @@ def test_another_offset_of_temperature_is_refused(offset: object) -> None:
 def test_older_firmware_answers_with_six_bytes(bench: Bench) -> None:
     for node in bench.rig.world.nodes[0][:4]:
         node.short = True  # type: ignore[attr-defined]
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert math.isnan(bench.states[0].temperature)
-    bench.until(DriveTarget.DISABLE, Phase.READY)
+    bench.until(DriveTarget.DISABLE, DrivePhase.READY)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -18.0])
 def test_invalid_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     with pytest.raises(ValueError, match="index_motor"):
         bench.drives[0].advance(bench.states[0], bench.k * 2_000_000, DriveTarget.ENABLE, torque)
 
@@ -153,16 +156,16 @@ def test_a_cubemars_drive_fails_only_checks_that_need_a_reported_state() -> None
 def test_a_motor_that_does_not_disable_is_detected() -> None:
     place = VirtualBench("cubemars", "deaf")
     rig = rig_on(place, "cubemars", 0.5)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 1.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0)
     place.bench.motors[0].servo.kd = 1.0
     place.bench.motors[0].omega = 8.0
     rig.until(DriveTarget.DISABLE, lambda state: False, 0.02)
-    assert rig.state.phase == Phase.ENABLED
+    assert rig.state.phase == DrivePhase.ENABLED
 
 
 @pytest.mark.parametrize("model", FULL_SCALE)
 def test_host_and_simulator_have_the_same_ranges(model: str) -> None:
-    assert tuple(MODELS[model]) == FULL_SCALE[model]
+    assert tuple(MOTOR_MODEL_RANGES[model]) == FULL_SCALE[model]
     assert DriveBench([drive_spec("mit", 1, model)]).receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
 
 

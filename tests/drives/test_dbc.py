@@ -9,10 +9,10 @@ import cantools
 import pytest
 from cantools.database import Database
 
-from fuzz.drives import DRIVES, Fuzzed
+from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.controller.setup import make_drives, make_sensors
-from handctl.drives.contract import DriveTarget, Phase
-from handctl.drives.dbc import HOST, SENSORS, dbc_of_bus
+from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.dbc import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
 from handctl.drives.frame import Frame
 from handctl.drives.signals import Message, Quantity
 from handctl.hand.description import Hand
@@ -21,7 +21,7 @@ from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
 from tests.drives.wired import Wired
 
 FIELD = {Quantity.POSITION: "position", Quantity.VELOCITY: "velocity", Quantity.TORQUE: "reported"}
-VARIANTS = DRIVES | {"mit-fd": Fuzzed("mit", "[motor.options]\nfd = true\n")}
+VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n")}
 TICKS = 40
 
 
@@ -55,8 +55,8 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
     They are commands and feedback of drives, and readings of load cells and joint encoders.
     """
     dbc, hand = database(bench.hand), bench.hand
-    bench.until(DriveTarget.POLL, Phase.READY)
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     wired, seen = Wired(bench.drives, bench.node), Counter[str]()
     for i, state in enumerate(bench.states):
         wired.keep(i, state)
@@ -107,10 +107,10 @@ def is_torque_command(dbc: Database, frame: Frame, bench: Bench, torque: float) 
 def test_the_dbc_tells_who_sends_and_what_is_fd(tmp_path: Path) -> None:
     dbc = database(load_hand(str(hand_file(tmp_path, ["mit"], "[motor.options]\nfd = true\n"))))
     senders = {message.name: message.senders for message in dbc.messages}
-    assert senders["sync"] == [HOST]
-    assert senders["tensions_0"] == [SENSORS]
+    assert senders["sync"] == [HOST_NODE_NAME]
+    assert senders["tensions_0"] == [SENSOR_NODE_NAME]
     assert senders["index_motor_feedback"] == ["index_motor"]
-    assert senders["index_motor_command"] == [HOST]
+    assert senders["index_motor_command"] == [HOST_NODE_NAME]
     assert dbc.get_message_by_name("index_motor_command").is_fd
     assert not dbc.get_message_by_name("sync").is_fd
     kd = dbc.get_message_by_name("index_motor_command").get_signal_by_name("kd")

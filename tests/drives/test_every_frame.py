@@ -10,9 +10,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from handctl.drives.contract import DriveState, DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, EXTENDED, FDF, Frame
-from handctl.drives.registry import PROTOCOLS
+from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import Bench, hand_file
 from tests.drives.virtual_bench import VirtualBench, rig_on
@@ -24,11 +24,11 @@ RANDOM_IDS = 200
 """Number of random 29-bit identifiers that each protocol is tested with."""
 
 
-@pytest.fixture(params=sorted(PROTOCOLS), scope="module")
+@pytest.fixture(params=sorted(PROTOCOL_ENTRIES), scope="module")
 def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     folder: Path = tmp_path_factory.mktemp("hand")
     made = Bench(hand_file(folder, [request.param]))
-    made.until(DriveTarget.ENABLE, Phase.ENABLED)
+    made.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     yield made
     made.rig.close()
 
@@ -55,7 +55,7 @@ def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:
 
 def states_of(bench: Bench) -> list[DriveState]:
     """Return a silent, a ready and an enabled state of the first drive. The enabled state comes from the bench."""
-    ready = bench.states[0]._replace(phase=Phase.READY)
+    ready = bench.states[0]._replace(phase=DrivePhase.READY)
     return [bench.drives[0].initial(), ready, bench.states[0]]
 
 
@@ -93,11 +93,11 @@ def test_simulated_drives_survive_every_frame(bench: Bench) -> None:
 def enabled(protocol: str) -> tuple[VirtualBench, DriveRig]:
     place = VirtualBench(protocol)
     rig = rig_on(place, protocol, LIMIT)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 10.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 10.0)
     return place, rig
 
 
-@pytest.mark.parametrize("protocol", sorted(PROTOCOLS))
+@pytest.mark.parametrize("protocol", sorted(PROTOCOL_ENTRIES))
 @given(torque=st.floats(width=64) | st.floats(-LIMIT, LIMIT))
 @example(torque=LIMIT)
 @example(torque=-LIMIT)

@@ -9,8 +9,8 @@ import odrive_can
 import pytest
 
 from firmware_sim.bus.frame import REMOTE, Frame
-from firmware_sim.nodes.cia402.dictionary import EDS_PATH, Dictionary
-from firmware_sim.programs.drive import Bench
+from firmware_sim.nodes.cia402.dictionary import EDS_PATH, ObjectDictionary
+from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.odrive import codec
@@ -56,7 +56,7 @@ def test_payloads_are_the_vendors(dbc: cantools.database.can.Database) -> None:
     assert next(iter(torque.values())) == -0.5
 
 
-@pytest.mark.parametrize("bit", sorted(codec.ERRORS))
+@pytest.mark.parametrize("bit", sorted(codec.ERROR_TEXTS))
 def test_errors_are_the_vendors(dbc: cantools.database.can.Database, bit: int) -> None:
     data = struct.pack("<IBBBB", 1 << bit, codec.IDLE, 3, 0, 0)
     known = dbc.decode_message(f"Axis{NODE}_Heartbeat", data, decode_choices=False)
@@ -65,7 +65,7 @@ def test_errors_are_the_vendors(dbc: cantools.database.can.Database, bit: int) -
 
 
 def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(dbc: cantools.database.can.Database) -> None:
-    bench = Bench([drive_spec("odrive", NODE)])
+    bench = SimulatedDriveBench([drive_spec("odrive", NODE)])
     bench.advance(150_000_000)
     frames = bench.take_unsolicited()
     for message in dbc.messages:
@@ -79,7 +79,7 @@ def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(dbc: cantool
 
 
 def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(dbc: cantools.database.can.Database) -> None:
-    bench = Bench([drive_spec("odrive", NODE)])
+    bench = SimulatedDriveBench([drive_spec("odrive", NODE)])
     orders: list[tuple[str, dict[str, object]]] = [
         ("Set_Controller_Mode", {"Control_Mode": "TORQUE_CONTROL", "Input_Mode": "PASSTHROUGH"}),
         ("Set_Limits", {"Velocity_Limit": 20.0, "Current_Limit": 5.0}),
@@ -98,10 +98,10 @@ def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(dbc: cantools.dat
 
 
 def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
-    foreign, ours = canopen.import_od(str(EDS_PATH), NODE), Dictionary(NODE)
+    foreign, ours = canopen.import_od(str(EDS_PATH), NODE), ObjectDictionary(NODE)
     for step in setup.required_steps(NODE, 400, 2000, 50, 50):
         entry = foreign[step.number]
         variable = entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[step.sub]
         assert len(variable) == 8 * step.size == 8 * ours.size((step.number, step.sub))
         assert variable.default == ours[step.number, step.sub] or step.number == 0x6076
-        assert variable.writable == (step.check in (setup.Check.WRITE, setup.Check.WRITE_IF_PRESENT))
+        assert variable.writable == (step.check in (setup.ObjectCheck.WRITE, setup.ObjectCheck.WRITE_IF_PRESENT))

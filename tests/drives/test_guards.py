@@ -11,8 +11,8 @@ from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.odrive.node import OdriveNode
 from firmware_sim.nodes.robstride.node import RobstrideNode
 from handctl.cli.main import main
-from handctl.drives.contract import DriveTarget, Phase
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from tests.drives.protocol_bench import OPTIONS, hand_file
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
@@ -84,20 +84,20 @@ def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, na
         return False
 
     rig.until(DriveTarget.ENABLE, note, 3.0)
-    assert Phase.FAULT in seen
-    assert Phase.ENABLED not in seen
+    assert DrivePhase.FAULT in seen
+    assert DrivePhase.ENABLED not in seen
     assert name in rig.state.error_text
     assert place.top == 0.0
 
 
 def test_every_guarded_protocol_is_tried():
-    assert sorted(GUARDS) == sorted(GUARDED)
+    assert sorted(GUARDS) == sorted(GUARDED_PROTOCOLS)
 
 
 @pytest.mark.parametrize("protocol", sorted(GUARDS))
 def test_the_same_drive_is_armed_when_all_read_back(protocol):
     rig = rig_on(VirtualBench(protocol), protocol, 0.5)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
 
 
 def test_an_unverifiable_guard_is_shown(tmp_path, capsys):

@@ -7,21 +7,21 @@ import pytest
 from handctl.campaign.stage import homed_run
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
-from handctl.session.simulate import Simulation
+from handctl.session.simulate import SimulatedRun
 from tests.drives.protocol_bench import OPTIONS, hand_file
 
 SILENCE_TICKS = 500
 
 
-def until(course: Simulation, mode: Mode) -> None:
+def until(course: SimulatedRun, mode: Mode) -> None:
     assert course.until(lambda out: out.mode == mode, 3.0), course.state.failure
 
 
-def run_again(course: Simulation) -> Simulation:
+def run_again(course: SimulatedRun) -> SimulatedRun:
     """Return a second run on the same drives. It starts one second after the end of the first run."""
     for k in range(SILENCE_TICKS):
         course.peer.step((course.k + k) * course.period_ns, [])
-    return Simulation(course.controller, course.peer, course.period_ns, course.controller.initial(), course.k + k + 1)
+    return SimulatedRun(course.controller, course.peer, course.period_ns, course.controller.initial(), course.k + k + 1)
 
 
 @pytest.mark.parametrize("protocol", sorted(OPTIONS))

@@ -7,22 +7,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.drives.contract import DriveState, DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import MitProgress
-from handctl.drives.readback import Cursor
+from handctl.drives.readback import ReadbackCursor
 from handctl.drives.registry import make_drive
-from handctl.drives.signals import Table
+from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
 from tests.drives.conftest import Section, drive_of
 
 TMAX = 0.8
-RANGES = codec.Ranges(12.5, 50.0, TMAX)
+RANGES = codec.MotorRanges(12.5, 50.0, TMAX)
 TORQUES = st.floats(-TMAX, TMAX)
-COMMAND, FEEDBACK = Table(codec.command_message(1, RANGES)), Table(codec.feedback_message(0x11, RANGES))
-ENABLED = DriveState(phase=Phase.ENABLED, private=MitProgress(configured=True, enable_sent=True))
+COMMAND, FEEDBACK = SignalTable(codec.command_message(1, RANGES)), SignalTable(codec.feedback_message(0x11, RANGES))
+ENABLED = DriveState(phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True))
 
 
 @pytest.mark.parametrize(
@@ -116,7 +116,7 @@ def test_nan_cannot_be_encoded(torque: float) -> None:
 def test_direction_turns_every_sign(torque: float, direction: int) -> None:
     drive = drive_of(direction=direction, zero_rad=0.25)
     assert drive.command.pack(torque) == COMMAND.pack(direction * torque)
-    state = DriveState(phase=Phase.READY, private=MitProgress(configured=True))
+    state = DriveState(phase=DrivePhase.READY, private=MitProgress(configured=True))
     seen = drive.receive(state, Frame(0x11, bytes.fromhex("01c000c00c002020")))
     assert seen.position == pytest.approx(direction * (12.5 * (2 * 0xC000 / 65535 - 1) - 0.25))
     assert seen.velocity == pytest.approx(direction * 50 * (2 * 0xC00 / 4095 - 1))
@@ -127,7 +127,7 @@ def test_direction_turns_every_sign(torque: float, direction: int) -> None:
 def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: int, velocity: int, torque: int) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
-    ranges = firmware.Ranges(*RANGES)
+    ranges = firmware.FrameRanges(*RANGES)
     motion = (
         firmware.from_code(position, 12.5, 16),
         firmware.from_code(velocity, 50.0, 12),
@@ -145,19 +145,19 @@ def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: in
 def test_the_simulated_firmware_reads_commands(torque: float) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
-    decoded = firmware.decode_command(COMMAND.pack(torque), firmware.Ranges(*RANGES))
+    decoded = firmware.decode_command(COMMAND.pack(torque), firmware.FrameRanges(*RANGES))
     assert (decoded.kp, decoded.kd) == (0.0, 0.0)
     assert decoded.torque == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
 
 
 STATES = st.builds(
     DriveState,
-    phase=st.sampled_from(Phase),
+    phase=st.sampled_from(DrivePhase),
     error=st.sampled_from([0, 0xA, 0x102]),
     private=st.builds(
         MitProgress,
         cursor=st.builds(
-            Cursor, st.integers(0, 4), st.booleans(), st.booleans(), st.integers(-1, 9), st.integers(0, 10)
+            ReadbackCursor, st.integers(0, 4), st.booleans(), st.booleans(), st.integers(-1, 9), st.integers(0, 10)
         ),
         configured=st.booleans(),
         enabled_by_other=st.booleans(),
@@ -184,7 +184,7 @@ def test_any_frame_is_survived_in_any_state(
         assert after is state
     _, frames = drive.advance(after, 10, target, 0.0)
     acting = [frame for frame in frames if frame.can_id == 1 and frame.data[:7] != b"\xff" * 7]
-    assert not acting or (target == DriveTarget.ENABLE and after.phase == Phase.ENABLED)
+    assert not acting or (target == DriveTarget.ENABLE and after.phase == DrivePhase.ENABLED)
 
 
 def test_every_identifier_and_length() -> None:

@@ -5,67 +5,72 @@ A motor counts as disabled only when it has confirmed this.
 
 import pytest
 
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
-from handctl.drives.mit.progress import DROPPED_OUT, ENABLED_BY_OTHER_HOST, SILENCE_NS, UNKNOWN
+from handctl.drives.mit.progress import (
+    DROPPED_OUT_ERROR,
+    ENABLED_BY_OTHER_HOST_ERROR,
+    SILENCE_TIMEOUT_NS,
+    UNKNOWN_STATUS_ERROR,
+)
 from tests.drives.conftest import PERIOD_NS, MotorRig
 
 DISABLE = b"\xff" * 7 + b"\xfd"
 
 
 def test_a_lost_answer_to_enable_does_not_count_as_disabled(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, Phase.READY)
+    rig.until(DriveTarget.POLL, DrivePhase.READY)
     rig.tick(DriveTarget.ENABLE)
     rig.pending.clear()
     rig.motor.silent = True
     assert rig.motor.nibble == 1
     for _ in range(20):
-        assert rig.tick(DriveTarget.DISABLE).phase == Phase.ENABLED
+        assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
     rig.motor.silent = False
-    assert rig.until(DriveTarget.DISABLE, Phase.READY, ticks=3)
+    assert rig.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=3)
     assert rig.motor.nibble == 0
 
 
 def test_an_answer_from_before_the_order_confirms_nothing(rig: MotorRig) -> None:
-    rig.until(DriveTarget.ENABLE, Phase.ENABLED)
+    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.silent = True
     rig.tick(DriveTarget.DISABLE)
     old = Frame(0x11, bytes([0x01, 0x80, 0, 0x80, 0x08, 0, 30, 30]), 0, 0, rig.t_ns - PERIOD_NS - 1)
     rig.state = rig.drive.receive(rig.state, old)
-    assert rig.state.phase == Phase.ENABLED
+    assert rig.state.phase == DrivePhase.ENABLED
 
 
 def test_a_motor_that_disables_itself_is_at_fault_and_is_not_enabled_again(rig: MotorRig) -> None:
-    rig.until(DriveTarget.ENABLE, Phase.ENABLED)
+    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.nibble = 0
-    state = rig.until(DriveTarget.ENABLE, Phase.FAULT)
-    assert (state.error, state.error_text) == (DROPPED_OUT, "disabled by itself")
+    state = rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
+    assert (state.error, state.error_text) == (DROPPED_OUT_ERROR, "disabled by itself")
     for _ in range(20):
         rig.tick(DriveTarget.ENABLE)
     assert rig.motor.nibble == 0
 
 
 def test_a_motor_enabled_by_another_host_is_in_fault(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, Phase.READY)
+    rig.until(DriveTarget.POLL, DrivePhase.READY)
     rig.motor.nibble = 1
-    state = rig.until(DriveTarget.POLL, Phase.FAULT)
-    assert state.error == ENABLED_BY_OTHER_HOST
+    state = rig.until(DriveTarget.POLL, DrivePhase.FAULT)
+    assert state.error == ENABLED_BY_OTHER_HOST_ERROR
     assert rig.sent[-1].data == DISABLE
     assert rig.motor.nibble == 0
     for target in (DriveTarget.POLL, DriveTarget.ENABLE, DriveTarget.DISABLE):
-        assert rig.tick(target).error == ENABLED_BY_OTHER_HOST
-        assert rig.state.phase == Phase.FAULT
+        assert rig.tick(target).error == ENABLED_BY_OTHER_HOST_ERROR
+        assert rig.state.phase == DrivePhase.FAULT
 
 
 def test_a_motor_enabled_by_another_host_does_not_count_as_disabled(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, Phase.READY)
+    rig.until(DriveTarget.POLL, DrivePhase.READY)
     rig.motor.nibble = 1
     rig.motor.deaf.add(0xFD)
-    rig.until(DriveTarget.POLL, Phase.FAULT)
+    rig.until(DriveTarget.POLL, DrivePhase.FAULT)
     for _ in range(5):
-        assert rig.tick(DriveTarget.DISABLE).phase == Phase.ENABLED
+        assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
     rig.motor.deaf.clear()
-    rig.until(DriveTarget.DISABLE, Phase.FAULT, ticks=3)
+    rig.until(DriveTarget.DISABLE, DrivePhase.FAULT, ticks=3)
     assert rig.motor.nibble == 0
 
 
@@ -74,37 +79,37 @@ def test_a_motor_enabled_by_another_host_does_not_count_as_disabled(rig: MotorRi
     [(0x8, "over-voltage"), (0xD, "communication lost: the drive's watchdog fired"), (0xE, "overload")],
 )
 def test_an_error_of_the_motor_is_reported_and_stays(rig: MotorRig, nibble: int, text: str) -> None:
-    rig.until(DriveTarget.ENABLE, Phase.ENABLED)
+    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.nibble = nibble
-    state = rig.until(DriveTarget.ENABLE, Phase.FAULT)
+    state = rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
     assert (state.error, state.error_text) == (nibble, text)
     rig.motor.nibble = 0
     for _ in range(5):
-        assert rig.tick(DriveTarget.ENABLE).phase == Phase.FAULT
-    assert rig.tick(DriveTarget.DISABLE).phase == Phase.FAULT
+        assert rig.tick(DriveTarget.ENABLE).phase == DrivePhase.FAULT
+    assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.FAULT
 
 
 @pytest.mark.parametrize("nibble", [2, 3, 4, 7, 15])
 def test_an_unknown_state_is_a_fault_and_never_counts_as_disabled(rig: MotorRig, nibble: int) -> None:
-    rig.until(DriveTarget.ENABLE, Phase.ENABLED)
+    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.nibble = nibble
-    state = rig.until(DriveTarget.ENABLE, Phase.FAULT)
-    assert (state.error, state.error_text) == (UNKNOWN, f"unknown state {nibble:#x}")
+    state = rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
+    assert (state.error, state.error_text) == (UNKNOWN_STATUS_ERROR, f"unknown state {nibble:#x}")
     for _ in range(20):
-        assert rig.tick(DriveTarget.DISABLE).phase == Phase.ENABLED
+        assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
         assert rig.sent[-1].data == DISABLE
-        assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [Phase.ENABLED]
+        assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [DrivePhase.ENABLED]
 
 
 def test_clear_ignores_earlier_replies_and_starts_again(rig: MotorRig) -> None:
-    rig.until(DriveTarget.ENABLE, Phase.ENABLED)
+    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.nibble = 0xA
-    rig.until(DriveTarget.ENABLE, Phase.FAULT)
+    rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
     stale = rig.pending
     rig.state, frames = rig.drive.clear(rig.state)
     assert [frame.data for frame in frames] == [b"\xff" * 7 + b"\xfb"]
     rig.pending = stale + [reply for frame in frames for reply in rig.motor.answer(frame, rig.t_ns)]
-    rig.until(DriveTarget.POLL, Phase.READY)
+    rig.until(DriveTarget.POLL, DrivePhase.READY)
     assert rig.state.error == 0
     assert rig.motor.nibble == 0
 
@@ -112,18 +117,18 @@ def test_clear_ignores_earlier_replies_and_starts_again(rig: MotorRig) -> None:
 def test_an_error_that_cannot_be_cleared_comes_back(rig: MotorRig) -> None:
     rig.motor.nibble = 0x9
     rig.motor.deaf.add(0xFB)
-    rig.until(DriveTarget.POLL, Phase.FAULT)
+    rig.until(DriveTarget.POLL, DrivePhase.FAULT)
     rig.state, _ = rig.drive.clear(rig.state)
-    assert rig.until(DriveTarget.POLL, Phase.FAULT, ticks=10).error == 0x9
+    assert rig.until(DriveTarget.POLL, DrivePhase.FAULT, ticks=10).error == 0x9
 
 
 def test_a_motor_that_was_without_power_is_configured_again(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, Phase.READY)
+    rig.until(DriveTarget.POLL, DrivePhase.READY)
     rig.motor.silent = True
-    rig.until(DriveTarget.POLL, Phase.SILENT, ticks=2 + SILENCE_NS // PERIOD_NS)
+    rig.until(DriveTarget.POLL, DrivePhase.SILENT, ticks=2 + SILENCE_TIMEOUT_NS // PERIOD_NS)
     rig.motor.silent = False
     rig.motor.registers[23] = 10.0
-    rig.until(DriveTarget.POLL, Phase.READY)
+    rig.until(DriveTarget.POLL, DrivePhase.READY)
     assert rig.motor.registers[23] == pytest.approx(0.8)
 
 
@@ -131,53 +136,53 @@ def test_an_unrequested_register_reply_changes_nothing(rig: MotorRig) -> None:
     right = Frame(0x11, bytes([1, 0, 0x33, 10, 1, 0, 0, 0]), 0, 0, rig.t_ns)
     feedback = Frame(0x11, rig.motor.feedback(), 0, 0, rig.t_ns)
     rig.state = rig.drive.receive(rig.state, feedback)
-    assert rig.state.phase == Phase.CONFIGURING
+    assert rig.state.phase == DrivePhase.CONFIGURING
     assert rig.drive.receive(rig.state, right).private == rig.state.private
 
 
 def test_a_motor_that_is_silent_after_the_enable_command_counts_as_enabled(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, Phase.READY)
+    rig.until(DriveTarget.POLL, DrivePhase.READY)
     rig.motor.silent = True
-    for _ in range(2 * SILENCE_NS // PERIOD_NS):
+    for _ in range(2 * SILENCE_TIMEOUT_NS // PERIOD_NS):
         rig.tick(DriveTarget.ENABLE)
     assert rig.motor.nibble == 1
-    assert rig.tick(DriveTarget.DISABLE).phase == Phase.ENABLED
+    assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
 
 
 def test_an_old_reply_after_enable_does_not_cancel_the_command(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, Phase.READY)
+    rig.until(DriveTarget.POLL, DrivePhase.READY)
     old = Frame(0x11, rig.motor.feedback(), 0, 0, rig.t_ns - 1)
     rig.tick(DriveTarget.ENABLE)
     rig.pending = [old]
-    assert rig.tick(DriveTarget.DISABLE).phase == Phase.ENABLED
+    assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
 
 
 def test_an_error_soon_after_clearing_is_reported_at_once(rig: MotorRig) -> None:
     rig.state, _ = rig.drive.clear(rig.state)
-    rig.until(DriveTarget.ENABLE, Phase.ENABLED)
+    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.nibble = 0xA
     rig.tick(DriveTarget.ENABLE)
-    assert rig.tick(DriveTarget.ENABLE).phase == Phase.FAULT
+    assert rig.tick(DriveTarget.ENABLE).phase == DrivePhase.FAULT
 
 
 def test_a_fault_is_not_forgotten_because_the_motor_is_enabled_again(rig: MotorRig) -> None:
-    rig.until(DriveTarget.ENABLE, Phase.ENABLED)
+    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.nibble = 4
-    rig.until(DriveTarget.ENABLE, Phase.FAULT)
+    rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
     rig.motor.nibble = 1
     rig.motor.deaf.add(0xFD)
     torques = len(rig.motor.torques)
     for _ in range(5):
-        assert rig.tick(DriveTarget.ENABLE, 0.4).phase == Phase.FAULT
+        assert rig.tick(DriveTarget.ENABLE, 0.4).phase == DrivePhase.FAULT
     assert len(rig.motor.torques) == torques
 
 
 def test_a_motor_at_fault_that_turns_out_to_be_enabled_does_not_count_as_disabled(rig: MotorRig) -> None:
     rig.motor.registers[23] = 7
     rig.motor.stuck.add(23)
-    rig.until(DriveTarget.POLL, Phase.FAULT)
+    rig.until(DriveTarget.POLL, DrivePhase.FAULT)
     rig.motor.deaf.add(0xFD)
     rig.tick(DriveTarget.DISABLE)
     rig.motor.nibble = 1
     rig.tick(DriveTarget.DISABLE)
-    assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [Phase.ENABLED]
+    assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [DrivePhase.ENABLED]

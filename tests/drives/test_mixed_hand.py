@@ -7,10 +7,10 @@ import pytest
 
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import make_sensors
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame_time import bus_time_s
 from handctl.drives.identifiers import check_identifiers
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.drives.odrive.discovery import FREE_NUMBERS
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
@@ -34,14 +34,14 @@ def mixed_hand(folder: Path) -> Path:
 def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
     bench = Bench(mixed_hand(tmp_path))
     assert [drive.bus for drive in bench.drives] == [0, 0, 1, 1]
-    bench.until(DriveTarget.POLL, Phase.READY)
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(100):
         bench.tick(DriveTarget.ENABLE, 0.05)
     motors = bench.rig.world.plant.motors.values()
     assert [motor.servo.torque for motor in motors] == pytest.approx([0.05] * 4, abs=0.001)
     assert min(state.feedback_t_ns for state in bench.states) >= (bench.k - 2) * 2_000_000
-    bench.until(DriveTarget.DISABLE, Phase.READY, ticks=100)
+    bench.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
     bench.rig.close()
 
 
@@ -51,13 +51,13 @@ def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None
     Its five silent ticks were then a fault.
     """
     bench = Bench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
-    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(10):
         bench.tick(DriveTarget.POLL)
     for _ in range(60):
         bench.tick(DriveTarget.ENABLE)
         assert min(state.feedback_t_ns for state in bench.states) >= (bench.k - 4) * 2_000_000
-    assert [state.phase for state in bench.states] == [Phase.ENABLED] * 4
+    assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * 4
     bench.rig.close()
 
 
@@ -66,7 +66,7 @@ def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
         path = hand_file(tmp_path, [protocol], "gear_ratio = 4.0\n")
         path.write_text(re.sub(r"\ndirection = 1", "\ndirection = -1", path.read_text()))
         bench = Bench(path)
-        bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+        bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
         before = [state.position for state in bench.states]
         for _ in range(100):
             bench.tick(DriveTarget.ENABLE, 0.05)
@@ -77,7 +77,7 @@ def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
         bench.rig.close()
 
 
-@pytest.mark.parametrize("protocol", GUARDED)
+@pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
 def test_a_zero_of_a_motor_is_an_angle_at_its_shaft(protocol: str, tmp_path: Path) -> None:
     geared = protocol in ("odrive", "cia402")
     gear = 4.0 if geared else 1.0
@@ -86,7 +86,7 @@ def test_a_zero_of_a_motor_is_an_angle_at_its_shaft(protocol: str, tmp_path: Pat
     assert "zero_rad" in text
     path.write_text(re.sub(r"\nzero_rad = [^ \n#]+", "\nzero_rad = 0.7", text))
     bench = Bench(path)
-    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
     world = bench.rig.world

@@ -10,7 +10,7 @@ import cantools.database
 import odrive_can
 import pytest
 
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.registry import make_drive
@@ -44,9 +44,9 @@ def test_odrive_05_without_watchdog_fails_the_watchdog_check():
 def test_errors_have_texts(error, words):
     place = VirtualBench("odrive", **OLD)
     rig = rig_on(place, "odrive", 0.1, OLD)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     place.bench.nodes[0].disarm(error)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.FAULT, 1.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 1.0)
     assert words in rig.state.error_text
 
 
@@ -59,7 +59,7 @@ def test_odrive_05_is_not_asked_for_missing_messages():
     rig.until(DriveTarget.ENABLE, lambda state: False, 1.0)
     asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE}
     assert asked == {0x09}
-    assert rig.state.phase == Phase.ENABLED
+    assert rig.state.phase == DrivePhase.ENABLED
 
 
 def test_a_scan_names_odrive_05():
@@ -93,7 +93,7 @@ def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():
     dbc = cantools.database.load_file(next(folder.rglob("odrive-cansimple-0.5*.dbc")))
     message = dbc.get_message_by_name("Axis1_Heartbeat")
     choices = message.get_signal_by_name("Axis_Error").choices
-    for bit in odrive_05.ERRORS:
+    for bit in odrive_05.ERROR_TEXTS:
         assert 1 << bit in choices, bit
     flags = {"Motor_Error_Flag": 64, "Encoder_Error_Flag": 256, "Controller_Error_Flag": 512}
     values = {signal.name: 0 for signal in message.signals} | {"Axis_State": 8}
@@ -110,4 +110,4 @@ def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():
 def test_a_heartbeat_of_the_new_kind_is_not_taken_for_an_old_one_with_flags():
     drive = make_drive(motor_on_bench("odrive", NODE, 0.1, {}), 0)
     beat = Frame(NODE << 5 | 1, struct.pack("<IBBBB", 0, 1, 3, 0, 0), 0, 0, 10)
-    assert drive.receive(drive.initial(), beat).phase != Phase.FAULT
+    assert drive.receive(drive.initial(), beat).phase != DrivePhase.FAULT

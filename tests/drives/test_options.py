@@ -41,7 +41,7 @@ def test_a_number_that_rounds_to_nothing_is_refused(
 def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
     for protocol, options in (("cia402", CIA402), ("odrive", {})):
         drive = make_drive(motor_on_bench(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0)
-        assert drive.background[0][2] > 999.0 / heartbeat, "at least as often as configured"
+        assert drive.background_frames[0][2] > 999.0 / heartbeat, "at least as often as configured"
 
 
 def test_position_step_is_reported() -> None:

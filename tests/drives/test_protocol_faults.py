@@ -10,7 +10,7 @@ from firmware_sim.bus.frame import Frame as WireFrame
 from firmware_sim.nodes.cia402.node import Cia402Node
 from firmware_sim.nodes.odrive.node import OdriveNode
 from handctl.drives.cia402.drive import Cia402Drive
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive.drive import OdriveDrive
@@ -44,7 +44,7 @@ def first_cia402(bench: Bench) -> Cia402Node:
     return node
 
 
-def error_of_first_drive(bench: Bench, phase: Phase, target: DriveTarget, ticks: int) -> str:
+def error_of_first_drive(bench: Bench, phase: DrivePhase, target: DriveTarget, ticks: int) -> str:
     """Run ticks until the first drive is in a phase, and return the error text of this drive."""
     for _ in range(ticks):
         bench.tick(target)
@@ -75,7 +75,7 @@ def lose_first_frames(node: OdriveNode, command: int, start: bytes = b"", times:
 def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench, moment: str) -> None:
     """An ODrive restarts in position control and without its watchdog. Only its idle state shows the restart."""
     node = first_odrive(odrive)
-    odrive.until(DriveTarget.POLL, Phase.READY)
+    odrive.until(DriveTarget.POLL, DrivePhase.READY)
     if moment != "ready":
         while progress_of(odrive.states[0]).enable_sent_ns < 0:
             odrive.tick(DriveTarget.ENABLE)
@@ -87,7 +87,7 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench,
     for _ in range(400):
         odrive.tick(DriveTarget.ENABLE)
         assert node.state == 1 or (node.mode == (1, 1) and node.endpoints == settings)
-        if odrive.states[0].phase == Phase.ENABLED:
+        if odrive.states[0].phase == DrivePhase.ENABLED:
             return
     raise AssertionError(odrive.states[0])
 
@@ -101,7 +101,7 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: B
     node = first_odrive(odrive)
     lost = lose_first_frames(node, command)
     before = node.velocity_limit
-    odrive.until(DriveTarget.ENABLE, Phase.ENABLED)
+    odrive.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert lost
     assert node.mode == (1, 1)
     assert node.velocity_limit != before
@@ -116,48 +116,48 @@ def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, loss
     node = first_odrive(odrive)
     lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
     if losses < 3:
-        odrive.until(DriveTarget.POLL, Phase.READY)
+        odrive.until(DriveTarget.POLL, DrivePhase.READY)
         assert node.endpoints[201] == b"\1"
     else:
         assert "enable_watchdog reads 0 after writing, expected 1" in error_of_first_drive(
-            odrive, Phase.FAULT, DriveTarget.POLL, 200
+            odrive, DrivePhase.FAULT, DriveTarget.POLL, 200
         )
     assert len(lost) == losses
 
 
 def test_an_odrive_that_ignores_commands_is_a_fault(odrive: Bench) -> None:
-    odrive.until(DriveTarget.POLL, Phase.READY)
+    odrive.until(DriveTarget.POLL, DrivePhase.READY)
     first_odrive(odrive)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]
-    assert "after 5 enable commands" in error_of_first_drive(odrive, Phase.FAULT, DriveTarget.ENABLE, 600)
+    assert "after 5 enable commands" in error_of_first_drive(odrive, DrivePhase.FAULT, DriveTarget.ENABLE, 600)
 
 
 @pytest.mark.parametrize(
     ("bit", "words"), [(25, "emergency stop"), (13, "motor over-temperature"), (6, "missing input")]
 )
 def test_an_odrive_says_what_disarmed_it(odrive: Bench, bit: int, words: str) -> None:
-    odrive.until(DriveTarget.ENABLE, Phase.ENABLED)
+    odrive.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     first_odrive(odrive).disarm(1 << bit)
-    assert words in error_of_first_drive(odrive, Phase.FAULT, DriveTarget.ENABLE, 60)
+    assert words in error_of_first_drive(odrive, DrivePhase.FAULT, DriveTarget.ENABLE, 60)
 
 
 def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> None:
     first_odrive(odrive).state = 8
-    odrive.until(DriveTarget.POLL, Phase.READY)
+    odrive.until(DriveTarget.POLL, DrivePhase.READY)
     assert first_odrive(odrive).state == 1
 
 
 @pytest.mark.parametrize("target", [DriveTarget.ENABLE, DriveTarget.POLL])
 def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(odrive: Bench, target: DriveTarget) -> None:
     """An ODrive that is calibrated by USB makes a torque without a command, and reports no error."""
-    odrive.until(target, Phase.ENABLED if target == DriveTarget.ENABLE else Phase.READY)
+    odrive.until(target, DrivePhase.ENABLED if target == DriveTarget.ENABLE else DrivePhase.READY)
     first_odrive(odrive).state = 3
-    assert "in axis state 3" in error_of_first_drive(odrive, Phase.FAULT, target, 60).replace("went to", "in")
+    assert "in axis state 3" in error_of_first_drive(odrive, DrivePhase.FAULT, target, 60).replace("went to", "in")
     odrive.tick(target)
     assert first_odrive(odrive).state == 1
 
 
 def test_an_odrive_without_a_heartbeat_is_lost(odrive: Bench) -> None:
-    odrive.until(DriveTarget.ENABLE, Phase.ENABLED)
+    odrive.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
         odrive.incoming = [frame for frame in odrive.incoming if frame.can_id & 0x1F != 1]
         odrive.tick(DriveTarget.ENABLE)
@@ -168,7 +168,7 @@ def test_an_odrive_without_a_heartbeat_is_lost(odrive: Bench) -> None:
 def test_endpoints_hold_what_the_hand_file_says(odrive: Bench) -> None:
     node = first_odrive(odrive)
     assert node.endpoints[201] == b"\0"
-    odrive.until(DriveTarget.POLL, Phase.READY)
+    odrive.until(DriveTarget.POLL, DrivePhase.READY)
     assert node.endpoints[201] == b"\1"
     assert struct.unpack("<f", node.endpoints[202])[0] == pytest.approx(0.05)
     assert struct.unpack("<f", node.endpoints[203])[0] == pytest.approx(0.8)
@@ -189,31 +189,31 @@ def test_another_protocol_version_is_refused(odrive: Bench) -> None:
     drive, state = odrive.drives[0], odrive.states[0]
     assert isinstance(drive, OdriveDrive)
     state = drive.receive(state, Frame(drive.node_id << 5, bytes((1, 0, 0, 0, 0, 5, 6, 0))))
-    assert (state.phase, state.error_text) == (Phase.FAULT, "has CANSimple version 1, expected 2")
+    assert (state.phase, state.error_text) == (DrivePhase.FAULT, "has CANSimple version 1, expected 2")
 
 
 @pytest.mark.parametrize(
     ("code", "words"), [(0x8130, "watchdog"), (0x4310, "motor over-temperature"), (0xFF01, "0xff01")]
 )
 def test_a_cia402_drive_says_what_its_fault_is(cia402: Bench, code: int, words: str) -> None:
-    cia402.until(DriveTarget.ENABLE, Phase.ENABLED)
+    cia402.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     first_cia402(cia402).trip(code)
     cia402.incoming += first_cia402(cia402).wake(cia402.rig.world.t_ns)  # type: ignore[arg-type]
-    assert words in error_of_first_drive(cia402, Phase.FAULT, DriveTarget.ENABLE, 10)
+    assert words in error_of_first_drive(cia402, DrivePhase.FAULT, DriveTarget.ENABLE, 10)
 
 
 def test_another_rated_torque_is_refused(cia402: Bench) -> None:
     first_cia402(cia402).objects[0x6076, 0] = 300
     assert (
-        error_of_first_drive(cia402, Phase.FAULT, DriveTarget.POLL, 100)
+        error_of_first_drive(cia402, DrivePhase.FAULT, DriveTarget.POLL, 100)
         == "object 0x6076:0 reads 0x12c, expected 0x190"
     )
 
 
 def test_a_drive_that_restarts_in_motion_is_a_fault(cia402: Bench) -> None:
-    cia402.until(DriveTarget.ENABLE, Phase.ENABLED)
+    cia402.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     cia402.tick(DriveTarget.ENABLE, extra=[Frame(0x000, bytes((0x81, 0x10)))])
-    assert error_of_first_drive(cia402, Phase.FAULT, DriveTarget.ENABLE, 30) == "restarted"
+    assert error_of_first_drive(cia402, DrivePhase.FAULT, DriveTarget.ENABLE, 30) == "restarted"
     assert cia402.rig.world.plant.motors["index_motor"].servo.torque == 0.0
 
 
@@ -249,7 +249,7 @@ def test_drives_that_refuse_a_sync_counter_are_reported_and_get_an_empty_sync(tm
     text = path.read_text().replace("sync_id = 0x080", "sync_id = 0x0FF")
     path.write_text(text.replace("counts_per_turn = 65536", "counts_per_turn = 65536\nsync = true", 1))
     bench = strict(Bench(path))
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     bench.tick(DriveTarget.ENABLE)
     assert {frame.can_id for frame in bench.incoming} == {0x1A0, 0x190, 0x191, 0x192, 0x193}
 

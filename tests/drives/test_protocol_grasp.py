@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from tests.drives.protocol_bench import hand_file
 
 
 @pytest.mark.parametrize(
     "protocols",
     [
-        *[pytest.param([name], id=name, marks=pytest.mark.nightly) for name in PROTOCOLS if name != "mit"],
+        *[pytest.param([name], id=name, marks=pytest.mark.nightly) for name in PROTOCOL_TRAITS if name != "mit"],
         pytest.param(["mit", "odrive", "cubemars", "cia402"], id="unlike drives in one hand"),
         pytest.param(
             ["moteus", "robstride", "mit", "cia402"],

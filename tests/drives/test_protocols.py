@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import EXTENDED, FDF, REMOTE, Frame
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from tests.drives.protocol_bench import Bench, hand_file, servo_torques
 
 
-@pytest.fixture(params=GUARDED)
+@pytest.fixture(params=GUARDED_PROTOCOLS)
 def protocol(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
@@ -26,9 +26,9 @@ def bench(protocol: str, tmp_path: Path) -> Iterator[Bench]:
 
 
 def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench) -> None:
-    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
     assert servo_torques(bench) == [0.0] * 4
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
         bench.tick(DriveTarget.ENABLE, 0.05)
     world = bench.rig.world
@@ -37,7 +37,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench)
         assert state.position == pytest.approx(truth, abs=0.01)
         assert state.feedback_t_ns >= (bench.k - 2) * 2_000_000
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=0.001)
-    bench.until(DriveTarget.DISABLE, Phase.READY, ticks=100)
+    bench.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert bench.rig.world.malformed == 0
@@ -49,15 +49,15 @@ def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
 ) -> None:
     """A setting of a drive that was verified in the last tick counts as verified, however long a tick is."""
     slow = Bench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
-    slow.until(DriveTarget.POLL, Phase.READY)
+    slow.until(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(5):
         slow.tick(DriveTarget.POLL)
-    slow.until(DriveTarget.ENABLE, Phase.ENABLED, ticks=200)
+    slow.until(DriveTarget.ENABLE, DrivePhase.ENABLED, ticks=200)
     slow.rig.close()
 
 
 def test_dead_host_loses_torque_until_an_operator_clears(bench: Bench) -> None:
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     bench.tick(DriveTarget.ENABLE, 0.05)
     for _ in range(15):
         bench.tick(DriveTarget.LISTEN)
@@ -65,25 +65,25 @@ def test_dead_host_loses_torque_until_an_operator_clears(bench: Bench) -> None:
     for _ in range(35):
         bench.tick(DriveTarget.LISTEN)
     assert servo_torques(bench) == [0.0] * 4, "100 ms, and the watchdogs are set to 50 ms"
-    bench.until(DriveTarget.ENABLE, Phase.FAULT, ticks=100)
+    bench.until(DriveTarget.ENABLE, DrivePhase.FAULT, ticks=100)
     for state in bench.states:
         assert "watchdog" in state.error_text
-    bench.until(DriveTarget.DISABLE, Phase.FAULT, ticks=100)
+    bench.until(DriveTarget.DISABLE, DrivePhase.FAULT, ticks=100)
     bench.clear()
-    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
     assert [state.error for state in bench.states] == [0] * 4
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
 
 
 def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: Bench) -> None:
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     bench.tick(DriveTarget.ENABLE, 0.05)
     assert 0.0 not in servo_torques(bench)
     bench.tick(DriveTarget.LISTEN, extra=[frame for drive in bench.drives for frame in drive.cut()])
     assert servo_torques(bench) == [0.0] * 4
     for _ in range(200):
         bench.tick(DriveTarget.DISABLE)
-    assert {state.phase for state in bench.states} <= {Phase.READY, Phase.FAULT}
+    assert {state.phase for state in bench.states} <= {DrivePhase.READY, DrivePhase.FAULT}
 
 
 def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Bench) -> None:
@@ -97,25 +97,25 @@ def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Benc
 
 
 def test_disabling_is_not_confirmed_by_silence(bench: Bench) -> None:
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(400):
         bench.incoming = []
         bench.tick(DriveTarget.DISABLE)
     bench.incoming = []
-    assert [state.phase for state in bench.states] == [Phase.ENABLED] * 4
+    assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * 4
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -1e9])
 def test_invalid_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for drive, state in zip(bench.drives, bench.states, strict=True):
         with pytest.raises(ValueError, match=drive.name):
             drive.advance(state, bench.k * 2_000_000, DriveTarget.ENABLE, torque)
 
 
-@pytest.mark.parametrize("phase", [Phase.SILENT, Phase.ENABLED])
-def test_any_bytes_on_any_identifier_are_survived(bench: Bench, phase: Phase) -> None:
-    if phase == Phase.ENABLED:
+@pytest.mark.parametrize("phase", [DrivePhase.SILENT, DrivePhase.ENABLED])
+def test_any_bytes_on_any_identifier_are_survived(bench: Bench, phase: DrivePhase) -> None:
+    if phase == DrivePhase.ENABLED:
         bench.until(DriveTarget.ENABLE, phase)
     chance, drive, known = random.Random(7), bench.drives[0], bench.states[0]
     for can_id in range(0x800):
@@ -143,6 +143,6 @@ def test_simulated_nodes_survive_any_bytes(bench: Bench) -> None:
 def test_frames_of_host_and_node_have_distinct_identifiers(bench: Bench) -> None:
     drive = bench.drives[0]
     assert not drive.host_ids & drive.node_ids
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     ours = {can_id for drive in bench.drives for can_id in drive.host_ids} | bench.node.host_ids
     assert {frame.can_id for frame in bench.sent} <= ours

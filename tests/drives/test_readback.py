@@ -3,11 +3,11 @@
 import pytest
 
 from handctl.drives import readback
-from handctl.drives.readback import REQUEST_TIMEOUT_NS, REQUEST_TRIES, Cursor
+from handctl.drives.readback import REQUEST_TIMEOUT_NS, REQUEST_TRIES, ReadbackCursor
 
 
 def test_a_request_is_repeated_when_its_answer_is_overdue_and_not_for_ever() -> None:
-    cursor, sent_ns = Cursor(), list[int]()
+    cursor, sent_ns = ReadbackCursor(), list[int]()
     for t_ns in range(0, 2 * REQUEST_TRIES * REQUEST_TIMEOUT_NS, REQUEST_TIMEOUT_NS // 4):
         cursor, send, problem = readback.request_setting(cursor, "setting 1", t_ns)
         sent_ns += [t_ns] * send
@@ -19,20 +19,20 @@ def test_a_request_is_repeated_when_its_answer_is_overdue_and_not_for_ever() -> 
 
 
 def test_each_setting_has_its_own_tries() -> None:
-    cursor, send, _ = readback.request_setting(Cursor(), "first", 0)
+    cursor, send, _ = readback.request_setting(ReadbackCursor(), "first", 0)
     assert send
-    assert cursor.next_setting() == Cursor(1)
+    assert cursor.next_setting() == ReadbackCursor(1)
     assert readback.request_setting(cursor.next_setting(), "second", 1)[1], "at once"
 
 
 @pytest.mark.parametrize("writes", [0, 1, 3])
 def test_wrong_setting_is_written_and_read_again(writes: int) -> None:
-    cursor = Cursor(2, sent_ns=5, tries=1)
+    cursor = ReadbackCursor(2, sent_ns=5, tries=1)
     for number in range(writes):
         cursor, problem = readback.on_wrong_value(cursor, "limit", "3", "4", writes)
-        assert (cursor, problem) == (Cursor(2, writing=True, written=number), "")
+        assert (cursor, problem) == (ReadbackCursor(2, writing=True, written=number), "")
         cursor = cursor.after_write()
-        assert cursor == Cursor(2, written=number + 1)
+        assert cursor == ReadbackCursor(2, written=number + 1)
         cursor, send, _ = readback.request_setting(cursor, "limit", 7)
         assert send
     after, problem = readback.on_wrong_value(cursor, "limit", "3", "4", writes)
@@ -41,13 +41,13 @@ def test_wrong_setting_is_written_and_read_again(writes: int) -> None:
 
 
 def test_a_setting_that_is_read_again_while_enabled() -> None:
-    check, problem = readback.next_recheck(readback.first_recheck(1, 0), "limit", 1, readback.RECHECK_NS)
+    check, problem = readback.next_recheck(readback.first_recheck(1, 0), "limit", 1, readback.RECHECK_PERIOD_NS)
     assert (check.waiting, check.tries, problem) == (True, 1, "")
     good, problem = readback.on_recheck_reply(check, 2, True, "limit", "reads 4", "4")
     assert (good.step, good.waiting, good.tries, problem) == (1, False, 0, "")
     lost, problem = readback.on_recheck_reply(check, 2, False, "limit", "reads 3", "4")
-    assert lost == readback.Recheck()
+    assert lost == readback.RecheckCursor()
     assert problem == "limit reads 3 while enabled, expected 4: settings are lost"
     for _ in range(readback.RECHECK_TRIES - 1):
-        check, problem = readback.next_recheck(check, "limit", 1, readback.RECHECK_NS)
+        check, problem = readback.next_recheck(check, "limit", 1, readback.RECHECK_PERIOD_NS)
     assert problem == "limit is not answered while enabled"

@@ -8,13 +8,13 @@ from itertools import pairwise
 
 import pytest
 
-from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE
+from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
 from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
 from handctl.drives import readback
-from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
@@ -27,10 +27,10 @@ SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
 
 def enabled(node_id: int) -> tuple[MitDrive, object]:
     """Return an enabled MIT drive and its state."""
-    drive = MitDrive("m", 0, node_id, node_id + 0x100, codec.Ranges(12.5, 50.0, 0.8), 1, 0.0, 1000)
+    drive = MitDrive("m", 0, node_id, node_id + 0x100, codec.MotorRanges(12.5, 50.0, 0.8), 1, 0.0, 1000)
     check = readback.first_recheck(node_id, 0)
     state = drive.initial()._replace(
-        phase=Phase.ENABLED, private=MitProgress(configured=True, enable_sent=True, check=check)
+        phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True, check=check)
     )
     return drive, state
 
@@ -44,7 +44,7 @@ def run(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: 
     feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
     for k in range(ticks):
         state, frames = drive.advance(state, k * TICK_NS, DriveTarget.ENABLE, 0.1)
-        if state.phase != Phase.ENABLED:
+        if state.phase != DrivePhase.ENABLED:
             break
         for frame in frames:
             answer = feedback
@@ -71,7 +71,7 @@ def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
     state, asked = run(drive, state, 2001, GOOD)
     assert [register for _, register in asked] == [codec.TIMEOUT, codec.TMAX] * 4
     assert {b - a for (a, _), (b, _) in pairwise(asked)} == {250}
-    assert state.phase == Phase.ENABLED
+    assert state.phase == DrivePhase.ENABLED
     assert state.feedback_count == 2001
     assert state.misread == 0
 
@@ -86,8 +86,8 @@ def test_no_two_of_eleven_motors_ask_in_one_tick():
 def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
     drive, state = enabled(node_id)
     state, asked = run(drive, state, 600, GOOD | lost)
-    assert state.phase == Phase.FAULT
-    assert drive.cause(state.error) == Cause.MISMATCH
+    assert state.phase == DrivePhase.FAULT
+    assert drive.cause(state.error) == DriveFaultCause.MISMATCH
     assert "while enabled" in state.error_text
     assert asked[-1][0] <= 500
 
@@ -95,9 +95,9 @@ def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
 def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
     drive, state = enabled(3)
     few, _ = run(drive, state, 250 * (readback.RECHECK_TRIES - 1), GOOD, heard=False)
-    assert few.phase == Phase.ENABLED
+    assert few.phase == DrivePhase.ENABLED
     many, asked = run(drive, state, 250 * (readback.RECHECK_TRIES + 1), GOOD, heard=False)
-    assert many.phase == Phase.FAULT
+    assert many.phase == DrivePhase.FAULT
     assert "not answered while enabled" in many.error_text
     assert len(asked) == readback.RECHECK_TRIES - 1
 
@@ -107,7 +107,7 @@ def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
     hand = hand_with_protocol("jamia", protocol)
     with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
-        advance_to(course, FREE)
+        advance_to(course, FREE_STAGE)
         course.peer.inject(f"forget node={hand.motor[seed % 4].name}")
         end_s = course.k * course.period_ns * 1e-9 + 1.01
         assert course.until(lambda out: out.mode == Mode.CUT, 1.02)
@@ -124,7 +124,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     """
     hand = hand_with_protocol("jamia", "moteus")
     with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
-        advance_to(course, FREE)
+        advance_to(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
         course.peer.inject(f"forget node={motor}")
         assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), 1.02)

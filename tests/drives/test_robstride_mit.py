@@ -8,8 +8,8 @@ import pytest
 from firmware_sim.bus.frame import Frame as SimFrame
 from firmware_sim.nodes.robstride import node as simulated
 from firmware_sim.nodes.robstride.mit_mode import RobstrideMitNode
-from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.robstride.mit import READ_FAULTS, RobstrideMitDrive
@@ -41,8 +41,8 @@ def drive_of(**options: object) -> RobstrideMitDrive:
 
 
 def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench) -> None:
-    bench.until(DriveTarget.POLL, Phase.READY)
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
         bench.tick(DriveTarget.ENABLE, 0.05)
     world = bench.rig.world
@@ -52,7 +52,7 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench)
         assert state.torque == pytest.approx(0.05, abs=2 * STEP_N_M)
         assert state.temperature == pytest.approx(25.0, abs=0.5)
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=STEP_N_M)
-    bench.until(DriveTarget.DISABLE, Phase.READY, ticks=100)
+    bench.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert world.malformed == 0
@@ -61,25 +61,27 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench)
 @pytest.mark.parametrize(
     ("fault", "words", "cause"),
     [
-        (simulated.HOT, "over-temperature", Cause.HOT),
-        (simulated.UNDER_VOLTAGE, "under-voltage", Cause.VOLTAGE),
-        (simulated.OVERLOAD, "overload: the shaft is blocked", Cause.OTHER),
-        (1 << simulated.REPORT_SHIFT + 6, "unknown fault bit 14", Cause.UNKNOWN),
+        (simulated.HOT_FAULT, "over-temperature", DriveFaultCause.HOT),
+        (simulated.UNDER_VOLTAGE, "under-voltage", DriveFaultCause.VOLTAGE),
+        (simulated.OVERLOAD_FAULT, "overload: the shaft is blocked", DriveFaultCause.OTHER),
+        (1 << simulated.REPORT_SHIFT + 6, "unknown fault bit 14", DriveFaultCause.UNKNOWN),
     ],
 )
-def test_faults_are_read_before_torque_and_await_a_clear(bench: Bench, fault: int, words: str, cause: Cause) -> None:
-    bench.until(DriveTarget.POLL, Phase.READY)
+def test_faults_are_read_before_torque_and_await_a_clear(
+    bench: Bench, fault: int, words: str, cause: DriveFaultCause
+) -> None:
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
     first(bench).trip(fault)
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
     drive, state = bench.drives[0], bench.states[0]
-    assert (state.phase, state.error_text) == (Phase.FAULT, words)
+    assert (state.phase, state.error_text) == (DrivePhase.FAULT, words)
     assert drive.cause(state.error) == cause
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE)
-    assert bench.states[0].phase == Phase.FAULT
+    assert bench.states[0].phase == DrivePhase.FAULT
     bench.clear()
-    bench.until(DriveTarget.POLL, Phase.READY)
+    bench.until(DriveTarget.POLL, DrivePhase.READY)
 
 
 def test_only_a_disabled_motor_is_asked_for_its_faults(bench: Bench) -> None:
@@ -88,13 +90,13 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: Bench) -> None:
     It is therefore sent only while the motor is disabled.
     """
     seen = []
-    for target, phase in ((DriveTarget.ENABLE, Phase.ENABLED), (DriveTarget.DISABLE, Phase.READY)):
+    for target, phase in ((DriveTarget.ENABLE, DrivePhase.ENABLED), (DriveTarget.DISABLE, DrivePhase.READY)):
         for _ in range(100):
             before = [state.phase for state in bench.states]
             bench.tick(target)
             reads = [frame for frame in bench.sent if frame.data == READ_FAULTS]
             seen += reads
-            assert not reads or Phase.ENABLED not in before
+            assert not reads or DrivePhase.ENABLED not in before
         assert {state.phase for state in bench.states} == {phase}
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
@@ -109,7 +111,7 @@ def test_feedback_at_the_freezing_point_is_no_fault() -> None:
     for k in range(5):
         state, _ = drive.advance(state, k * MS, DriveTarget.POLL, 0.0)
         state = drive.receive(state, Frame(0x15, frozen, 0, 0, k * MS + 1))
-    assert (state.phase, state.error, state.temperature) == (Phase.READY, 0, 0.0)
+    assert (state.phase, state.error, state.temperature) == (DrivePhase.READY, 0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +140,7 @@ def test_no_numbers_share_an_identifier() -> None:
 def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> None:
     place = VirtualBench("robstride_mit", motor_type="rs05", host_id=0, can_timeout=2000)
     rig = rig_on(place, "robstride_mit", 0.5)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     rig.tick(DriveTarget.ENABLE, 0.1)
     assert place.bench.motors[0].servo.torque != 0.0
     place.pass_time(0.2)

@@ -16,11 +16,11 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content, load_hand
 from handctl.programs.live import LiveProgram
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.drives.protocol_bench import hand_file, on_two_buses
 
 SYNC = 0x080
@@ -35,7 +35,7 @@ def without_sensors() -> Hand:
     """Return jamia with CiA 402 drives and without a sensor node."""
     content: dict[str, Any] = hand_content("jamia")
     del content["sensor_node"]
-    drive = {"protocol": "cia402", "options": dict(PROTOCOLS["cia402"].options)}
+    drive = {"protocol": "cia402", "options": dict(PROTOCOL_TRAITS["cia402"].options)}
     content["motor"] = [motor | drive for motor in content["motor"]]
     return hand_from_content(content, "without sensors")
 
@@ -46,7 +46,7 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     hand = load_hand(str(path))
     assert senders(hand) == ["thumb_motor"], "the last drive of the bus without the sensor node"
     model = HandModel.of(hand, Gains(), 250.0)
-    with Simulator(str(path), None, 0, homed=True).against(homed_controller(model, LiveProgram())) as run:
+    with SimulatorSettings(str(path), None, 0, homed=True).against(homed_controller(model, LiveProgram())) as run:
         assert run.until(lambda out: out.mode == Mode.ACTIVE, 5.0)
         sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC]
         assert sent == [(0, 1), (1, 0)], "once on each bus: with the counter for the sensor node, else empty"

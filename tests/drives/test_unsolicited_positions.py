@@ -12,7 +12,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 
 SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
 RATE_HZ = 250.0
@@ -40,7 +40,9 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
     This ended the default task with N14b.
     """
     model = HandModel.of(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
-    with Simulator(model.hand, None, seed, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:
+    with SimulatorSettings(model.hand, None, seed, homed=True).against(
+        homed_controller(model, TaskProgram(TASK))
+    ) as run:
         run.record = False
         largest = 0.0
         for _, out in run.ticks(4.0):

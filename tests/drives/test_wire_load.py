@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from handctl.controller.bus_load import bus_loads
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import ERROR
 from handctl.hand.load import hand_path, load_hand
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
@@ -24,7 +24,7 @@ def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
 def measured_tick_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
     """Return the mean measured bus time of a tick on each bus [s], while the drives are enabled."""
     bench = Bench(path, wire, period_ns)
-    bench.until(DriveTarget.ENABLE, Phase.ENABLED)
+    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert bench.rig.wired
     wires = bench.rig.wired.wires
     for _ in range(20):
@@ -32,7 +32,7 @@ def measured_tick_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS)
     before = [one.busy_ns for one in wires]
     for _ in range(TICKS):
         bench.tick(DriveTarget.ENABLE, 0.05)
-    assert [state.phase for state in bench.states] == [Phase.ENABLED] * len(bench.states)
+    assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * len(bench.states)
     bench.rig.close()
     return [(one.busy_ns - start) * 1e-9 / TICKS for one, start in zip(wires, before, strict=True)]
 
@@ -109,7 +109,7 @@ def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(adapter: str, tick
     The latency of the adapter causes ticks without feedback.
     """
     bench = Bench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter}"], PERIOD_NS)
-    bench.until(DriveTarget.POLL, Phase.READY, 1000)
+    bench.until(DriveTarget.POLL, DrivePhase.READY, 1000)
     silent = longest = 0
     for _ in range(100):
         before = bench.states[0].feedback_count

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from firmware_sim.bus.frame import Frame as SimFrame
-from firmware_sim.nodes.odrive.bench import ENDPOINTS
-from firmware_sim.programs.drive import Bench
+from firmware_sim.nodes.odrive.bench import ENDPOINT_NUMBERS
+from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
@@ -14,7 +14,7 @@ from tests.drives.protocol_bench import motor_on_bench
 NODE = 0x21
 OPTIONS = {
     "mit": {},
-    "odrive": {**ENDPOINTS, "torque_feedback": True},
+    "odrive": {**ENDPOINT_NUMBERS, "torque_feedback": True},
     "moteus": {},
     "robstride": {"motor_type": "rs05"},
     "robstride_mit": {"motor_type": "rs05", "host_id": 0},
@@ -31,7 +31,7 @@ class VirtualBench:
     def __init__(self, protocol, fault="", inertia=None, delay=0, **options):
         """Put one simulated drive on the bench, with a fault and a delay in ticks."""
         spec = drive_spec(protocol, NODE, inertia=inertia)
-        self.bench = Bench([replace(spec, options=options or spec.options)], fault=fault)
+        self.bench = SimulatedDriveBench([replace(spec, options=options or spec.options)], fault=fault)
         self.waiting, self.top, self.origin_ns = [], 0.0, 0
         self.late = [[] for _ in range(delay)]  # frames still on their way, one list per tick
 

@@ -14,8 +14,8 @@ from handctl.core.block import STATE
 from handctl.core.constants import ELEMENTS, HAND, KINDS
 from handctl.drives.contract import Drive, DriveState, DriveTarget
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import WORDS, Frames, frames_as_records
-from handctl.drives.sensors.contract import Sensors
+from handctl.drives.records import WORDS_PER_RECORD, Frames, frames_as_records
+from handctl.drives.sensors.contract import SensorInterface
 
 
 class Wired:
@@ -28,14 +28,14 @@ class Wired:
         foreign: frames of the last ``receive`` with identifiers that only the host may use.
     """
 
-    def __init__(self, drives: Sequence[Drive], sensors: Sensors) -> None:
+    def __init__(self, drives: Sequence[Drive], sensors: SensorInterface) -> None:
         """Build the state block and the tables with which compiled code reads and writes frames."""
         self.drives, self.sensors = drives, sensors
         n = len(sensors.frame_of)
         joints = 1 + max((j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0)
         axes = {"tendon": n, "joint": joints, "digit": 1, "coordinate": 1, "node": n + 1}
         self.layout = STATE.layout({**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1})
-        self.tables = wire.Wire(drives, sensors)
+        self.tables = wire.WireTables(drives, sensors)
         self.block = self.layout.initial.copy()
         self.owners = {(drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids}
         self.states: list[DriveState] = [drive.initial() for drive in drives]
@@ -90,7 +90,7 @@ class Wired:
         tables, sent, first = self.tables, list[Frame](), 0
         while True:
             if target == DriveTarget.ENABLE:
-                out = np.zeros((len(tables.templates), WORDS), np.uint64)
+                out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
                 first, count = wire.encode_commands(
                     self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
                     tables.templates, np.asarray(torque, dtype=np.float64), tables.servos, tables.servo_templates,

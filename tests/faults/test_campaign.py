@@ -16,19 +16,19 @@ from handctl.campaign import campaign
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.campaign.scenarios import (
     ALL_PROTOCOLS,
-    ARMING,
-    FREE,
-    GRASP,
-    MATRIX,
+    ARMING_STAGE,
+    FAULT_MATRIX,
+    FREE_STAGE,
+    GRASP_STAGE,
     UNTESTED_ROWS,
+    FaultScenario,
     MatrixRow,
-    Scenario,
     fault_pairs,
-    scenarios,
+    scenarios_of_hand,
 )
 from handctl.campaign.stage import (
     FAULT_DELAY_S,
-    SLOWEST_HZ,
+    MIN_CONTROL_RATE_HZ,
     advance_to,
     hand_with_protocol,
     homed_run,
@@ -36,12 +36,12 @@ from handctl.campaign.stage import (
 )
 from handctl.cli.studies.fault_campaign import default_rate
 from handctl.controller.bus_load import bus_loads
-from handctl.core.types import Event, Mode
+from handctl.core.types import Mode, TickEvent
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 from handctl.safety.action import Action
 from handctl.safety.faults.tendon import RELAXED_S
 from handctl.session.plan import highest_rate_of_buses
-from handctl.session.simulate import Simulation
+from handctl.session.simulate import SimulatedRun
 from tests.hand.wrist import on_wrist
 
 RATE_HZ = 500.0
@@ -64,7 +64,7 @@ def test_only_existing_load_cells_fail():
     """
     for hand in (on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
-        found = [*scenarios(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
+        found = [*scenarios_of_hand(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
         texts = [text for one in found for text in (one.fault, one.second) if "cell=" in text]
         assert bool(texts) == bool(cells)
         assert {text.partition("cell=")[2].split()[0] for text in texts} <= cells
@@ -110,12 +110,12 @@ def alarms_of_run(phase, *texts):
 
     The hand stays in one phase for eight seconds and reports the given faults in each second.
     """
-    events = tuple(Event("warn", "fault", "", text) for text in texts)
+    events = tuple(TickEvent("warn", "fault", "", text) for text in texts)
     out = SimpleNamespace(mode=Mode.ACTIVE, phase=phase, events=events)
 
     @contextlib.contextmanager
     def started(hand, rate_hz, seed, perturb):
-        simulation = Simulation(None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure=""))
+        simulation = SimulatedRun(None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure=""))
 
         def tick():
             simulation.k += 1
@@ -142,7 +142,7 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
     """Regression: the large changes of the commands at the contact hid the exchange for 2.3 s."""
     hand = hand_with_protocol("t42", "mit")
     with homed_run(hand, RATE_HZ, seed) as simulation:
-        advance_to(simulation, GRASP)
+        advance_to(simulation, GRASP_STAGE)
         simulation.peer.inject("swap node=left_motor with=right_motor")
         assert simulation.until(lambda out: out.mode == Mode.RELAX, 0.6)
         assert {mark.id for mark in simulation.state.latched} == {"N17"}
@@ -153,7 +153,7 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
 def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(hand: str, protocol: str) -> None:
     """Eleven moteus, ODrive or RobStride drives on a single bus allow 100 Hz only. They get a second bus."""
     replaced = hand_with_protocol(hand, protocol)
-    assert highest_rate_of_buses(bus_loads(replaced)) >= SLOWEST_HZ
+    assert highest_rate_of_buses(bus_loads(replaced)) >= MIN_CONTROL_RATE_HZ
     assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
     # The file of the hand, which `demo --protocol` writes, describes the same hand.
     assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
@@ -177,7 +177,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
     stored_log = tmp_path / "kept"
     with homed_run(hand, RATE_HZ, 0) as simulation:
         simulation.tick()
-        todo = [Scenario(row, row.fault, GRASP) for row in (never, slow)]
+        todo = [FaultScenario(row, row.fault, GRASP_STAGE) for row in (never, slow)]
         run_in_branches(
             simulation,
             todo,
@@ -197,9 +197,9 @@ def test_a_reaction_to_another_fault_does_not_count():
     """If a run ends because a drive has dropped out, this does not show that faults of load cells are detected."""
     row = MatrixRow("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
     with homed_run(hand_with_protocol("jamia", "mit"), RATE_HZ, 0) as simulation:
-        advance_to(simulation, ARMING)
-        advance_to(simulation, FREE)
-        result = run_scenario(simulation, Scenario(row, row.fault, FREE), "mit")
+        advance_to(simulation, ARMING_STAGE)
+        advance_to(simulation, FREE_STAGE)
+        result = run_scenario(simulation, FaultScenario(row, row.fault, FREE_STAGE), "mit")
     assert "T05" in result.problem
     assert not result.ok
 
@@ -207,8 +207,8 @@ def test_a_reaction_to_another_fault_does_not_count():
 @pytest.mark.parametrize(("name", "rate_hz"), [("jamia", RATE_HZ), ("jamia11", 200.0)])
 def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
     with homed_run(hand_with_protocol(name, "mit"), rate_hz, 0) as simulation:
-        advance_to(simulation, ARMING)
-        advance_to(simulation, FREE)
+        advance_to(simulation, ARMING_STAGE)
+        advance_to(simulation, FREE_STAGE)
         free = [out for _, out in simulation.recorded if out.phase == "free"]
         assert len(free) * simulation.period_ns == pytest.approx(FAULT_DELAY_S * 1e9, abs=2 * simulation.period_ns)
         speed = free[-1].telemetry.dq_goal
@@ -219,7 +219,7 @@ def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
     hand = hand_with_protocol("jamia", "mit")
     thumb = hand.tendon[-1].model_copy(update={"tension_trip_N": 90.0, "drive_limit_N": 95.5})
     other = hand.model_copy(update={"tendon": (*hand.tendon[:-1], thumb)})
-    texts = {one.fault for one in scenarios(other, "mit", 2.0) if one.row.id == "T03"}
+    texts = {one.fault for one in scenarios_of_hand(other, "mit", 2.0) if one.row.id == "T03"}
     assert {"offset cell=thumb_tendon size=90", "offset cell=thumb_tendon size=95.5"} <= texts
     assert {"offset cell=index_tendon size=140", "offset cell=index_tendon size=160"} <= texts
 
@@ -235,20 +235,20 @@ def test_silent_joint_encoders_are_detected(joint):
         fault = f"mute joint={joint} for={5 * every * frames}ms"
         row = MatrixRow("N02", fault, Action.RELAX, 4 * every, rows=("N02",))
         with homed_run(hand_with_protocol("jamia11", "mit"), 200.0, 0) as simulation:
-            advance_to(simulation, ARMING)
-            advance_to(simulation, FREE)
-            result = run_scenario(simulation, Scenario(row, fault, FREE), "mit")
+            advance_to(simulation, ARMING_STAGE)
+            advance_to(simulation, FREE_STAGE)
+            result = run_scenario(simulation, FaultScenario(row, fault, FREE_STAGE), "mit")
         assert (result.effects, result.detected_by) == (frames, found)
         assert result.ok == bool(found), result.problem
 
 
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
     """Regression: with steady filter gains, the tension rose to 171 N while 7 N were commanded."""
-    row = next(row for row in MATRIX if row.id == "N15" and "cia402" in row.protocols)
+    row = next(row for row in FAULT_MATRIX if row.id == "N15" and "cia402" in row.protocols)
     with homed_run(hand_with_protocol("jamia11", "cia402"), 200.0, 0) as simulation:
-        advance_to(simulation, ARMING)
-        advance_to(simulation, FREE)
-        result = run_scenario(simulation, Scenario(row, "slow node=index_m1 size=2", FREE), "cia402")
+        advance_to(simulation, ARMING_STAGE)
+        advance_to(simulation, FREE_STAGE)
+        result = run_scenario(simulation, FaultScenario(row, "slow node=index_m1 size=2", FREE_STAGE), "cia402")
     assert result.ok, result.problem
     assert result.tension < 30.0
 
@@ -263,12 +263,12 @@ def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
     """
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, RATE_HZ, 0) as simulation:
-        advance_to(simulation, GRASP)
+        advance_to(simulation, GRASP_STAGE)
         space = simulation.controller.model.space
         at = simulation.peer.truth()["tension"][0]
         v = abs(float(simulation.out.telemetry.motor_velocity[0]) * float(space.spool[0])) + 0.01
-        row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
-        scenario = Scenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP)
+        row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")
+        scenario = FaultScenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP_STAGE)
         result = run_scenario(simulation, scenario, "mit")
     limit = hand.tendon[0].drive_limit_N
     k = float(space.stiffness[0])
@@ -284,25 +284,30 @@ def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated(
     Its load cell saturates below the tension that causes an immediate cut.
     """
     hand = hand_with_protocol("jamia_bench", "odrive")
-    row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
+    row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")
     with homed_run(hand, 400.0, 0) as simulation:
-        advance_to(simulation, GRASP)
-        result = run_scenario(simulation, Scenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP), "odrive")
+        advance_to(simulation, GRASP_STAGE)
+        result = run_scenario(
+            simulation, FaultScenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP_STAGE), "odrive"
+        )
     assert result.ok, result.problem
     assert result.safe_ticks <= 400.0 * RELAXED_S + row.ticks + 5
 
 
 def test_instances_are_the_first_and_the_last():
     hand = hand_with_protocol("jamia", "mit")
-    texts = [one.fault for one in scenarios(hand, "mit", 2.0) if one.row.id == "B17" and one.stage == GRASP]
+    texts = [
+        one.fault for one in scenarios_of_hand(hand, "mit", 2.0) if one.row.id == "B17" and one.stage == GRASP_STAGE
+    ]
     assert {text.rpartition("=")[2] for text in texts} == {"index_motor", "thumb_motor"}
     assert len(fault_pairs(hand, "mit", 2.0)) == 66
 
 
 def test_every_row_is_in_the_matrix_or_tested_elsewhere():
-    assert not {row.id for row in MATRIX} & UNTESTED_ROWS.keys()
+    assert not {row.id for row in FAULT_MATRIX} & UNTESTED_ROWS.keys()
     counts = {
-        protocol: len(scenarios(hand_with_protocol("jamia", protocol), protocol, 2.0)) for protocol in ALL_PROTOCOLS
+        protocol: len(scenarios_of_hand(hand_with_protocol("jamia", protocol), protocol, 2.0))
+        for protocol in ALL_PROTOCOLS
     }
     assert sum(counts.values()) + 3 * 66 >= 250, counts
 

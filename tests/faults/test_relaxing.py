@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from benchmarks import hidden
-from handctl.campaign.scenarios import FREE, GRASP
-from handctl.campaign.stage import TASK, advance_to, hand_with_protocol, homed_run
+from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
+from handctl.campaign.stage import CAMPAIGN_TASK, advance_to, hand_with_protocol, homed_run
 from handctl.controller.relaxing import SETPOINT_MARGIN_N
 from handctl.core import block as s
 from handctl.core.types import Mode
-from handctl.drives.motor_description import GUARDED
-from handctl.runtime.mailbox import STOP
-from handctl.session.simulate import Simulation
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.runtime.mailbox import STOP_REQUEST
+from handctl.session.simulate import SimulatedRun
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20) if NIGHTLY else range(3)
-COMBINATIONS = [(hand, protocol) for hand in ("jamia", "jamia11") for protocol in GUARDED]
+COMBINATIONS = [(hand, protocol) for hand in ("jamia", "jamia11") for protocol in GUARDED_PROTOCOLS]
 SAMPLED = [(*one, seed) for i, one in enumerate(COMBINATIONS) for seed in SEEDS if NIGHTLY or seed == i % 5]
 FAULTS = (
     "swap node={a} with={b}", "cross node={a} with={b}", "late node={a} size=50", "late node={b} size=20",
@@ -48,7 +48,7 @@ class Instant(NamedTuple):
     speed: np.ndarray
 
 
-def observe_instant(simulation: Simulation) -> Instant:
+def observe_instant(simulation: SimulatedRun) -> Instant:
     peer: Any = simulation.peer
     spool = simulation.controller.model.space.spool
     motors = [peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor]
@@ -56,7 +56,7 @@ def observe_instant(simulation: Simulation) -> Instant:
     return Instant(torque / spool, np.array(peer.truth()["tension"]), np.array([m.omega for m in motors]) * spool)
 
 
-def tension_bound(simulation: Simulation, decided: Instant, force: np.ndarray) -> np.ndarray:
+def tension_bound(simulation: SimulatedRun, decided: Instant, force: np.ndarray) -> np.ndarray:
     """Return the largest tension (N,) of each tendon that its rotor and its stretch explain [N].
 
     A rotor has the mass m at the tendon and the speed v. A force of at most F pulls it against the stiffness k of the
@@ -76,11 +76,17 @@ def test_relaxing_raises_no_command_and_no_tension(hand_name: str, protocol: str
     hand = hand_with_protocol(hand_name, protocol)
     rate = RATE_HZ[hand_name]
     perturb = {key: chance.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")}
-    task = {**TASK, "phase": [*TASK["phase"][:-1], {**TASK["phase"][-1], "tension_N": chance.uniform(20.0, 90.0)}]}
+    task = {
+        **CAMPAIGN_TASK,
+        "phase": [
+            *CAMPAIGN_TASK["phase"][:-1],
+            {**CAMPAIGN_TASK["phase"][-1], "tension_N": chance.uniform(20.0, 90.0)},
+        ],
+    }
     a, b = chance.sample([motor.name for motor in hand.motor], 2)
     fault = chance.choice(FAULTS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
     with homed_run(hand, rate, seed, perturb, task) as simulation:
-        advance_to(simulation, chance.choice((FREE, GRASP)))
+        advance_to(simulation, chance.choice((FREE_STAGE, GRASP_STAGE)))
         for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
             simulation.tick()
         if fault:
@@ -89,13 +95,13 @@ def test_relaxing_raises_no_command_and_no_tension(hand_name: str, protocol: str
         check_relaxing(simulation, stop_at, round(WINDOW_S * rate), fault)
 
 
-def check_relaxing(simulation: Simulation, stop_at: int, window: int, fault: str) -> None:
+def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: str) -> None:
     recent: list[Instant] = [observe_instant(simulation)]
     # Commands from before the decision to relax are included, because a delayed motor may execute
     # them after it.
     commanded = [simulation.state.view("asked").copy()]
     while simulation.state.mode == Mode.ACTIVE:
-        simulation.tick(requests=(STOP,) if simulation.k == stop_at else ())
+        simulation.tick(requests=(STOP_REQUEST,) if simulation.k == stop_at else ())
         recent.append(observe_instant(simulation))
         commanded.append(simulation.state.view("asked").copy())
     decided = recent[-2]

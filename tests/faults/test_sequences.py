@@ -12,11 +12,11 @@ import pytest
 from firmware_sim.description import load_hand
 from firmware_sim.faults.text import parse_fault
 from handctl.campaign import sequences
-from handctl.campaign.scenarios import ALL_PROTOCOLS, ARMING, HOST_PREFIX
+from handctl.campaign.scenarios import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
 from handctl.campaign.sequences import (
     SEQUENCE_TICKS,
+    FaultSequence,
     FaultStep,
-    Sequence,
     draw_sequence,
     run_sequence,
     run_sequences,
@@ -24,10 +24,10 @@ from handctl.campaign.sequences import (
     violations_in_tick,
     violations_on_replay,
 )
-from handctl.campaign.stage import STAGES, advance_to, hand_with_protocol, homed_run, run_in_branches
+from handctl.campaign.stage import RUN_STAGES, advance_to, hand_with_protocol, homed_run, run_in_branches
 from handctl.cli.studies.fault_campaign import default_rate
 from handctl.core.types import Mode
-from handctl.safety.judge import Latched
+from handctl.safety.judge import LatchedFault
 
 NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, result: None}
 
@@ -36,7 +36,7 @@ NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, res
 def simulation():
     """Yield the simulation of a hand that is being armed at a low control rate. Each test uses a copy of it."""
     with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as simulation:
-        advance_to(simulation, ARMING)
+        advance_to(simulation, ARMING_STAGE)
         yield simulation
 
 
@@ -53,7 +53,7 @@ def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path)
     simulated = load_hand(str(path))
     drawn = [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
     assert drawn == [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
-    assert {one.stage for one in drawn} == set(STAGES)
+    assert {one.stage for one in drawn} == set(RUN_STAGES)
     assert len({one.steps for one in drawn}) == len(drawn)
     for step in [step for one in drawn for step in one.steps]:
         assert 0 <= step.tick < SEQUENCE_TICKS
@@ -73,9 +73,9 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
     If the rule does not count this as the reason, its tension breaks the rule.
     """
     results = []
-    sequence = Sequence(0, ARMING, (FaultStep(20, "runaway node=index_motor"),))
-    for explains in (sequences.RUNAWAY, "nobody"):
-        monkeypatch.setattr(sequences, "RUNAWAY", explains)
+    sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))
+    for explains in (sequences.RUNAWAY_FAULT, "nobody"):
+        monkeypatch.setattr(sequences, "RUNAWAY_FAULT", explains)
         run_in_branches(arming, [sequence], 1, run_sequence, results.append, lambda simulation, result: None)
     assert (results[0].ok, results[1].ok) == (True, False)
     assert results[1].problem.endswith("N in a tendon, at most 140 N expected")
@@ -85,7 +85,7 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
 def test_violated_rule_of_a_tick_is_found(arming):
     before = arming.state.copy()
     before.mode = Mode.RELAX
-    before.decide(latched=(Latched("T03", "index_tendon"),))
+    before.decide(latched=(LatchedFault("T03", "index_tendon"),))
     after = before.copy()
     after.view("setpoint")[...] += 1.0
     assert violations_in_tick(before, after, cleared=False) == ["a setpoint rises while the hand relaxes"]

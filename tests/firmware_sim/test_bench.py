@@ -9,43 +9,43 @@ import pytest
 from firmware_sim.__main__ import main
 from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
 from firmware_sim.description import SimulatorError
-from firmware_sim.faults.faulty_drive import FAULTS
-from firmware_sim.nodes import PROTOCOLS, cubemars
-from firmware_sim.nodes.cia402.dictionary import EDS_PATH, Dictionary
+from firmware_sim.faults.faulty_drive import DRIVE_FAULTS
+from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
+from firmware_sim.nodes.cia402.dictionary import EDS_PATH, ObjectDictionary
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
-from firmware_sim.programs.drive import Bench
+from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 
 MS = 1_000_000
 ENABLE = b"\xff" * 7 + b"\xfc"
 
 
-def register(bench: Bench, node: int, number: int) -> bytes:
+def register(bench: SimulatedDriveBench, node: int, number: int) -> bytes:
     (reply,) = bench.receive(Frame(0x7FF, bytes((node, 0, 0x33, number, 0, 0, 0, 0))))
     assert reply.can_id == node + 0x10
     return reply.data[4:]
 
 
-@pytest.mark.parametrize("kind", mit_bench.TYPES)
+@pytest.mark.parametrize("kind", mit_bench.MOTOR_TYPE_RANGES)
 def test_an_mit_motor_has_the_manufacturers_ranges_and_no_watchdog(kind: str) -> None:
-    bench = Bench([drive_spec("mit", 2, kind), drive_spec("mit", 5, kind)])
+    bench = SimulatedDriveBench([drive_spec("mit", 2, kind), drive_spec("mit", 5, kind)])
     for node in (2, 5):
         ranges = [struct.unpack("<f", register(bench, node, number))[0] for number in (21, 22, 23)]
-        assert ranges == pytest.approx(mit_bench.TYPES[kind])
+        assert ranges == pytest.approx(mit_bench.MOTOR_TYPE_RANGES[kind])
         assert register(bench, node, 9) == bytes(4)
         assert register(bench, node, 35) == b"\4\0\0\0"
 
 
 def test_a_motor_set_to_fd_reports_it_and_answers_in_fd() -> None:
-    bench = Bench([drive_spec("mit", 1, fd=True)])
+    bench = SimulatedDriveBench([drive_spec("mit", 1, fd=True)])
     assert register(bench, 1, 35)[0] == 9
     (reply,) = bench.receive(Frame(1, ENABLE, FDF | BRS))
     assert reply.flags == FDF | BRS
 
 
 def test_a_free_shaft_turns_by_its_inertia() -> None:
-    bench = Bench([drive_spec("odrive", 0, inertia=1e-3)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 0, inertia=1e-3)])
     for command, data in ((0x0B, struct.pack("<II", 1, 1)), (0x07, struct.pack("<I", 8))):
         bench.receive(Frame(command, data))
     bench.receive(Frame(0x0E, struct.pack("<f", 0.1)))
@@ -59,7 +59,7 @@ def test_a_free_shaft_turns_by_its_inertia() -> None:
 
 
 def test_an_odrive_follows_positions_and_velocities() -> None:
-    bench = Bench([drive_spec("odrive", 3)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3)])
     bench.receive(Frame(3 << 5 | 0x07, struct.pack("<I", 8)))
     bench.receive(Frame(3 << 5 | 0x0C, struct.pack("<fhh", 1.5, 0, 0)))
     bench.advance(2000 * MS)
@@ -74,9 +74,11 @@ def test_an_odrive_follows_positions_and_velocities() -> None:
     assert bench.motors[0].servo.kd == 0.0
 
 
-def speed_at(protocol: str, torque: float, kind: str = "", inertia: float | None = None) -> tuple[Bench, float]:
+def speed_at(
+    protocol: str, torque: float, kind: str = "", inertia: float | None = None
+) -> tuple[SimulatedDriveBench, float]:
     """Return a bench after five seconds with a torque command [N m], and the speed of its shaft [rad/s]."""
-    bench = Bench([drive_spec(protocol, 2, kind, inertia=inertia)])
+    bench = SimulatedDriveBench([drive_spec(protocol, 2, kind, inertia=inertia)])
     spec = drive_spec(protocol, 2, kind)
     code = round((torque / spec.torque_max + 1.0) / 2.0 * 4095)
     bench.receive(Frame(2, ENABLE))
@@ -86,14 +88,14 @@ def speed_at(protocol: str, torque: float, kind: str = "", inertia: float | None
     return bench, bench.motors[0].omega
 
 
-@pytest.mark.parametrize("kind", sorted(mit_bench.TYPES))
-@pytest.mark.parametrize("inertia", [None, 2e-5], ids=["free shaft", "light shaft"])
+@pytest.mark.parametrize("kind", sorted(mit_bench.MOTOR_TYPE_RANGES))
+@pytest.mark.parametrize("inertia", [None, 2e-5], ids=["free shaft_of_mit_motor", "light shaft_of_mit_motor"])
 def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(kind: str, inertia: float | None) -> None:
     """Regression: 1 N m drove a DM4310 motor to 76 rad/s, although its no-load speed is 21 rad/s."""
-    shaft = mit_bench.shaft(kind)
+    shaft_of_mit_motor = mit_bench.shaft_of_mit_motor(kind)
     for sign in (1.0, -1.0):
-        _, speed = speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
-        assert 0.9 * shaft.top_speed < sign * speed <= shaft.top_speed
+        _, speed = speed_at("mit", sign * 0.1 * shaft_of_mit_motor.peak, kind, inertia)
+        assert 0.9 * shaft_of_mit_motor.top_speed < sign * speed <= shaft_of_mit_motor.top_speed
 
 
 def test_a_dm4310_turns_at_200_rpm_at_one_newton_metre() -> None:
@@ -103,7 +105,7 @@ def test_a_dm4310_turns_at_200_rpm_at_one_newton_metre() -> None:
 
 @pytest.mark.parametrize("kind", sorted(cubemars.FULL_SCALE))
 def test_a_cubemars_motor_turns_no_faster_than_its_no_load_speed(kind: str) -> None:
-    shaft = cubemars.shaft(kind)
+    shaft = cubemars.shaft_of_motor(kind)
     _, speed = speed_at("mit", 0.1 * shaft.peak, kind)
     assert 0.9 * shaft.top_speed < speed <= shaft.top_speed
 
@@ -115,8 +117,8 @@ def test_a_motor_makes_no_more_than_its_peak_torque() -> None:
 
 
 def test_the_torque_falls_with_the_speed() -> None:
-    bench = Bench([drive_spec("mit", 2, inertia=100.0)])
-    motor, rating = bench.motors[0], mit_bench.RATINGS["dm4310"]
+    bench = SimulatedDriveBench([drive_spec("mit", 2, inertia=100.0)])
+    motor, rating = bench.motors[0], mit_bench.MOTOR_RATINGS["dm4310"]
     motor.servo.torque = 7.0
     for fraction, expected in ((0.0, 7.0), (0.75, 0.25 * rating.stall_torque), (1.0, 0.0), (1.5, 0.0)):
         motor.omega = fraction * rating.top_speed
@@ -124,7 +126,7 @@ def test_the_torque_falls_with_the_speed() -> None:
         assert motor.torque == pytest.approx(expected, abs=0.15)
 
 
-def send_to_odrive(bench: Bench, *messages: tuple[int, bytes]) -> None:
+def send_to_odrive(bench: SimulatedDriveBench, *messages: tuple[int, bytes]) -> None:
     """Send messages to the ODrive with node number 3 on a bench."""
     for command, data in messages:
         bench.receive(Frame(3 << 5 | command, data))
@@ -137,7 +139,7 @@ IDLE = (0x07, struct.pack("<I", 1))
 
 @pytest.mark.parametrize("inertia", [2e-5, 1e-4, 1e-2])
 def test_the_velocity_limit_of_an_odrive_acts_in_torque_control(inertia: float) -> None:
-    bench = Bench([drive_spec("odrive", 3, inertia=inertia)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
     send_to_odrive(
         bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 0.05))
     )
@@ -153,7 +155,7 @@ def test_the_velocity_limit_of_an_odrive_acts_in_torque_control(inertia: float) 
 
 
 def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
-    bench = Bench([drive_spec("odrive", 3)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3)])
     send_to_odrive(bench, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0C, struct.pack("<fhh", 20.0, 0, 0)))
     fastest = 0.0
     for _ in range(100):
@@ -163,7 +165,7 @@ def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
 
 
 def test_a_trajectory_of_an_odrive_has_a_velocity_limit_of_its_own() -> None:
-    bench = Bench([drive_spec("odrive", 3)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3)])
     send_to_odrive(bench, (0x0B, struct.pack("<II", 3, 5)), (0x11, struct.pack("<f", 1.0)), CLOSED_LOOP)
     send_to_odrive(bench, (0x0C, struct.pack("<fhh", 10.0, 0, 0)))
     fastest = 0.0
@@ -175,7 +177,7 @@ def test_a_trajectory_of_an_odrive_has_a_velocity_limit_of_its_own() -> None:
 
 
 def test_the_current_limit_of_an_odrive_acts() -> None:
-    bench = Bench([drive_spec("odrive", 3, inertia=1.0)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=1.0)])
     send_to_odrive(
         bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 50.0, 4.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 1.0))
     )
@@ -185,20 +187,20 @@ def test_the_current_limit_of_an_odrive_acts() -> None:
 
 @pytest.mark.parametrize("command", [0x00, 0x03, 0x06, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D])
 def test_an_odrive_answers_an_empty_data_frame_as_a_request(command: int) -> None:
-    bench = Bench([drive_spec("odrive", 3)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3)])
     (remote,) = bench.receive(Frame(3 << 5 | command | REMOTE, b""))
     (data,) = bench.receive(Frame(3 << 5 | command, b""))
     assert (data.can_id, data.data) == (remote.can_id, remote.data)
 
 
-def position_of(bench: Bench) -> float:
+def position_of(bench: SimulatedDriveBench) -> float:
     (reply,) = bench.receive(Frame(3 << 5 | 0x09 | REMOTE, b""))
     return float(struct.unpack_from("<f", reply.data)[0])
 
 
 @pytest.mark.parametrize("firmware", ["0.6", "0.5"])
 def test_an_odrive_obeys_set_absolute_position(firmware: str) -> None:
-    bench = Bench([drive_spec("odrive", 3, firmware=firmware)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3, firmware=firmware)])
     send_to_odrive(bench, (0x19, struct.pack("<f", 7.25) if firmware == "0.6" else struct.pack("<i", 7 * 8192 + 2048)))
     assert position_of(bench) == pytest.approx(7.25)
     send_to_odrive(bench, CLOSED_LOOP, (0x0C, struct.pack("<fhh", 7.5, 0, 0)))
@@ -208,7 +210,7 @@ def test_an_odrive_obeys_set_absolute_position(firmware: str) -> None:
 
 def test_an_odrive_calibrates() -> None:
     spec = drive_spec("odrive", 3)
-    bench = Bench([replace(spec, options={**spec.options, "uncalibrated": True})])
+    bench = SimulatedDriveBench([replace(spec, options={**spec.options, "uncalibrated": True})])
 
     def beat() -> tuple[int, int]:
         bench.advance(bench.t_ns + 200 * MS)
@@ -229,7 +231,7 @@ def test_an_odrive_calibrates() -> None:
 
 
 def test_an_odrive_keeps_what_reboot_saves() -> None:
-    bench = Bench([drive_spec("odrive", 3)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3)])
 
     def endpoint(number: int) -> bytes:
         (reply,) = bench.receive(Frame(3 << 5 | 0x04, struct.pack("<BHB", 0, number, 0)))
@@ -247,7 +249,7 @@ def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFix
     with pytest.raises(SystemExit):
         main(["drive", "--help"])
     text = capsys.readouterr().out
-    for key, number in odrive_bench.ENDPOINTS.items():
+    for key, number in odrive_bench.ENDPOINT_NUMBERS.items():
         assert f"{number}  {key.removeprefix('endpoint_')}" in text
     assert str(EDS_PATH) in text
 
@@ -263,7 +265,7 @@ def test_the_watchdog_of_a_damiao_motor_is_selectable(behaviour: str, polled: in
     """
     spec = drive_spec("mit", 2)
     for enabled, expected in ((True, polled), (False, idle)):
-        bench = Bench([replace(spec, options={"watchdog": behaviour})])
+        bench = SimulatedDriveBench([replace(spec, options={"watchdog": behaviour})])
         bench.receive(Frame(0x7FF, b"\2\0\x55\x09" + struct.pack("<I", 2000)))
         bench.receive(Frame(2, ENABLE if enabled else b"\xff" * 7 + b"\xfd"))
         for _ in range(30):
@@ -275,17 +277,17 @@ def test_the_watchdog_of_a_damiao_motor_is_selectable(behaviour: str, polled: in
 
 
 def test_the_eds_file_and_a_drive_agree_on_the_rated_torque() -> None:
-    assert Dictionary(33)[0x6076, 0] == 1000
-    bench = Bench([drive_spec("cia402", 33)])
+    assert ObjectDictionary(33)[0x6076, 0] == 1000
+    bench = SimulatedDriveBench([drive_spec("cia402", 33)])
     reply = bench.receive(Frame(0x600 + 33, b"\x40\x76\x60\0" + bytes(4)))[-1]
     assert int.from_bytes(reply.data[4:], "little") == 1000
 
 
-@pytest.mark.parametrize("fault", ["", *sorted(FAULTS)])
-@pytest.mark.parametrize("protocol", sorted(PROTOCOLS))
+@pytest.mark.parametrize("fault", ["", *sorted(DRIVE_FAULTS)])
+@pytest.mark.parametrize("protocol", sorted(PROTOCOL_SPECS))
 def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
     """Regression: an MIT motor with the fault ``deaf`` raised OverflowError at the first remote or extended frame."""
-    bench = Bench([drive_spec(protocol, 2)], fault=fault)
+    bench = SimulatedDriveBench([drive_spec(protocol, 2)], fault=fault)
     specials = [b"\xff" * 7 + bytes((code,)) for code in (0xFB, 0xFC, 0xFD, 0xFE, 0xFF)]
     payloads = [b"\xff" * size for size in range(9)] + [bytes(size) for size in range(9)] + specials
     identifiers = [0, 2, 0x41, 0x47, 0x4E, 0x80, 0x202, 0x602, 0x702, 0x77F, 0x7FF, 0x12345678]
@@ -297,9 +299,9 @@ def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
         bench.take_unsolicited()
 
 
-def in_mode(mode: int) -> Bench:
+def in_mode(mode: int) -> SimulatedDriveBench:
     """Return a bench with one enabled Damiao motor in a control mode."""
-    bench = Bench([drive_spec("mit", 2)])
+    bench = SimulatedDriveBench([drive_spec("mit", 2)])
     bench.receive(Frame(0x7FF, b"\2\0\x55\x0a" + struct.pack("<I", mode)))
     assert register(bench, 2, 10) == struct.pack("<I", mode)
     bench.receive(Frame(2, ENABLE))
@@ -313,7 +315,7 @@ def test_a_damiao_motor_holds_a_velocity() -> None:
     assert bench.motors[0].omega == pytest.approx(-5.0, rel=0.05)
     bench.receive(Frame(0x202, struct.pack("<ff", 100.0, 0.0)))
     bench.advance(3000 * MS)
-    assert bench.motors[0].omega <= mit_bench.RATINGS["dm4310"].top_speed
+    assert bench.motors[0].omega <= mit_bench.MOTOR_RATINGS["dm4310"].top_speed
 
 
 def test_a_damiao_motor_moves_to_a_position_within_a_speed() -> None:
@@ -366,7 +368,7 @@ def test_a_change_of_the_mode_ends_the_setpoint() -> None:
 
 @pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402", "moteus", "robstride"])
 def test_faults_act_on_bench_drives(protocol: str) -> None:
-    bench = Bench([drive_spec(protocol, 2), drive_spec(protocol, 3)])
+    bench = SimulatedDriveBench([drive_spec(protocol, 2), drive_spec(protocol, 3)])
     requests = {
         "mit": Frame(0x7FF, b"\2\0\xcc\0" + bytes(4)),
         "odrive": Frame(2 << 5 | 0x09 | REMOTE, b""),
@@ -386,7 +388,7 @@ def test_faults_act_on_bench_drives(protocol: str) -> None:
 
 
 def test_a_fault_of_a_bench_drive_reaches_its_power_stage() -> None:
-    bench = Bench([drive_spec("mit", 2, inertia=1.0)])
+    bench = SimulatedDriveBench([drive_spec("mit", 2, inertia=1.0)])
     bench.receive(Frame(2, ENABLE))
     bench.faults.inject("runaway node=2 size=0.1")
     bench.advance(20 * MS)
@@ -397,13 +399,13 @@ def test_a_fault_of_a_bench_drive_reaches_its_power_stage() -> None:
 
 
 def test_a_bench_has_no_tendons_to_break() -> None:
-    bench = Bench([drive_spec("mit", 2)])
+    bench = SimulatedDriveBench([drive_spec("mit", 2)])
     with pytest.raises(SimulatorError, match="expected one of none"):
         bench.faults.inject("snap tendon=index_tendon")
 
 
 def test_frames_for_no_node_are_counted() -> None:
-    bench = Bench([drive_spec("cia402", 32), drive_spec("mit", 1)])
+    bench = SimulatedDriveBench([drive_spec("cia402", 32), drive_spec("mit", 1)])
     assert bench.receive(Frame(0x123, b"")) == []
     assert bench.foreign == 1
     bench.advance(5 * MS)
@@ -415,7 +417,7 @@ def test_frames_for_no_node_are_counted() -> None:
     [
         ("mit --ids 1,1 --bus local:x", "each number once"),
         ("mit --ids one --bus local:x", "expected numbers"),
-        ("mit --ids 0 --bus local:x", f"expected 1 to {PROTOCOLS['mit'].numbers.stop - 1}"),
+        ("mit --ids 0 --bus local:x", f"expected 1 to {PROTOCOL_SPECS['mit'].numbers.stop - 1}"),
         ("odrive --ids 63 --bus local:x", "expected 0 to 62"),
         ("mit --ids 1 --firmware 0.5 --bus local:x", "--firmware: only for drive odrive"),
         ("mit --ids 1 --uncalibrated --bus local:x", "--uncalibrated: only for drive odrive"),
@@ -438,13 +440,13 @@ def test_wrong_arguments_are_refused_in_one_line(words: str, expected: str, caps
     assert text.count("\n") == 1
 
 
-def sdo(bench: Bench, data: bytes) -> bytes:
+def sdo(bench: SimulatedDriveBench, data: bytes) -> bytes:
     """Send an SDO request to CiA 402 node 33, and return the data of its last reply."""
     return bench.receive(Frame(0x600 + 33, data))[-1].data
 
 
 def test_a_cia402_drive_tells_its_name_in_segments() -> None:
-    bench = Bench([drive_spec("cia402", 33)])
+    bench = SimulatedDriveBench([drive_spec("cia402", 33)])
     head = sdo(bench, b"\x40\x08\x10\0" + bytes(4))
     text, toggle = b"", 0
     while len(text) < int.from_bytes(head[4:], "little"):
@@ -459,7 +461,7 @@ def test_a_cia402_drive_tells_its_name_in_segments() -> None:
 
 def test_a_cia402_drive_tells_its_counts_and_stores_its_settings() -> None:
     spec = drive_spec("cia402", 33)
-    bench = Bench([replace(spec, options={**spec.options, "counts_per_turn": 4096})])
+    bench = SimulatedDriveBench([replace(spec, options={**spec.options, "counts_per_turn": 4096})])
     assert int.from_bytes(sdo(bench, b"\x40\x8f\x60\1" + bytes(4))[4:], "little") == 4096
     sdo(bench, b"\x2b\x72\x60\0" + struct.pack("<Hxx", 500))
     bench.receive(Frame(0, b"\x81\x21"))
@@ -472,7 +474,7 @@ def test_a_cia402_drive_tells_its_counts_and_stores_its_settings() -> None:
 
 @pytest.mark.parametrize("rpm", [100, 600])
 def test_the_speed_limit_of_a_cia402_drive_acts(rpm: int) -> None:
-    bench = Bench([drive_spec("cia402", 33)])
+    bench = SimulatedDriveBench([drive_spec("cia402", 33)])
     sdo(bench, b"\x23\x80\x60\0" + struct.pack("<I", rpm))
     sdo(bench, b"\x2f\x60\x60\0" + struct.pack("<Bxxx", 10))
     sdo(bench, b"\x2b\x71\x60\0" + struct.pack("<hxx", 200))

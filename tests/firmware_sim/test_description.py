@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import BRS, ESI, EXTENDED, FDF, RECORD_SIZE, Frame, pack_record, unpack_record
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.plant.perturb import KEYS, perturbed
-from firmware_sim.rig import Rig
+from firmware_sim.plant.perturb import PERTURBATION_KEYS, perturbed_hand
+from firmware_sim.rig import LockstepHand
 from handctl.hand.load import load_hand as described
 
 
@@ -57,7 +57,7 @@ def test_every_number_comes_from_the_file(name: str) -> None:
 )
 def test_incomplete_hands_are_refused_in_one_line(old: str, new: str, expected: str, tmp_path: Path) -> None:
     with pytest.raises(SimulatorError, match=expected) as caught:
-        Rig(write_edited_jamia(tmp_path, old, new))
+        LockstepHand(write_edited_jamia(tmp_path, old, new))
     assert "\n" not in str(caught.value)
 
 
@@ -67,7 +67,7 @@ def test_motors_on_two_buses(tmp_path: Path) -> None:
     text = Path(first).read_text()
     head, _, tail = text.partition('name = "index_motor"')
     Path(first).write_text(head + 'name = "index_motor"' + tail.replace('bus = "main"', 'bus = "side"', 1))
-    rig = Rig(first)
+    rig = LockstepHand(first)
     zero = bytes.fromhex("7fff7ff0000007ff")
     answers = rig.step(0, [(1, zero, 0, 0, 0), (1, zero, 0, 1, 0), (2, zero, 0, 0, 0)])
     assert [(answer.can_id, answer.bus) for answer in answers] == [(0x11, 1), (0x12, 0)]
@@ -97,7 +97,7 @@ def test_each_factor_changes_only_its_parameters(
     key: str, digit: set[str], tendon: set[str], motor: set[str], sensors: set[str]
 ) -> None:
     hand = load_hand("jamia11")
-    other = perturbed(hand, {key: 1.2})
+    other = perturbed_hand(hand, {key: 1.2})
     assert changed_fields(hand.digits[0], other.digits[0]) == digit
     assert changed_fields(hand.tendons[0], other.tendons[0]) == tendon
     assert changed_fields(hand.motors[0], other.motors[0]) == motor
@@ -106,11 +106,11 @@ def test_each_factor_changes_only_its_parameters(
 
 def test_every_perturbation_key_is_tested() -> None:
     (mark,) = test_each_factor_changes_only_its_parameters.pytestmark  # type: ignore[attr-defined]
-    assert {row[0] for row in mark.args[1]} == set(KEYS)
+    assert {row[0] for row in mark.args[1]} == set(PERTURBATION_KEYS)
 
 
 def test_no_factors_no_change() -> None:
-    assert perturbed(load_hand("jamia"), {}) == load_hand("jamia")
+    assert perturbed_hand(load_hand("jamia"), {}) == load_hand("jamia")
 
 
 @given(

@@ -10,10 +10,10 @@ import pytest
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import load_hand
 from firmware_sim.plant.plant import STEP_NS, Plant
-from firmware_sim.rig import Rig
+from firmware_sim.rig import LockstepHand
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.truth import read_truth
-from firmware_sim.world import World
+from firmware_sim.world import SimulatedWorld
 
 
 def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
@@ -60,7 +60,8 @@ def test_all_ways_to_step_are_equal_to_the_bit(hand: str) -> None:
 def test_compiled_and_python_worlds_send_equal_frames() -> None:
     """The frames are equal even with faults in a motor, in a load cell and in an encoder."""
     worlds = [
-        World(load_hand("jamia"), load_scene("cylinder"), seed=4, compiled=compiled) for compiled in (True, False)
+        SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=4, compiled=compiled)
+        for compiled in (True, False)
     ]
     faults = "runaway node=ring_motor size=0.3 at=20ms", "noise cell=index_tendon", "noise encoder=thumb_motor"
     outcomes = []
@@ -92,7 +93,7 @@ def test_the_engine_has_native_addresses() -> None:
 
 def test_the_world_steps_in_blocks_between_events() -> None:
     """One long advance ends as many short ones. Motion and the times of watchdogs are equal."""
-    far, near = (World(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2))
+    far, near = (SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2))
     far.advance(250_250_000)
     for k in range(1, 251):
         near.advance(k * 1_000_000)
@@ -130,7 +131,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
     A sample from the last whole step would be 5 encoder counts early at 3 rad/s.
     """
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
-        world = World(load_hand(hand), load_scene(None), seed=2)
+        world = SimulatedWorld(load_hand(hand), load_scene(None), seed=2)
         motor = next(iter(world.plant.motors.values()))
         motor.omega, motor.viscous, motor.coulomb = -3.0, 0.0, 0.0  # the spool unwinds a slack tendon
         period_ns, angles = round(1e9 / rate_hz), []
@@ -145,7 +146,7 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
 def test_samples_between_steps_do_not_move_the_rows_of_the_truth_file(tmp_path: Path) -> None:
     """The truth file has a row for every millisecond at any rate, also if a fault is injected within a step."""
     path = tmp_path / "truth"
-    rig = Rig("jamia", truth_path=str(path), period_ns=3_333_333)
+    rig = LockstepHand("jamia", truth_path=str(path), period_ns=3_333_333)
     for k in range(30):
         if k == 4:
             rig.inject("flood bus=main size=1")
@@ -159,7 +160,7 @@ def test_samples_between_steps_do_not_move_the_rows_of_the_truth_file(tmp_path: 
 
 
 def test_a_motor_fault_acts_in_every_step() -> None:
-    rig = Rig("jamia", homed=True)
+    rig = LockstepHand("jamia", homed=True)
     rig.inject("off node=index_motor")
     seen: list[float] = []
     rig.world.plant.motors["ring_motor"].power_stage_fault = lambda command: seen.append(command) or 0.25

@@ -14,9 +14,9 @@ import pytest
 
 from firmware_sim import compiled
 from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.bus.records import RECORD, to_frames, to_records
+from firmware_sim.bus.records import FRAME_DTYPE, to_frames, to_records
 from firmware_sim.nodes import cyclic
-from firmware_sim.rig import Rig
+from firmware_sim.rig import LockstepHand
 from firmware_sim.truth import read_truth
 from handctl.hand.load import load_hand as described
 
@@ -121,7 +121,7 @@ CASES = [
 @pytest.mark.parametrize(("protocols", "buses", "seed"), CASES)
 def test_the_kernel_answers_as_the_nodes_do(protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path) -> None:
     hand = hand_file(tmp_path, protocols, buses)
-    rigs = [Rig(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")]
+    rigs = [LockstepHand(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")]
     rigs[1].world.faults.in_frames = True  # use the Python nodes for every frame
     count = 0
     for k, frames in enumerate(stream(protocols, 400, seed, buses)):
@@ -141,7 +141,7 @@ def test_the_kernel_answers_as_the_nodes_do(protocols: tuple[str, ...], buses: i
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_cyclic_frames_do_not_reach_the_nodes_one_by_one(protocol: str, tmp_path: Path) -> None:
-    rig = Rig(hand_file(tmp_path, (protocol,)), seed=3)
+    rig = LockstepHand(hand_file(tmp_path, (protocol,)), seed=3)
     received = []
     receive = rig.world.receive
     rig.world.receive = lambda frame: received.append(frame) or receive(frame)  # type: ignore[method-assign, func-returns-value]
@@ -155,8 +155,8 @@ def test_cyclic_frames_do_not_reach_the_nodes_one_by_one(protocol: str, tmp_path
 def test_records_are_frames() -> None:
     frames = [Frame(0x123, b"abc", FDF, 1, 5), Frame(0x1FFFFFFF | EXTENDED, bytes(range(64)), FDF | BRS, 0, -1)]
     records = to_records(frames)
-    assert records.dtype == RECORD
-    assert RECORD.itemsize == 80
+    assert records.dtype == FRAME_DTYPE
+    assert FRAME_DTYPE.itemsize == 80
     assert records["length"].tolist() == [3, 64]
     assert records[0]["data"].tolist() == [*b"abc", *bytes(61)]
     assert to_frames(records) == frames
@@ -164,12 +164,12 @@ def test_records_are_frames() -> None:
 
 
 def test_exchange_takes_and_returns_records(tmp_path: Path) -> None:
-    rigs = [Rig("jamia", seed=1), Rig("jamia", seed=1)]
+    rigs = [LockstepHand("jamia", seed=1), LockstepHand("jamia", seed=1)]
     frames = [Frame(0x080, b"\0"), *[Frame(node, bytes(8), BRS | FDF) for node in (1, 2, 3, 4)]]
-    readonly = np.frombuffer(to_records(frames).tobytes(), RECORD)
+    readonly = np.frombuffer(to_records(frames).tobytes(), FRAME_DTYPE)
     for k in range(3):
         answers = rigs[0].exchange(k * TICK_NS, readonly)
-        assert answers.dtype == RECORD
+        assert answers.dtype == FRAME_DTYPE
         assert to_frames(answers) == rigs[1].step(k * TICK_NS, frames)
         assert all(not row["data"][row["length"] :].any() for row in answers)
         assert np.all(np.diff(answers["t_ns"]) >= 0)
@@ -177,7 +177,7 @@ def test_exchange_takes_and_returns_records(tmp_path: Path) -> None:
 
 
 def test_memory_grows_for_every_answer() -> None:
-    rig = Rig("jamia", seed=1)
+    rig = LockstepHand("jamia", seed=1)
     frames = [Frame(node, bytes(8)) for node in (1, 2, 3, 4)] * 100
     assert [answer.can_id for answer in rig.step(0, frames)] == [0x11, 0x12, 0x13, 0x14] * 100
     rig.inject("flood bus=main")
@@ -185,7 +185,7 @@ def test_memory_grows_for_every_answer() -> None:
 
 
 def test_a_new_identifier_is_valid_from_the_next_frame() -> None:
-    rig = Rig("jamia", seed=1)
+    rig = LockstepHand("jamia", seed=1)
     rig.step(0, [Frame(2, bytes(8))])
     write = Frame(0x7FF, struct.pack("<HBBI", 2, 0x55, 8, 0x42))
     answers = rig.step(TICK_NS, [Frame(2, bytes(8)), write, Frame(2, bytes(8)), Frame(0x42, bytes(8))])
@@ -194,7 +194,7 @@ def test_a_new_identifier_is_valid_from_the_next_frame() -> None:
 
 
 def test_a_wrong_bus_is_refused() -> None:
-    rig = Rig("jamia")
+    rig = LockstepHand("jamia")
     with pytest.raises(IndexError):
         rig.step(0, [Frame(0x080, b"\0", 0, 1)])
 
@@ -206,8 +206,8 @@ def test_a_kernel_is_compiled_again_if_an_imported_module_changes(
 
     modules = set(compiled._imported_kernels(cyclic).values())
     assert codec in modules
-    before = compiled._digest(modules)
+    before = compiled._source_digest(modules)
     changed = tmp_path / "codec.py"
     changed.write_text(Path(codec.__file__).read_text() + "\n")
     monkeypatch.setattr(codec, "__file__", str(changed))
-    assert compiled._digest(modules) != before
+    assert compiled._source_digest(modules) != before

@@ -6,8 +6,8 @@ import pytest
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.faults.text import DRIVE_KINDS, KINDS, TWO_MOTOR_KINDS, instances, parse_fault
-from firmware_sim.rig import Rig
+from firmware_sim.faults.text import DRIVE_KINDS, FAULT_KINDS, TWO_MOTOR_KINDS, instances_of_component, parse_fault
+from firmware_sim.rig import LockstepHand
 
 HAND = load_hand("jamia")
 SYNC = 0x080
@@ -15,7 +15,7 @@ REFRESH = Frame(0x7FF, bytes((1, 0, 0xCC, 0)))
 
 
 def rig(seed=0):
-    return Rig("jamia", seed=seed, homed=True)
+    return LockstepHand("jamia", seed=seed, homed=True)
 
 
 def answers_of_ticks(world, ticks, frames=(REFRESH,)):
@@ -59,16 +59,16 @@ def second(kind: str, index: int) -> str:
 
 
 FIRST_INSTANCES = [
-    f"{kind} {component}={instances(component, HAND, kind)[0]}{second(kind, -1)}"
-    for kind, fault_kind in KINDS.items()
+    f"{kind} {component}={instances_of_component(component, HAND, kind)[0]}{second(kind, -1)}"
+    for kind, fault_kind in FAULT_KINDS.items()
     for component in fault_kind.components
-    if instances(component, HAND, kind)
+    if instances_of_component(component, HAND, kind)
 ]
 LAST_INSTANCES = [
-    f"{kind} {component}={instances(component, HAND, kind)[-1]}{second(kind, 0)}"
-    for kind, fault_kind in KINDS.items()
+    f"{kind} {component}={instances_of_component(component, HAND, kind)[-1]}{second(kind, 0)}"
+    for kind, fault_kind in FAULT_KINDS.items()
     for component in fault_kind.components
-    if instances(component, HAND, kind)
+    if instances_of_component(component, HAND, kind)
 ]
 
 

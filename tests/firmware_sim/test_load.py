@@ -8,7 +8,7 @@ import pytest
 
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.plant.plant import Plant
-from firmware_sim.rig import Rig
+from firmware_sim.rig import LockstepHand
 from firmware_sim.scene.scene import load_scene
 from firmware_sim.truth import read_truth
 
@@ -46,7 +46,7 @@ def test_a_free_object_gains_the_impulse_of_its_load_and_weight(tmp_path: Path) 
 
 def test_the_truth_file_has_the_load_from_its_start_time(tmp_path: Path) -> None:
     truth = tmp_path / "truth"
-    rig = Rig("jamia", scene=scene(tmp_path, support=TABLE), truth_path=str(truth), homed=True)
+    rig = LockstepHand("jamia", scene=scene(tmp_path, support=TABLE), truth_path=str(truth), homed=True)
     for k in range(100):
         rig.step(k * 2_000_000, [])
     rig.close()

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from firmware_sim.compiled import machine_code
 from firmware_sim.nodes.mit import codec as mit_codec
-from firmware_sim.nodes.mit.codec import Ranges, decode_command, encode_feedback, from_code, to_code
+from firmware_sim.nodes.mit.codec import FrameRanges, decode_command, encode_feedback, from_code, to_code
 
-RANGES = Ranges(12.5, 50.0, 0.8)
+RANGES = FrameRanges(12.5, 50.0, 0.8)
 
 
 def bits(*fields: tuple[int, int]) -> bytes:

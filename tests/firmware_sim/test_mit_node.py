@@ -11,7 +11,7 @@ from firmware_sim.bus.frame import BRS, EXTENDED, FDF, Frame
 from firmware_sim.description import load_hand
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
 from firmware_sim.plant.motor import Motor
-from firmware_sim.rig import Rig
+from firmware_sim.rig import LockstepHand
 
 MS = 1_000_000
 SPEC = load_hand("jamia").motors[1]
@@ -216,7 +216,7 @@ def test_over_temperature_trips_the_motor(bench: Bench) -> None:
 
 
 def test_a_motor_answers_only_at_its_new_identifier() -> None:
-    rig = Rig("jamia", homed=True)
+    rig = LockstepHand("jamia", homed=True)
     world, torque = rig.world, bytes.fromhex("7fff7ff000000fff")
 
     def answered(can_id: int, data: bytes = torque) -> list[int]:

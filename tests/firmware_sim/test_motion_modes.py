@@ -10,15 +10,15 @@ from dataclasses import replace
 import pytest
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.motion import Setpoint
-from firmware_sim.programs.drive import Bench
+from firmware_sim.nodes.motion import MotionSetpoint
+from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 
 MS = 1_000_000
 TURN = math.tau
 
 
-def sample_each_ms(bench: Bench, for_s: float, value: Callable[[], float]) -> list[float]:
+def sample_each_ms(bench: SimulatedDriveBench, for_s: float, value: Callable[[], float]) -> list[float]:
     """Advance a bench for a time, and return a value that is read in each millisecond."""
     values = []
     for _ in range(round(for_s * 1000)):
@@ -38,7 +38,7 @@ def test_a_trapezoid_arrives_within_speed_and_ramps_and_never_overshoots(seed: i
     rng = random.Random(seed)
     speed, rise, fall = (10.0 ** rng.uniform(-1, 2) for _ in range(3))
     target = rng.uniform(-10.0, 10.0)
-    setpoint = Setpoint(rng.uniform(-10.0, 10.0))
+    setpoint = MotionSetpoint(rng.uniform(-10.0, 10.0))
     side = math.copysign(1.0, target - setpoint.position)
     step_s = 1e-3
     for _ in range(1_000_000):
@@ -54,7 +54,7 @@ def test_a_trapezoid_arrives_within_speed_and_ramps_and_never_overshoots(seed: i
 
 
 def test_a_trapezoid_turns_round_for_a_new_target() -> None:
-    setpoint = Setpoint()
+    setpoint = MotionSetpoint()
     for _ in range(500):
         setpoint.trapezoid(10.0, 2.0, 5.0, 2.5, 1e-3)
     assert setpoint.velocity == pytest.approx(2.0)
@@ -70,19 +70,19 @@ def test_a_trapezoid_turns_round_for_a_new_target() -> None:
 # Modes of a Damiao motor.
 
 
-def damiao(mode: int) -> Bench:
+def damiao(mode: int) -> SimulatedDriveBench:
     """Return a bench with an enabled Damiao motor in a control mode."""
-    bench = Bench([drive_spec("mit", 2)])
+    bench = SimulatedDriveBench([drive_spec("mit", 2)])
     write_register(bench, 10, struct.pack("<I", mode))
     bench.receive(Frame(2, b"\xff" * 7 + b"\xfc"))
     return bench
 
 
-def write_register(bench: Bench, register: int, raw: bytes) -> None:
+def write_register(bench: SimulatedDriveBench, register: int, raw: bytes) -> None:
     bench.receive(Frame(0x7FF, b"\2\0\x55" + bytes((register,)) + raw))
 
 
-def read_register(bench: Bench, register: int) -> bytes:
+def read_register(bench: SimulatedDriveBench, register: int) -> bytes:
     return bench.receive(Frame(0x7FF, b"\2\0\x33" + bytes((register,)) + bytes(4)))[-1].data[4:]
 
 
@@ -187,23 +187,25 @@ def test_the_watchdog_of_a_damiao_motor_ends_a_motion() -> None:
 # Modes of an ODrive.
 
 
-def odrive(control: int, input_mode: int, *messages: tuple[int, bytes], inertia: float | None = None) -> Bench:
+def odrive(
+    control: int, input_mode: int, *messages: tuple[int, bytes], inertia: float | None = None
+) -> SimulatedDriveBench:
     """Return a bench with an ODrive (node 3) in closed-loop control, after given messages."""
-    bench = Bench([drive_spec("odrive", 3, inertia=inertia)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
     send(bench, (0x0B, struct.pack("<II", control, input_mode)), *messages, (0x07, struct.pack("<I", 8)))
     return bench
 
 
-def send(bench: Bench, *messages: tuple[int, bytes]) -> None:
+def send(bench: SimulatedDriveBench, *messages: tuple[int, bytes]) -> None:
     for command, data in messages:
         bench.receive(Frame(3 << 5 | command, data))
 
 
-def write_endpoint(bench: Bench, endpoint: int, value: float) -> None:
+def write_endpoint(bench: SimulatedDriveBench, endpoint: int, value: float) -> None:
     send(bench, (0x04, struct.pack("<BHBf", 1, endpoint, 0, value)))
 
 
-def next_heartbeat(bench: Bench) -> tuple[int, int, int]:
+def next_heartbeat(bench: SimulatedDriveBench) -> tuple[int, int, int]:
     """Return the errors, the axis state and the trajectory flag in the next heartbeat of the ODrive."""
     bench.take_unsolicited()
     bench.advance(bench.t_ns + 200 * MS)
@@ -301,7 +303,7 @@ def test_a_setpoint_that_is_not_finite_disarms(control: int, message: tuple[int,
 
 
 def test_an_odrive_keeps_its_gains_and_limits_when_they_are_impossible() -> None:
-    bench = Bench([drive_spec("odrive", 3)])
+    bench = SimulatedDriveBench([drive_spec("odrive", 3)])
     before = bench.nodes[0].motion.settings  # type: ignore[attr-defined]
     send(
         bench,
@@ -319,13 +321,13 @@ def test_an_odrive_keeps_its_gains_and_limits_when_they_are_impossible() -> None
 COUNTS = 1 << 16
 
 
-def cia402(mode: int, *objects: tuple[int, int, int, int], **options: object) -> Bench:
+def cia402(mode: int, *objects: tuple[int, int, int, int], **options: object) -> SimulatedDriveBench:
     """Return a bench with an enabled CiA 402 drive (node 33) in a mode.
 
     ``objects`` (index, sub-index, value, size) are written before it is enabled.
     """
     spec = drive_spec("cia402", 33)
-    bench = Bench([replace(spec, options={**spec.options, **options})])
+    bench = SimulatedDriveBench([replace(spec, options={**spec.options, **options})])
     write_object(bench, 0x6060, 0, mode, 1)
     for one in objects:
         write_object(bench, *one)
@@ -334,24 +336,24 @@ def cia402(mode: int, *objects: tuple[int, int, int, int], **options: object) ->
     return bench
 
 
-def sdo(bench: Bench, data: bytes) -> bytes:
+def sdo(bench: SimulatedDriveBench, data: bytes) -> bytes:
     return [frame.data for frame in bench.receive(Frame(0x600 + 33, data)) if frame.can_id == 0x580 + 33][-1]
 
 
-def write_object(bench: Bench, index: int, sub: int, value: int, size: int) -> int:
+def write_object(bench: SimulatedDriveBench, index: int, sub: int, value: int, size: int) -> int:
     """Write an object of the drive by SDO, and return the abort code, or 0 if there is none."""
     raw = (value & ((1 << 8 * size) - 1)).to_bytes(size, "little").ljust(4, b"\0")
     reply = sdo(bench, struct.pack("<BHB", 0x23 | (4 - size) << 2, index, sub) + raw)
     return int.from_bytes(reply[4:], "little") if reply[0] == 0x80 else 0
 
 
-def read_object(bench: Bench, index: int, sub: int = 0) -> int:
+def read_object(bench: SimulatedDriveBench, index: int, sub: int = 0) -> int:
     reply = sdo(bench, struct.pack("<BHB4x", 0x40, index, sub))
     size = 4 - (reply[0] >> 2 & 3)
     return int.from_bytes(reply[4 : 4 + size], "little", signed=True)
 
 
-def control(bench: Bench, word: int) -> int:
+def control(bench: SimulatedDriveBench, word: int) -> int:
     """Write a control word to the drive, and return its status word ten milliseconds later."""
     write_object(bench, 0x6040, 0, word, 2)
     bench.advance(bench.t_ns + 10 * MS)
@@ -359,7 +361,7 @@ def control(bench: Bench, word: int) -> int:
 
 
 def test_a_cia402_drive_lists_its_modes() -> None:
-    bench = Bench([drive_spec("cia402", 33)])
+    bench = SimulatedDriveBench([drive_spec("cia402", 33)])
     # Bit n - 1 stands for mode n. The modes are profile position, homing, and the three cyclic
     # modes.
     assert read_object(bench, 0x6502) == sum(1 << mode - 1 for mode in (1, 6, 8, 9, 10))

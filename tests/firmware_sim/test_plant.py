@@ -9,7 +9,7 @@ import pytest
 
 from firmware_sim.description import Hand, SimulatorError, load_hand
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
-from firmware_sim.plant.perturb import perturbed
+from firmware_sim.plant.perturb import perturbed_hand
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene
 
@@ -17,7 +17,7 @@ JAMIA = load_hand("jamia")
 
 
 def free(factors: dict[str, float] | None = None, hand: Hand = JAMIA, homed: bool = True) -> Plant:
-    plant = Plant(perturbed(hand, factors or {}), load_scene(None), seed=1, homed=homed)
+    plant = Plant(perturbed_hand(hand, factors or {}), load_scene(None), seed=1, homed=homed)
     for motor in plant.motors.values():
         motor.servo.limit = 1.25
     return plant

@@ -14,7 +14,7 @@ import pytest
 
 from firmware_sim.__main__ import main
 from firmware_sim.description import SimulatorError, find_hand
-from firmware_sim.rig import Rig
+from firmware_sim.rig import LockstepHand
 from firmware_sim.truth import read_truth
 
 ENABLE = bytes.fromhex("fffffffffffffffc")
@@ -191,7 +191,7 @@ def test_impossible_hands_are_refused_by_both_simulators(
     assert main(["--hand", str(path), "--bus", "local:x", "--dry-run"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     with pytest.raises(SimulatorError):
-        Rig(str(path))
+        LockstepHand(str(path))
 
 
 def test_the_truth_file_never_overwrites_a_log(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

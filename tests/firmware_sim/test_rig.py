@@ -9,7 +9,7 @@ import pytest
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import SimulatorError
-from firmware_sim.rig import Rig
+from firmware_sim.rig import LockstepHand
 from firmware_sim.truth import read_truth
 
 TICK_NS = 2_000_000
@@ -31,11 +31,11 @@ def sync(k: int) -> Sent:
     return frame(0x080, bytes([k & 0xFF]))
 
 
-def tick(rig: Rig, k: int, torque: float) -> list[Frame]:
+def tick(rig: LockstepHand, k: int, torque: float) -> list[Frame]:
     return rig.step(k * TICK_NS, [sync(k), *[frame(motor, command(torque)) for motor in MOTORS]])
 
 
-def close(rig: Rig, tension: float, seconds: float, ramp: float = 0.8) -> list[list[Frame]]:
+def close(rig: LockstepHand, tension: float, seconds: float, ramp: float = 0.8) -> list[list[Frame]]:
     """Enable all motors, raise them in a ramp to a tension [N] and hold it, without feedback. Return the replies."""
     answers = [rig.step(0, [frame(motor, ENABLE) for motor in MOTORS])]
     for k in range(1, round(seconds * 500)):
@@ -44,7 +44,7 @@ def close(rig: Rig, tension: float, seconds: float, ramp: float = 0.8) -> list[l
 
 
 def test_answers_of_a_tick_and_their_times() -> None:
-    rig = Rig("jamia")
+    rig = LockstepHand("jamia")
     answers = tick(rig, 0, 0.0)
     assert [answer.can_id for answer in answers] == [0x1A0, 0x11, 0x12, 0x13, 0x14]
     times = [answer.t_ns for answer in answers]
@@ -56,7 +56,7 @@ def test_answers_of_a_tick_and_their_times() -> None:
 
 
 def test_a_measurement_is_taken_before_the_command_of_its_tick_acts() -> None:
-    rigs = [Rig("jamia", seed=3), Rig("jamia", seed=3)]
+    rigs = [LockstepHand("jamia", seed=3), LockstepHand("jamia", seed=3)]
     for rig in rigs:
         rig.step(0, [frame(motor, ENABLE) for motor in MOTORS])
     first = [tick(rig, 1, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)]
@@ -68,7 +68,7 @@ def test_a_measurement_is_taken_before_the_command_of_its_tick_acts() -> None:
 def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
     outcomes = []
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):
-        rig = Rig("jamia", scene="cylinder", seed=seed, truth_path=str(tmp_path / name))
+        rig = LockstepHand("jamia", scene="cylinder", seed=seed, truth_path=str(tmp_path / name))
         answers = close(rig, 30.0, 1.0)
         rig.close()
         outcomes.append((answers, (tmp_path / name).read_bytes()))
@@ -78,7 +78,7 @@ def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
 
 
 def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:
-    rig = Rig("jamia")
+    rig = LockstepHand("jamia")
     writes = [frame(0x7FF, struct.pack("<HBBI", motor, 0x55, 9, 1000)) for motor in MOTORS]
     rig.step(0, [*writes, *[frame(motor, ENABLE) for motor in MOTORS]])
     for k in range(1, 200):
@@ -97,7 +97,7 @@ def test_the_watchdog_removes_the_torque_after_its_timeout() -> None:
 
 
 def test_disable_lets_the_finger_open() -> None:
-    rig = Rig("jamia")
+    rig = LockstepHand("jamia")
     close(rig, 15.0, 1.0)
     assert rig.world.plant.engine.q[0] > 0.3
     for k in range(500, 1000):
@@ -109,7 +109,7 @@ def test_disable_lets_the_finger_open() -> None:
 @pytest.mark.parametrize("tension", [30.0, 40.0])
 def test_friction_alone_carries_the_cylinder_after_the_table_has_sunk(tension: float, tmp_path: Path) -> None:
     path = tmp_path / "grasp.truth"
-    rig = Rig("jamia", scene="cylinder", truth_path=str(path))
+    rig = LockstepHand("jamia", scene="cylinder", truth_path=str(path))
     close(rig, tension, 8.0)
     rig.close()
     table = rig.world.plant.table
@@ -135,14 +135,14 @@ def test_an_object_too_heavy_for_friction_falls(tmp_path: Path) -> None:
         'name = "heavy"\n[object]\nshape = "cylinder"\ndiameter_m = 0.035\nlength_m = 0.093\nmass_kg = 3.0\n'
         'friction = 0.5\nposition_m = [0.0195, 0.0, 0.0]\n[support]\ndrop_when = "grasped"\n'
     )
-    rig = Rig("jamia", scene=str(scene))
+    rig = LockstepHand("jamia", scene=str(scene))
     close(rig, 30.0, 5.0)
     assert rig.world.plant.engine.object_pose()[2] < -0.05
 
 
 def test_content_of_the_truth_file(tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
-    rig = Rig("jamia", scene="cylinder:35", seed=5, truth_path=str(path))
+    rig = LockstepHand("jamia", scene="cylinder:35", seed=5, truth_path=str(path))
     close(rig, 20.0, 0.5, ramp=0.2)
     rig.close()
     truth = read_truth(path)
@@ -168,7 +168,7 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
 
 def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
     path = tmp_path / "t.truth"
-    rig = Rig("jamia", truth_path=str(path), perturb={"noise": 0.0})
+    rig = LockstepHand("jamia", truth_path=str(path), perturb={"noise": 0.0})
     answers = close(rig, 15.0, 1.0)
     rig.close()
     tension = read_truth(path).column("tension/index_tendon")
@@ -180,7 +180,7 @@ def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
 
 
 def test_perturbations_change_the_plant_not_the_wire() -> None:
-    soft, stiff = (Rig("jamia", perturb={"stiffness": factor}) for factor in (0.7, 1.3))
+    soft, stiff = (LockstepHand("jamia", perturb={"stiffness": factor}) for factor in (0.7, 1.3))
     angles = []
     for rig in (soft, stiff):
         close(rig, 100.0, 1.5)
@@ -203,5 +203,5 @@ def test_perturbations_change_the_plant_not_the_wire() -> None:
 )
 def test_wrong_arguments_are_refused_in_one_line(arguments: dict[str, object], expected: str) -> None:
     with pytest.raises(SimulatorError, match=expected) as caught:
-        Rig(**arguments)  # type: ignore[arg-type]
+        LockstepHand(**arguments)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)

@@ -7,7 +7,7 @@ import pytest
 
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.plant.plant import Plant
-from firmware_sim.scene.scene import load_scene, packaged
+from firmware_sim.scene.scene import load_scene, packaged_scenes
 
 GOOD = """
 name = "good"
@@ -45,7 +45,7 @@ def test_no_scene_is_a_free_hand() -> None:
     assert load_scene("none").grasp_object is None
 
 
-@pytest.mark.parametrize("name", packaged())
+@pytest.mark.parametrize("name", packaged_scenes())
 def test_objects_rest_on_their_table_until_grasped(name: str) -> None:
     plant = Plant(load_hand("jamia"), load_scene(name))
     before = plant.engine.object_pose()

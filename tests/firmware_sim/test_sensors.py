@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import SensorSpec, load_hand
-from firmware_sim.nodes.noise import BLOCK_SIZE, Noise
+from firmware_sim.nodes.noise import BLOCK_SIZE, NormalNoise
 from firmware_sim.nodes.sensors import SensorNode, joint_code, pack, tension_code
 
 LOADED = load_hand("jamia11").sensors
@@ -118,7 +118,7 @@ def test_drift_does_not_depend_on_the_sample_rate() -> None:
 
 
 def test_noise_equals_pythons_generator() -> None:
-    noise, rng = Noise("a seed"), random.Random("a seed")
+    noise, rng = NormalNoise("a seed"), random.Random("a seed")
     taken = [float(number) for k in range(200) for number in noise.take(k % 12)]
     assert len(taken) > 2 * BLOCK_SIZE
     assert taken == pytest.approx([rng.gauss(0.0, 1.0) for _ in taken], rel=1e-14)

@@ -11,14 +11,14 @@ import pytest
 
 from firmware_sim.bus.frame import FDF, Frame, pack_record
 from firmware_sim.bus.local import HubPort, JoinedPort
-from firmware_sim.bus.ports import assign, open_port
+from firmware_sim.bus.ports import assign_buses, open_port
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.pace import Pace, rounded_down
+from firmware_sim.pace import PaceCounter, rounded_down
 from firmware_sim.priority import ORDINARY_PRIORITY_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_NS, Server
+from firmware_sim.server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_NS, BusServer
 from firmware_sim.shared_clock import SharedClock
-from firmware_sim.world import World
+from firmware_sim.world import SimulatedWorld
 from tests.firmware_sim.manual_clock import ManualClock
 
 MS = 1_000_000
@@ -55,8 +55,8 @@ class FakePort:
 class Bench:
     def __init__(self) -> None:
         self.clock, self.wire = ManualClock(START), FakePort()
-        self.world = World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
-        self.server = Server(self.world, [self.wire], self.clock)
+        self.world = SimulatedWorld(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
+        self.server = BusServer(self.world, [self.wire], self.clock)
 
     def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
         """Set the clock, let the server run one turn with given frames, and return the frames that it sent."""
@@ -127,7 +127,7 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     """
     port = HubPort("t", 0)
     clock = ManualClock(START)
-    server = Server(World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START), [port], clock)
+    server = BusServer(SimulatedWorld(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START), [port], clock)
     controller = JoinedPort("t", 0)
     server.turn()
     answer = server._answer
@@ -198,7 +198,7 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
     """Regression: a slow simulator printed 2,338 lines in 275 s, and none of them advised a slower time."""
     now = {"wall": 0.0, "cpu": 0.0}
     lines: list[str] = []
-    pace = Pace(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
+    pace = PaceCounter(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
     plant_ns = 0
     for _ in range(100):  # 10 s at a tenth of real time, never idle
         now["wall"] += 0.1
@@ -214,7 +214,7 @@ def test_a_slow_machine_is_reported_once_a_second_with_an_advised_pace() -> None
 
 def test_one_stall_gives_no_advice() -> None:
     lines: list[str] = []
-    pace = Pace(0, lambda: 0.0, lambda: 0.0, lines.append)
+    pace = PaceCounter(0, lambda: 0.0, lambda: 0.0, lines.append)
     pace.slipped(200 * MS, MS)
     assert lines == ["firmware_sim: 200 ms behind, clock slipped"]
     assert pace.advice is None
@@ -272,7 +272,7 @@ def test_the_scaled_clock_is_monotonic_time_times_scale(monkeypatch: pytest.Monk
     ],
 )
 def test_each_bus_gets_its_spec(specs: list[str], buses: list[str], expected: list[str]) -> None:
-    assert assign(specs, buses) == expected
+    assert assign_buses(specs, buses) == expected
 
 
 @pytest.mark.parametrize(
@@ -286,7 +286,7 @@ def test_each_bus_gets_its_spec(specs: list[str], buses: list[str], expected: li
 )
 def test_buses_that_do_not_fit_the_hand_are_refused(specs: list[str], buses: list[str], expected: str) -> None:
     with pytest.raises(SimulatorError, match=expected):
-        assign(specs, buses)
+        assign_buses(specs, buses)
 
 
 @pytest.mark.parametrize(

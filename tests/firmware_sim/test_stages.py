@@ -12,7 +12,7 @@ import pytest
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.plant.plant import Plant
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.scene.stages import Stages, read_stage
+from firmware_sim.scene.stages import StageSequence, read_stage
 
 UPRIGHT = (0.0, 0.0, -9.81)
 SIDEWAYS = {"down": [3.0, 0.0, 0.0], "turn_s": 0.5, "last_s": 2.0}
@@ -42,7 +42,7 @@ friction = 0.1
 
 
 def test_gravity_turns_and_keeps_its_new_direction() -> None:
-    stages = Stages((read_stage(SIDEWAYS), read_stage({"last_s": 1.0})), UPRIGHT)
+    stages = StageSequence((read_stage(SIDEWAYS), read_stage({"last_s": 1.0})), UPRIGHT)
     assert stages.duration == 3.5
     assert stages.at(0.0).gravity == UPRIGHT
     half = stages.at(0.25).gravity
@@ -56,7 +56,7 @@ def test_gravity_turns_and_keeps_its_new_direction() -> None:
 
 def test_duration_of_a_push_and_lasting_friction() -> None:
     stage = {"turn_s": 1.0, "last_s": 3.0, "push_N": [0.0, 1.0, 0.0], "push_at_s": 0.5, "push_s": 1.0, "friction": 0.2}
-    stages = Stages((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT)
+    stages = StageSequence((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT)
     pushes = [stages.at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
     assert pushes == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
     assert [stages.at(time).friction for time in (0.9, 1.1, 4.5)] == [None, 0.2, 0.2]

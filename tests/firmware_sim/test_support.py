@@ -2,11 +2,11 @@
 
 import pytest
 
-from firmware_sim.scene.scene import Support
+from firmware_sim.scene.scene import SinkingTable
 from firmware_sim.scene.support import SupportTable
 
 OPPOSED = [False, False, False, True]
-SUPPORT = Support(drop_when="grasped", drop_force=1.0, drop_hold=1.5, sink_speed=0.05, sink_depth=0.2)
+SUPPORT = SinkingTable(drop_when="grasped", drop_force=1.0, drop_hold=1.5, sink_speed=0.05, sink_depth=0.2)
 
 
 def forces(*digits: float) -> list[float]:
@@ -46,7 +46,7 @@ def test_a_released_grasp_restarts_the_wait() -> None:
 
 
 def test_a_table_that_never_sinks() -> None:
-    assert run(SupportTable(Support(), OPPOSED), 0.0, 5.0, 9, 9, 9, 9) == 0.0
+    assert run(SupportTable(SinkingTable(), OPPOSED), 0.0, 5.0, 9, 9, 9, 9) == 0.0
 
 
 def test_a_hand_of_two_opposed_digits_holds_with_both() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from firmware_sim.description import TendonSpec, load_hand
 from firmware_sim.plant.drivetrain import step_drivetrain, tensions
 from firmware_sim.plant.motor import Motor
-from firmware_sim.plant.tendon import Routing
+from firmware_sim.plant.tendon import TendonRouting
 
 HAND = load_hand("jamia")
 SPEC = HAND.tendons[0]
@@ -22,7 +22,7 @@ class TendonOnSpool:
     """One simulated tendon on its spool."""
 
     def __init__(self, spec: TendonSpec = SPEC) -> None:
-        routing = Routing([spec], JOINTS, [spec.motor], [0.005], compiled=False)
+        routing = TendonRouting([spec], JOINTS, [spec.motor], [0.005], compiled=False)
         self.motor, (self.row,) = Motor(HAND.motors[0], 0.5e-3), routing.tendons
         self.parts = routing.rows, routing.joints, routing.arms, [self.motor]
 

@@ -13,8 +13,8 @@ from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, TimedPort, timed_port_maker
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.server import Server
-from firmware_sim.world import World
+from firmware_sim.server import BusServer
+from firmware_sim.world import SimulatedWorld
 from handctl.drives.frame import Frame
 from handctl.drives.frame_time import frame_time_s
 from handctl.runtime.buses.contract import Bus
@@ -37,8 +37,8 @@ class Lab:
         made = timed_port_maker(words, [DEFAULT_BITRATES], self.clock.now_ns, nodes=hand)
         assert made
         self.port = made("lab", 0)
-        self.world = World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
-        self.server = Server(self.world, [self.port], self.clock)
+        self.world = SimulatedWorld(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
+        self.server = BusServer(self.world, [self.port], self.clock)
         self.host: Bus = open_bus("local:lab", 0, 1_000_000)
         self.settle()
 

@@ -9,7 +9,7 @@ import pytest
 from firmware_sim.description import load_hand
 from firmware_sim.plant.drivetrain import _taken_up, step_drivetrain
 from firmware_sim.plant.motor import Motor
-from firmware_sim.plant.tendon import Routing
+from firmware_sim.plant.tendon import TendonRouting
 from tests.hand.varied import with_varying_arms
 
 STEP_S = 0.5e-3
@@ -23,7 +23,7 @@ def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) 
     hand = load_hand(str(path))
     specs = [replace(spec, friction=0.0, damping=0.0) for spec in hand.every_tendon]
     names = [motor.name for motor in hand.motors]
-    routing = Routing(specs, hand.joints, names, [motor.spool_radius for motor in hand.motors], compiled=False)
+    routing = TendonRouting(specs, hand.joints, names, [motor.spool_radius for motor in hand.motors], compiled=False)
     for seed in range(3):
         chance = np.random.default_rng(seed)
         motors = [Motor(motor, STEP_S) for motor in hand.motors]

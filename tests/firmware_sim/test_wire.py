@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.wire.adapter import ADAPTERS, Latency
-from firmware_sim.wire.bits import FD_LENGTHS, Rate, priority
+from firmware_sim.wire.adapter import ADAPTER_CLASSES, AdapterLatency
+from firmware_sim.wire.bits import FD_LENGTHS, BitRates, arbitration_number
 from firmware_sim.wire.controller import CanController, ErrorState
-from firmware_sim.wire.medium import NEVER_NS, Wire, WireOptions
+from firmware_sim.wire.medium import NEVER_NS, SimulatedWire, WireOptions
 from handctl.drives.frame_time import frame_time_s
 
 NOMINAL, DATA = 1_000_000, 5_000_000
-WORST, ACTUAL = Rate(NOMINAL, DATA), Rate(NOMINAL, DATA, actual=True)
+WORST, ACTUAL = BitRates(NOMINAL, DATA), BitRates(NOMINAL, DATA, actual=True)
 FRAMES = st.builds(
     lambda can_id, data, fd: Frame(can_id, data, FDF | BRS) if fd else Frame(can_id, data[:8]),
     st.integers(0, 0x7FF),
@@ -27,7 +27,7 @@ FRAMES = st.builds(
 class BusMember:
     """A CAN controller on the wire, and the frames that its owner has received."""
 
-    def __init__(self, wire: Wire, queue: int | None = None) -> None:
+    def __init__(self, wire: SimulatedWire, queue: int | None = None) -> None:
         self.received: list[Frame] = []
         self.errors: list[Frame] = []
         self.controller = wire.add(self._receive, queue)
@@ -45,7 +45,7 @@ class BusMember:
         return [frame.can_id & 0x1FF for frame in self.errors]
 
 
-def parties(wire: Wire, count: int) -> list[BusMember]:
+def parties(wire: SimulatedWire, count: int) -> list[BusMember]:
     return [BusMember(wire) for _ in range(count)]
 
 
@@ -71,7 +71,7 @@ def test_an_extended_identifier_takes_twenty_bits_more() -> None:
 
 
 def test_the_lowest_identifier_goes_first_without_interruption() -> None:
-    wire = Wire(WORST)
+    wire = SimulatedWire(WORST)
     a, b, ears = parties(wire, 3)
     a.controller.offer(Frame(0x300, b""), 0)
     for can_id in (0x200, 0x100):
@@ -87,11 +87,11 @@ def test_the_lowest_identifier_goes_first_without_interruption() -> None:
     [(0x100, 0x101), (0x100, 0x100 | REMOTE), (0x100 | REMOTE, 0x100 << 18 | EXTENDED), (5 | EXTENDED, 6 | EXTENDED)],
 )
 def test_arbitration_is_bit_by_bit(first: int, second: int) -> None:
-    assert priority(first) < priority(second)
+    assert arbitration_number(first) < arbitration_number(second)
 
 
 def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
-    wire, rng = Wire(ACTUAL), random.Random(1)
+    wire, rng = SimulatedWire(ACTUAL), random.Random(1)
     senders = parties(wire, 4)
     frames = [Frame(rng.randrange(0x800), rng.randbytes(rng.randrange(9))) for _ in range(200)]
     frames = list({frame.can_id: frame for frame in frames}.values())
@@ -104,7 +104,7 @@ def test_the_wire_is_never_idle_while_a_frame_waits() -> None:
 
 
 def test_a_full_queue_refuses_and_reports() -> None:
-    wire = Wire(WORST, WireOptions(queue=3))
+    wire = SimulatedWire(WORST, WireOptions(queue=3))
     a, b = parties(wire, 2)
     assert [a.controller.offer(Frame(n, b""), 0) for n in range(5)] == [True] * 3 + [False] * 2
     assert a.controller.refused == 2
@@ -116,7 +116,7 @@ def test_a_full_queue_refuses_and_reports() -> None:
 
 
 def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None:
-    wire = Wire(WORST)
+    wire = SimulatedWire(WORST)
     lonely = BusMember(wire)
     lonely.controller.offer(Frame(1, bytes(8)), 0)
     wire.advance(10**9)
@@ -132,14 +132,14 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     assert lonely.controller.tx_errors == 127
 
 
-def destroy(wire: Wire, sender: CanController, count: int, t_ns: int) -> None:
+def destroy(wire: SimulatedWire, sender: CanController, count: int, t_ns: int) -> None:
     wire.disturbed = count
     sender.offer(Frame(1, b"x"), t_ns)
     wire.advance(t_ns + 10**8)
 
 
 def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> None:
-    wire = Wire(WORST, WireOptions(restart_ms=100.0))
+    wire = SimulatedWire(WORST, WireOptions(restart_ms=100.0))
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 32, 0)
     assert sender.controller.tx_errors == 256
@@ -159,7 +159,7 @@ def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> Non
 
 
 def test_bus_off_is_permanent_without_a_restart() -> None:
-    wire = Wire(WORST)
+    wire = SimulatedWire(WORST)
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 32, 0)
     wire.advance(10**10)
@@ -171,7 +171,7 @@ def test_bus_off_is_permanent_without_a_restart() -> None:
 
 
 def test_successful_frames_reduce_the_error_counters() -> None:
-    wire = Wire(WORST)
+    wire = SimulatedWire(WORST)
     sender, receiver = parties(wire, 2)
     destroy(wire, sender.controller, 13, 0)
     assert (sender.controller.tx_errors, receiver.controller.rx_errors) == (103, 12)
@@ -185,7 +185,7 @@ def test_successful_frames_reduce_the_error_counters() -> None:
 
 
 def test_two_of_one_identifier_destroy_each_other() -> None:
-    wire = Wire(WORST)
+    wire = SimulatedWire(WORST)
     a, b, ears = parties(wire, 3)
     for party, data in ((a, b"a"), (b, b"b")):
         party.controller.offer(Frame(7, data), 0)
@@ -201,7 +201,7 @@ def test_two_of_one_identifier_destroy_each_other() -> None:
 def test_the_error_rate_is_met_and_repeats() -> None:
     errors = []
     for _ in range(2):
-        wire = Wire(WORST, WireOptions(error_rate=0.05, queue=10_000, seed=3))
+        wire = SimulatedWire(WORST, WireOptions(error_rate=0.05, queue=10_000, seed=3))
         sender, receiver = parties(wire, 2)
         for n in range(4000):
             sender.controller.offer(Frame(n & 0x7FF, b""), 0)
@@ -212,7 +212,7 @@ def test_the_error_rate_is_met_and_repeats() -> None:
 
 
 def test_removing_a_controller_during_its_frame_is_harmless() -> None:
-    wire = Wire(WORST)
+    wire = SimulatedWire(WORST)
     leaves, stays, ears = parties(wire, 3)
     leaves.controller.offer(Frame(1, bytes(8)), 0)
     stays.controller.offer(Frame(2, b""), 0)
@@ -223,9 +223,9 @@ def test_removing_a_controller_during_its_frame_is_harmless() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-@pytest.mark.parametrize("kind", sorted(ADAPTERS))
+@pytest.mark.parametrize("kind", sorted(ADAPTER_CLASSES))
 def test_an_adapter_delays_by_at_most_a_usb_frame(kind: str, seed: int) -> None:
-    adapter, latency = ADAPTERS[kind], Latency(kind, seed)
+    adapter, latency = ADAPTER_CLASSES[kind], AdapterLatency(kind, seed)
     sent = [latency.send(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
     received = [latency.receive(t_ns) - t_ns for t_ns in range(0, 200_000_000, 3_000_000)]
     for delays, period in ((sent, adapter.send_period_ns), (received, adapter.receive_ns)):
@@ -235,7 +235,7 @@ def test_an_adapter_delays_by_at_most_a_usb_frame(kind: str, seed: int) -> None:
 
 
 def test_frames_of_one_usb_frame_arrive_together_and_in_order() -> None:
-    latency = Latency("usb-fs", 3)
+    latency = AdapterLatency("usb-fs", 3)
     times = [latency.receive(t_ns) for t_ns in range(0, 20_000_000, 130_000)]
     assert times == sorted(times)
     steps = sorted({later - earlier for earlier, later in pairwise(times)} - {0})
@@ -243,7 +243,7 @@ def test_frames_of_one_usb_frame_arrive_together_and_in_order() -> None:
 
 
 def test_all_phases_of_a_usb_frame_occur() -> None:
-    latency = Latency("usb-fs")
+    latency = AdapterLatency("usb-fs")
     delays = [latency.send(t_ns) - t_ns for t_ns in range(0, 12_000_000_000, 2_000_000)]
     assert min(delays) < 20_000
     assert max(delays) > 980_000

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
 from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.formats.meshes import PALM, meshes_of
+from handctl.hand.formats.meshes import PALM_LINK, meshes_of_hand
 from handctl.hand.kinematics import joint_positions, link_rotations
 from handctl.hand.load import hand_from_content, load_hand
 from handctl.hand.tree import HandTree
@@ -101,13 +101,13 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
         corners = model.mesh_vert[first : first + count]
         body = model.body(model.geom_bodyid[geom]).name
         place = corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
-        found[PALM if body == "world" else body] = place
+        found[PALM_LINK if body == "world" else body] = place
     return found
 
 
 def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
     """Return the corners of each link's mesh in the palm frame [m], as the kinematics of handctl places them."""
-    poses = {PALM: (np.zeros(3), np.eye(3))}
+    poses = {PALM_LINK: (np.zeros(3), np.eye(3))}
     tree = HandTree.of(hand)
     all_poses = tree.poses(q)
     for digit in tree.digits:
@@ -115,7 +115,7 @@ def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
         for i, pose in enumerate(zip(joint_positions(own), link_rotations(own), strict=True)):
             poses[f"{digit.name}_link{i + 1}"] = pose
     found = {}
-    for mesh in meshes_of(hand):
+    for mesh in meshes_of_hand(hand):
         position, rotation = poses[mesh.link]
         content = (folder / mesh.file).read_bytes()
         found[mesh.link] = mesh.place(mesh_triangles(content, mesh.suffix)) @ rotation.T + position

@@ -199,7 +199,7 @@ def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(tree, rng):
         theirs = [np.zeros(model.nv) for _ in range(3)]
         for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
             vector[order] = mine
-        armature = whole.table[rigid_body.ARMATURE] * ddq
+        armature = whole.table[rigid_body.ARMATURE_ROW] * ddq
         assert agree(whole.inverse_dynamics(q, dq, ddq) - armature, pinocchio.rnea(model, data, *theirs)[order])
         standing = pinocchio.computeGeneralizedGravity(model, data, theirs[0])[order]
         springs = whole.stiffness * (q + whole.preload)
@@ -227,7 +227,7 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(tree, rng):
     """The weight of a digit alone equals that of the digit in the tree, while all digits that carry it are at zero."""
     hand, whole = tree
     for digit in whole.digits:
-        if digit.name in hand.carriers:
+        if digit.name in hand.carrier_digits:
             continue
         q = np.zeros(len(hand.joints))
         q[digit.joints] = rng.uniform(-2.0, 2.0, digit.joint_count)
@@ -240,7 +240,7 @@ def test_each_number_of_a_table_matters(rng):
     digit = DigitModel.of(hand, "d0")
     q, dq, ddq = next(iter(states(rng, 3, 1)))
     right = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
-    for row in range(rigid_body.LENGTH):
+    for row in range(rigid_body.LENGTH_ROW):
         table = digit.table.copy()
         table[row, 1] *= 1.001
         wrong = rigid_body.rigid_body_torques(table, digit.parent, digit.gravity, q, dq, ddq)

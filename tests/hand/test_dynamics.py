@@ -47,7 +47,10 @@ def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
 
 def joint_rotation(digit: DigitModel, i: int) -> np.ndarray:
     """Return the orientation of link i at angle zero, relative to the frame of the link before it."""
-    at_zero = digit.table[rigid_body.FIXED : rigid_body.COSINE, i] + digit.table[rigid_body.COSINE : rigid_body.SINE, i]
+    at_zero = (
+        digit.table[rigid_body.FIXED_ROTATION_ROW : rigid_body.COSINE_ROTATION_ROW, i]
+        + digit.table[rigid_body.COSINE_ROTATION_ROW : rigid_body.SINE_ROTATION_ROW, i]
+    )
     rotation = at_zero.reshape(3, 3)
     return rotation if i else digit.mount_rotation.T @ rotation
 

@@ -12,21 +12,21 @@ from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.inverse_kinematics import coordinate_limits, inverse_kinematics, inverse_kinematics_coupled
 from handctl.hand.kinematics import (
     forward_kinematics,
-    from_palm,
+    from_palm_frame,
     joint_points,
     point_jacobian,
     tip_jacobian,
-    to_palm,
+    to_palm_frame,
 )
-from handctl.hand.link_bodies import rotation_rpy
-from handctl.hand.link_frames import link_transforms, quaternion
+from handctl.hand.link_bodies import rotation_of_rpy
+from handctl.hand.link_frames import link_transforms, quaternion_of_rotation
 from handctl.hand.load import load_hand
 from tests.hand.chains import random_hand
 
 
 def planar_tip(digit, q):
     """Return the tip's position in the plane of a planar digit, and the direction of its last link."""
-    x, y, _ = from_palm(digit, joint_points(digit, q)[-1])
+    x, y, _ = from_palm_frame(digit, joint_points(digit, q)[-1])
     return x, y, float(np.sum(q))
 
 
@@ -97,7 +97,7 @@ def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
         q = angles(rng, digit, 1)[0]
         pose = forward_kinematics(digit, q)
         assert np.allclose(pose.position, joint_points(digit, q)[-1])
-        assert np.allclose(pose.rotation, digit.mount_rotation @ rotation_rpy(0.0, 0.0, q.sum()))
+        assert np.allclose(pose.rotation, digit.mount_rotation @ rotation_of_rpy(0.0, 0.0, q.sum()))
         lengths = np.linalg.norm(np.diff(joint_points(digit, q), axis=0), axis=1)
         assert np.allclose(lengths, digit.lengths, rtol=1e-12)
 
@@ -114,7 +114,7 @@ def test_the_paper_s_finger_at_thirty_degrees():
 def test_the_inverse_of_the_palm_frame_gives_the_points_back(digits, rng):
     for digit in digits:
         own = rng.normal(size=(20, 3))
-        assert np.allclose(from_palm(digit, to_palm(digit, own)), own, atol=1e-14)
+        assert np.allclose(from_palm_frame(digit, to_palm_frame(digit, own)), own, atol=1e-14)
 
 
 def test_quaternions_of_all_rotations(rng):
@@ -125,7 +125,7 @@ def test_quaternions_of_all_rotations(rng):
         (0, 0, math.pi),
         (0, 0, 0),
     ]:
-        q = quaternion(rotation_rpy(roll, pitch, yaw))
+        q = quaternion_of_rotation(rotation_of_rpy(roll, pitch, yaw))
         assert math.isclose(sum(part * part for part in q), 1.0, rel_tol=1e-12)
         by_axes = pinocchio.rpy.rpyToMatrix(roll, pitch, yaw)
         assert np.allclose(pinocchio.Quaternion(np.array(q)).toRotationMatrix(), by_axes, atol=1e-13)

@@ -17,7 +17,7 @@ from firmware_sim.scene.scene import load_scene
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema
 from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.formats.meshes import PALM, exported_meshes, mesh_mistakes, meshes_of, with_meshes_from
+from handctl.hand.formats.meshes import PALM_LINK, exported_meshes, mesh_mistakes, meshes_of_hand, with_meshes_from
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands, parse_toml
@@ -240,7 +240,7 @@ def test_keys_of_the_palm_are_checked(keys: dict[str, object], text: str) -> Non
 
 
 def test_one_scale_holds_for_all_links() -> None:
-    assert {mesh.scale for mesh in meshes_of(load_hand("t42"))} == {(1e-3,) * 3}
+    assert {mesh.scale for mesh in meshes_of_hand(load_hand("t42"))} == {(1e-3,) * 3}
     assert hand_content("t42")["digit"][0]["link_mesh_scale"] == [1e-3, 1e-3]
     scale = hand_schema()["definitions"]["DigitValues"]["properties"]["link_mesh_scale"]
     assert [kind.get("type") for kind in scale["anyOf"]][-1] == "array"
@@ -251,10 +251,10 @@ def test_meshes_survive_the_log_and_leave_the_identity(name: str) -> None:
     hand = meshed(name)
     assert hand_from_content(parse_toml(hand.to_toml(), name), name) == hand
     assert hand.identity == plain(name).identity == load_hand(name).identity
-    links = {PALM} | {
+    links = {PALM_LINK} | {
         f"{digit.name}_link{i + 1}" for digit in hand.digit for i in range(len(digit.joints)) if i
     }
-    assert {mesh.link for mesh in meshes_of(hand)} >= links
+    assert {mesh.link for mesh in meshes_of_hand(hand)} >= links
 
 
 def test_packaged_meshes_are_those_of_their_script() -> None:
@@ -343,7 +343,7 @@ def test_other_libraries_read_the_urdf_with_its_meshes(folder: Path) -> None:
     kind = pinocchio.GeometryType.VISUAL
     visual = pinocchio.buildGeomFromUrdf(model, path, kind, package_dirs=[str(folder / "out")])
     meshes = [file for shape in visual.geometryObjects if (file := Path(shape.meshPath)).suffix]
-    assert len(meshes) == len(meshes_of(hand))
+    assert len(meshes) == len(meshes_of_hand(hand))
     assert all(mesh.is_file() for mesh in meshes)
 
 
@@ -355,4 +355,4 @@ def test_meshes_of_a_copied_file_are_found(
     moved = hand_from_content(with_meshes_from(hand.content, folder), "t42")
     assert list(mesh_mistakes(hand, elsewhere))
     assert not list(mesh_mistakes(moved, elsewhere))
-    assert [mesh.link for mesh in meshes_of(moved)] == [mesh.link for mesh in meshes_of(hand)]
+    assert [mesh.link for mesh in meshes_of_hand(moved)] == [mesh.link for mesh in meshes_of_hand(hand)]

@@ -8,12 +8,12 @@ import pytest
 
 from firmware_sim.description import load_hand as load_simulated
 from firmware_sim.plant.drivetrain import _arm_at, _taken_up
-from firmware_sim.plant.tendon import Routing
+from firmware_sim.plant.tendon import TendonRouting
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands, parse_toml
-from handctl.hand.moment_arms import polynomial_of, table_residual
+from handctl.hand.moment_arms import polynomial_of_arm, table_residual
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
@@ -64,7 +64,7 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(name: str, kin
     path.write_text(hand.to_toml())
     described = load_simulated(str(path))
     motors = [motor.name for motor in described.motors]
-    routing = Routing(described.tendons, described.joints, motors, [0.005] * len(motors), compiled=False)
+    routing = TendonRouting(described.tendons, described.joints, motors, [0.005] * len(motors), compiled=False)
     for seed in SEEDS:
         q = np.random.default_rng(seed).uniform(hand.joint_limits[0] - 0.1, hand.joint_limits[1] + 0.1)
         for one in hand.digit_names:
@@ -85,11 +85,11 @@ def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> Non
     angle = np.linspace(0.0, 90.0, 10)
     cubic = np.array([0.003, 1e-3, -4e-4, 1e-4])
     arm = {"angle_deg": angle.tolist(), "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic).tolist()}
-    np.testing.assert_allclose(polynomial_of(arm), [*cubic, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(polynomial_of_arm(arm), [*cubic, 0.0, 0.0], atol=1e-12)
     assert table_residual(arm) < 1e-12
     arm["arm_m"][4] += 1e-4
     assert 2e-5 < table_residual(arm) < 1e-4
-    assert polynomial_of({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist() == [0.0] * 4
+    assert polynomial_of_arm({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist() == [0.0] * 4
 
 
 MISTAKES = {

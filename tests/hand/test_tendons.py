@@ -28,11 +28,11 @@ law_of_each_kind = pytest.mark.parametrize("law", LAWS, ids=["softening", "harde
 def test_the_knee_is_smooth(law):
     at = law.knee / law.stiffness
     for h in (1e-9, 1e-10):
-        assert math.isclose(law.elastic(at - h), law.elastic(at + h), abs_tol=2.1 * h * law.stiffness)
+        assert math.isclose(law.elastic_tension(at - h), law.elastic_tension(at + h), abs_tol=2.1 * h * law.stiffness)
         assert math.isclose(
             law.tangent_stiffness(at - h), law.tangent_stiffness(at + h), rel_tol=1.1 * h / law.knee_width * 4
         )
-    assert math.isclose(law.elastic(at), law.knee, rel_tol=1e-12)
+    assert math.isclose(law.elastic_tension(at), law.knee, rel_tol=1e-12)
     assert math.isclose(law.tangent_stiffness(1.0), law.stiffness_beyond, rel_tol=1e-9)
 
 
@@ -41,13 +41,13 @@ def test_tension_is_the_integral_of_the_tangent_stiffness(law):
     knee = law.knee / law.stiffness
     for stretch in np.linspace(0.1, 3.0, 12) * knee:
         total, _ = quad(law.tangent_stiffness, 0.0, stretch, points=[knee] if stretch > knee else None, epsrel=1e-11)
-        assert math.isclose(law.elastic(stretch), total, rel_tol=1e-8)
+        assert math.isclose(law.elastic_tension(stretch), total, rel_tol=1e-8)
 
 
 @law_of_each_kind
 def test_stretch_is_the_exact_inverse(law):
     for tension in np.concatenate((np.geomspace(1e-9, 3000.0, 300), law.knee + np.geomspace(1e-12, 10.0, 50))):
-        assert math.isclose(law.elastic(law.stretch(tension)), tension, rel_tol=1e-13)
+        assert math.isclose(law.elastic_tension(law.stretch(tension)), tension, rel_tol=1e-13)
     assert law.stretch(0.0) == 0.0
     for tension in (-1e-9, math.nan, math.inf):
         with pytest.raises(ValueError, match="no stretch"):
@@ -56,7 +56,7 @@ def test_stretch_is_the_exact_inverse(law):
 
 @law_of_each_kind
 def test_tension_rises_with_stretch(law):
-    tensions = [law.elastic(stretch) for stretch in np.linspace(0.0, 5e-3, 2000)]
+    tensions = [law.elastic_tension(stretch) for stretch in np.linspace(0.0, 5e-3, 2000)]
     assert (np.diff(tensions) > 0.0).all()
 
 
@@ -66,11 +66,11 @@ def test_a_slack_or_slackening_tendon_never_pushes(law, rng):
         tension = law.tension(stretch, rate)
         assert tension >= 0.0
         if stretch <= 0.0:
-            assert tension == law.elastic(stretch) == law.tangent_stiffness(stretch) == 0.0
+            assert tension == law.elastic_tension(stretch) == law.tangent_stiffness(stretch) == 0.0
         elif tension > 0.0:
-            assert math.isclose(tension, law.elastic(stretch) + law.damping * rate, rel_tol=1e-12)
+            assert math.isclose(tension, law.elastic_tension(stretch) + law.damping * rate, rel_tol=1e-12)
         else:
-            assert law.damping * rate <= -law.elastic(stretch)
+            assert law.damping * rate <= -law.elastic_tension(stretch)
 
 
 def test_known_numbers_of_the_packaged_tendon():
@@ -78,7 +78,7 @@ def test_known_numbers_of_the_packaged_tendon():
     assert math.isclose(law.stretch(110.0), 1.1e-3, rel_tol=1e-12)
     assert math.isclose(law.knee / law.stiffness, 2.0e-3, rel_tol=1e-12)
     one_beyond = 200.0 + 0.4e5 * 1e-3 + 0.6e5 * 3e-4 * (1 - math.exp(-1e-3 / 3e-4))
-    assert math.isclose(law.elastic(3e-3), one_beyond, rel_tol=1e-12)
+    assert math.isclose(law.elastic_tension(3e-3), one_beyond, rel_tol=1e-12)
 
 
 def test_work_of_tendons_is_work_of_joints(digits, rng):

@@ -8,7 +8,7 @@ import lz4.frame
 import zstandard
 
 from handctl.log.container import MAGIC
-from handctl.log.read.logfile import MAX_CHUNK, LogFile
+from handctl.log.read.logfile import MAX_CHUNK_BYTES, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 
 
@@ -36,8 +36,8 @@ def hostile(small: Path) -> dict[str, bytes]:
     """Return the name and the bytes of each hostile file. Most begin as a real log."""
     message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
     other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
-    many = (message + other) * (MAX_CHUNK // 62)
-    zeros = bytes(MAX_CHUNK)
+    many = (message + other) * (MAX_CHUNK_BYTES // 62)
+    zeros = bytes(MAX_CHUNK_BYTES)
     channels = b"".join(struct.pack("<BQHHIIIB", 4, 17, n & 0xFFFF, 0, 0, 0, 1, 0) for n in range(1_000_000))
     tick = struct.pack("<BQHIQQ", 5, 22 + 44, 3, 0, 0, 0) + b"\0\1\0\0" + bytes(36) + b"\xff\xff\xff\x7f"
     bombs = _chunk("zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros))

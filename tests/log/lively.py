@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import synthetic
 
-from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
-from handctl.drives.contract import Phase
+from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, Telemetry, TickEvent, TickIn, TickOut
+from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.header import RunHeader
 from handctl.programs.requests import target_text
@@ -59,11 +59,14 @@ def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) ->
 
 def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> TickOut:
     telemetry = _telemetry(run, index, random)
-    events: tuple[Event, ...] = ()
+    events: tuple[TickEvent, ...] = ()
     if index % 13 == 2:
-        events = (Event("error", "fault", "index_motor", "torque\nlimit"), Event("info", "gain", "motion.x", "0.5"))
+        events = (
+            TickEvent("error", "fault", "index_motor", "torque\nlimit"),
+            TickEvent("info", "gain", "motion.x", "0.5"),
+        )
     if index % 29 == 4:
-        events += (Event("weird", "gain", "filter.mode", "a word"),)
+        events += (TickEvent("weird", "gain", "filter.mode", "a word"),)
     mode, action = Mode(index // 12 % 9), Action(index // 20 % 5)
     phase = ("idle", "close", "h\u00e4lt", "")[index // 30 % 4]
     frames = _frames(index + 2, 0, random)
@@ -76,5 +79,5 @@ def _telemetry(run: RunHeader, index: int, random: np.random.Generator) -> Telem
         values["joint_encoder"][:] = np.nan
     if index % 11 == 0:
         values["tension"][0], values["q"][1], values["drive_phase"][0] = np.inf, np.nan, np.nan
-    values["drive_phase"][1:] = float(Phase(index // 15 % 5))
+    values["drive_phase"][1:] = float(DrivePhase(index // 15 % 5))
     return Telemetry(**values)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
-from handctl.drives.contract import Phase
+from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, Telemetry, TickEvent, TickIn, TickOut
+from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
@@ -67,11 +67,11 @@ class Synthetic:
             telemetry = self._telemetry(k, fraction)
             phase = _phase(fraction)
             tick_in = self._tick_in(k, telemetry)
-            events = (Event("info", "phase", "", phase),) if phase != previous else ()
+            events = (TickEvent("info", "phase", "", phase),) if phase != previous else ()
             if k == self.ticks // 3:
-                events += (Event("info", "gain", "motion.position_error_m", "0.0008"),)
+                events += (TickEvent("info", "gain", "motion.position_error_m", "0.0008"),)
             if k == self.ticks // 2:
-                events += (Event("warn", "contact", self.run.digits[0], "touched earlier than planned"),)
+                events += (TickEvent("warn", "contact", self.run.digits[0], "touched earlier than planned"),)
             previous = phase
             mode = Mode.READY if fraction < 0.02 else Mode.ACTIVE if fraction < 0.98 else Mode.DISARM
             action = Action.WARN if 0.5 <= fraction < 0.51 else Action.PASS
@@ -100,7 +100,7 @@ class Synthetic:
         raw = np.round((tension + 0.3 * noise + 6) / 0.0625) * 0.0625 - 6
         excursion = self._arms @ q
         motor = excursion[: len(run.motors)] / 0.005 + tension / 1e5 / 0.005
-        phase = Phase.READY if fraction < 0.02 else Phase.ENABLED
+        phase = DrivePhase.READY if fraction < 0.02 else DrivePhase.ENABLED
         warm = 30 + 15 * fraction * (np.arange(len(run.motors)) == 0)
         values: dict[str, np.ndarray] = {
             "q": q, "dq": dq, "q_goal": goal, "dq_goal": dq, "joint_torque": self._arms.T @ tension,

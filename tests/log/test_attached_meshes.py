@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import synthetic
 
-from handctl.hand.formats.meshes import meshes_of
+from handctl.hand.formats.meshes import meshes_of_hand
 from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.log import attached_meshes as module
 from handctl.log.attached_meshes import MAX_BYTES, attached_meshes, mesh_attachments
@@ -36,7 +36,7 @@ def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
             )
         assert not missing
         assert {link: one.data for link, one in found.items()} == {
-            mesh.link: (PACKAGED_HANDS_FOLDER / mesh.file).read_bytes() for mesh in meshes_of(hand)
+            mesh.link: (PACKAGED_HANDS_FOLDER / mesh.file).read_bytes() for mesh in meshes_of_hand(hand)
         }
 
 
@@ -48,8 +48,8 @@ def test_a_mesh_of_several_links_is_there_once_and_placed_on_each(tmp_path: Path
     assert set(attachments) == {"mesh/m.stl", "mesh/sub/mm.stl", "mesh/sub/mm.obj"}
     found, missing = attached_meshes(hand, attachments)
     assert not missing
-    assert found.keys() == {mesh.link for mesh in meshes_of(hand)}
-    for mesh in meshes_of(hand):
+    assert found.keys() == {mesh.link for mesh in meshes_of_hand(hand)}
+    for mesh in meshes_of_hand(hand):
         expected = triangles() / max(
             abs(factor) for factor in (mesh.scale if mesh.file == "m.stl" else (1e-3,))
         )

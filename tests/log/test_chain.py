@@ -6,7 +6,7 @@ from pathlib import Path
 import synthetic
 
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.topics.chain import first_hash_of_run, tick_hash
 from handctl.log.topics.clock_pairs import ClockPair, ClockStep, clock_steps
 from handctl.log.write.writer import LogWriter
@@ -17,14 +17,14 @@ def _written(path: Path, clocks: list[tuple[int, int]], seconds: float, determin
     left = iter(clocks)
     writer = LogWriter(path, run, lambda *what: None, 1, lambda: next(left))
     for tick in synthetic.Synthetic(run, seconds):
-        writer.add(pack_tick_record(*tick)[FRAMING.size :])
+        writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
     return path
 
 
 def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log: Path) -> None:
     with RunLog(small_log) as log:
-        before, digests = first_hash_of_run(log.header), list(log.digests())
+        before, digests = first_hash_of_run(log.header), list(log.tick_digests())
         assert len(digests) == len(log) == len(set(digests))
         for message, numbers, digest in zip(log.messages(), log.packed(), digests, strict=True):
             assert digest == tick_hash(before, message, numbers)

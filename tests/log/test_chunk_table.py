@@ -5,7 +5,7 @@ import tracemalloc
 
 import pytest
 
-from handctl.log.chunk_table import BLOCK_CHUNKS, ChunkEntry, ChunkTable
+from handctl.log.chunk_table import CHUNKS_PER_BLOCK, ChunkEntry, ChunkTable
 
 
 def at(k: int) -> ChunkEntry:
@@ -25,7 +25,7 @@ def test_each_chunk_has_its_position_and_those_of_its_message_indexes() -> None:
     assert (last.message_start_time, last.message_end_time) == (750, 999)
 
 
-@pytest.mark.parametrize("chunks", [0, BLOCK_CHUNKS - 1, BLOCK_CHUNKS, 2 * BLOCK_CHUNKS + 1])
+@pytest.mark.parametrize("chunks", [0, CHUNKS_PER_BLOCK - 1, CHUNKS_PER_BLOCK, 2 * CHUNKS_PER_BLOCK + 1])
 def test_packing_changes_neither_their_order_nor_a_number(chunks: int) -> None:
     table = ChunkTable()
     for k in range(chunks):

@@ -12,7 +12,7 @@ from headers import with_metadata, with_run
 from handctl.cli.main import main
 from handctl.errors import LogError
 from handctl.hand.load import PACKAGED_HANDS_FOLDER
-from handctl.log.header import LATEST_NS, PERIOD_RANGE_NS
+from handctl.log.header import MAX_LOG_TIME_NS, PERIOD_RANGE_NS
 from handctl.log.read.reader import RunLog
 
 GOLDEN = PACKAGED_HANDS_FOLDER.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
@@ -93,8 +93,8 @@ def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> Non
     for period in PERIOD_RANGE_NS:
         with RunLog(with_run(small_log, tmp_path / "odd.mcap", period_ns=str(period))) as log:
             assert log.header.period_ns == period
-    with RunLog(with_run(small_log, tmp_path / "odd.mcap", offset_ns=str(LATEST_NS))) as log:
-        assert log.header.offset_ns == LATEST_NS
+    with RunLog(with_run(small_log, tmp_path / "odd.mcap", offset_ns=str(MAX_LOG_TIME_NS))) as log:
+        assert log.header.offset_ns == MAX_LOG_TIME_NS
 
 
 @pytest.mark.parametrize("verb", [verb for verb in VERBS if verb.startswith(("report", "replay", "identify", "view"))])

@@ -10,7 +10,7 @@ import synthetic
 from hostile import hostile
 
 from handctl.cli.main import main
-from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 
 CODES = {"log recover": (1, 2, 3), "log check": (1, 2, 3), "replay drive": (2, 4), "view --save": (2, 3)}
@@ -76,7 +76,7 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
     run = synthetic.header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
     for tick in synthetic.Synthetic(run, 0.5):
-        writer.add(pack_tick_record(*tick)[FRAMING.size :])
+        writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish(evil, 0)
     for words in (["log", "info"], ["log", "check"], ["log", "recover"], ["log", "export", "--csv"], ["report"]):
         main([*words, str(inner / "run.mcap")])

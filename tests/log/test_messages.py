@@ -9,7 +9,7 @@ import pytest
 from oracle import Ros2Support, Rosbags, by_topic, oracles
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from handctl.log.message_types import DEFINITIONS, schema_name, schema_text
+from handctl.log.message_types import MESSAGE_DEFINITIONS, schema_name, schema_text
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack_snapshot, pack_tick_record
 from handctl.log.topics.can import encode_fd_frame
@@ -37,7 +37,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", DEFINITIONS)
+@pytest.mark.parametrize("name", MESSAGE_DEFINITIONS)
 def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
     package = name.split("/")[0]
     types = get_types_from_msg(schema_text(name), schema_name(name))
@@ -53,7 +53,7 @@ def test_every_topic_has_messages_in_the_lively_run(log: Path) -> None:
     used = {message.kind for messages in topics.values() for message in messages}
     parts = {"Time", "Header", "Vector3", "Quaternion", "Transform", "TransformStamped", "Wrench", "KeyValue"}
     parts |= {"DiagnosticStatus", "ParameterValue", "Parameter", "CanFrame", "IoEvent", "Event"}
-    assert used == {schema_name(name) for name in DEFINITIONS if name.split("/")[1] not in parts}
+    assert used == {schema_name(name) for name in MESSAGE_DEFINITIONS if name.split("/")[1] not in parts}
 
 
 def test_a_snapshot_is_read_as_it_was_written(log: Path) -> None:

@@ -211,7 +211,7 @@ def test_a_pipe_or_directory_is_refused_at_once(tmp_path: Path) -> None:
 def test_a_log_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.mcap"
     synthetic.write(path, synthetic.header(rate_hz=50), 0.1)
-    monkeypatch.setattr("handctl.log.read.reader.SCHEMA", 2)
+    monkeypatch.setattr("handctl.log.read.reader.LOG_SCHEMA_VERSION", 2)
     with pytest.raises(LogError, match="version 1"):
         RunLog(path)
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, PackedTelemetry, Telemetry, TickIn, TickOut
+from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, PackedTelemetry, Telemetry, TickEvent, TickIn, TickOut
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.records import frames_as_records
 from handctl.log.record import (
-    FRAMING,
+    RECORD_FRAMING_STRUCT,
     message_layout,
     pack_tick,
     pack_tick_record,
@@ -54,7 +54,7 @@ TICK_OUT = st.builds(
     TEXT,
     st.sampled_from(Action),
     telemetries(),
-    st.lists(st.builds(Event, TEXT, TEXT, TEXT, TEXT), max_size=3).map(tuple),
+    st.lists(st.builds(TickEvent, TEXT, TEXT, TEXT, TEXT), max_size=3).map(tuple),
     st.binary(min_size=8, max_size=8),
 )
 
@@ -159,7 +159,7 @@ def test_a_cut_or_changed_message_never_does_worse_than_value_error(
 def test_a_record_contains_its_length() -> None:
     telemetry = Telemetry(**{name: np.full(2, math.nan) for name in TELEMETRY_AXES})
     record = pack_tick_record(TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)))
-    assert FRAMING.unpack_from(record)[0] == len(record) - FRAMING.size
+    assert RECORD_FRAMING_STRUCT.unpack_from(record)[0] == len(record) - RECORD_FRAMING_STRUCT.size
     with pytest.raises(ValueError, match="not the record"):
         unpack_tick_record(record[:-1])
 

@@ -19,12 +19,12 @@ import synthetic
 from handctl.core.types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write import child
-from handctl.log.write.child import process_ahead
-from handctl.log.write.process import NICE
+from handctl.log.write.child import recorder_process_ahead
+from handctl.log.write.process import RECORDER_NICE_VALUE
 from handctl.log.write.recorder import PIPE_BYTES, Recorder
-from handctl.log.write.syncer import Syncer
+from handctl.log.write.syncer import DiskSyncer
 from handctl.log.write.writer import LogWriter
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -85,8 +85,8 @@ def test_a_recorder_that_does_not_start_in_time_is_named(
 
 
 def test_a_process_started_ahead_records_the_first_run(start: Callable[..., Recorder], tmp_path: Path) -> None:
-    with process_ahead():
-        (waiting,) = child._ahead
+    with recorder_process_ahead():
+        (waiting,) = child._started_ahead
         first = start("first.mcap")
         second = start("second.mcap")
         assert waiting.child.poll() is None
@@ -97,10 +97,10 @@ def test_a_process_started_ahead_records_the_first_run(start: Callable[..., Reco
 
 
 def test_an_unused_recorder_process_started_ahead_is_ended() -> None:
-    with process_ahead():
-        (waiting,) = child._ahead
+    with recorder_process_ahead():
+        (waiting,) = child._started_ahead
     assert waiting.child.returncode is not None
-    assert child._ahead == []
+    assert child._started_ahead == []
     with pytest.raises(OSError, match="Bad file descriptor"):
         os.fstat(waiting.pipe)
 
@@ -253,7 +253,7 @@ def test_interrupts_do_not_reach_the_recorder(start: Callable[..., Recorder], tm
 
 def test_the_recorder_has_priority_over_other_programs(start: Callable[..., Recorder]) -> None:
     priority, child = (os.getpriority(os.PRIO_PROCESS, pid) for pid in (0, start()._child.pid))
-    assert child == (NICE if os.geteuid() == 0 else priority)
+    assert child == (RECORDER_NICE_VALUE if os.geteuid() == 0 else priority)
 
 
 def test_the_header_is_in_the_file_before_the_first_tick(start: Callable[..., Recorder], tmp_path: Path) -> None:
@@ -337,7 +337,7 @@ def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
     events: list[tuple[str, int]] = []
     writer = LogWriter(tiny_disk / "run.mcap", synthetic.header(), lambda *what: events.append(what), 700_000)
     for record in _records(200):
-        writer.add(record[FRAMING.size :])
+        writer.add(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
         while True:
@@ -350,10 +350,10 @@ def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
 
 
 def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -> None:
-    syncer = Syncer()
+    syncer = DiskSyncer()
     writer = LogWriter(tiny_disk / "run.mcap", synthetic.header(), lambda *what: None, 1, to_disk=syncer)
     for record in _records(100):
-        writer.add(record[FRAMING.size :])
+        writer.add(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
     writer.sync()
     with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):

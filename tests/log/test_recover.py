@@ -12,7 +12,7 @@ from handctl.errors import ConfigError, LogError
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.log.read.recover import Recovery, RecoveryStatus, recover_log
+from handctl.log.read.recover import RecoveryReport, RecoveryStatus, recover_log
 
 SAMPLE = 500
 
@@ -37,7 +37,7 @@ def _scan(path: Path) -> RecordScan:
     return scan
 
 
-def _recovered(data: bytes, folder: Path) -> tuple[Recovery, Path]:
+def _recovered(data: bytes, folder: Path) -> tuple[RecoveryReport, Path]:
     cut, out = folder / "cut.mcap", folder / "out.mcap"
     cut.write_bytes(data)
     out.unlink(missing_ok=True)

@@ -7,13 +7,13 @@ from pathlib import Path
 import psutil
 import pytest
 
-from handctl.log.write.syncer import Syncer
+from handctl.log.write.syncer import DiskSyncer
 
 
 def test_a_separate_process_syncs_and_ends_with_its_parent(tmp_path: Path) -> None:
     before = set(psutil.Process().children())
     descriptor = os.open(tmp_path / "x", os.O_WRONLY | os.O_CREAT)
-    syncer = Syncer()
+    syncer = DiskSyncer()
     for _ in range(100):
         syncer(descriptor)
     (child,) = set(psutil.Process().children()) - before
@@ -26,7 +26,7 @@ def test_a_separate_process_syncs_and_ends_with_its_parent(tmp_path: Path) -> No
 
 def test_an_error_comes_with_a_later_call() -> None:
     reading, writing = os.pipe()
-    syncer = Syncer()
+    syncer = DiskSyncer()
     syncer(writing)
     assert select.select([syncer._error_pipe], [], [], 10.0)[0]
     with pytest.raises(OSError, match="Invalid argument"):

@@ -21,7 +21,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.link_frames import link_transforms
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
-from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.topics.transforms import link_frames
 from handctl.log.write.writer import LogWriter
 from handctl.programs.requests import target_text
@@ -48,7 +48,7 @@ def _write(
 
 
 def _bodies(run: RunHeader) -> list[bytes]:
-    return [pack_tick_record(*tick)[FRAMING.size :] for tick in lively.ticks(run)]
+    return [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in lively.ticks(run)]
 
 
 def test_rosbags_reads_every_message(run_log: Path) -> None:
@@ -140,7 +140,9 @@ def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) 
     run, described = synthetic.header(hand, rate_hz=50), load_hand(hand)
     digits = [DigitModel.of(described, name) for name in run.digits]
     ticks = list(synthetic.Synthetic(run, 1.0))
-    topics = by_topic(_write(tmp_path / "a", run, [pack_tick_record(*tick)[FRAMING.size :] for tick in ticks]))
+    topics = by_topic(
+        _write(tmp_path / "a", run, [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks])
+    )
     tf, fixed = topics["/tf"], topics["/tf_static"][0]
     oracle = Rosbags(fixed.kind, fixed.schema)
     tips = oracle.decode(fixed.data).transforms
@@ -190,7 +192,9 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
         3: (target_text("s", 2**70, 0, ()), '{"do": "target", nonsense', '{"do": "stop"}'),
     }
     ticks = [(tick_in._replace(requests=asked.get(i, ())), out) for i, (tick_in, out) in enumerate(ticks)]
-    topics = by_topic(_write(tmp_path / "a", run, [pack_tick_record(*tick)[FRAMING.size :] for tick in ticks]))
+    topics = by_topic(
+        _write(tmp_path / "a", run, [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks])
+    )
     targets = topics["/stream/target"]
     oracle = Rosbags(targets[0].kind, targets[0].schema)
     first, other, last = (oracle.decode(one.data) for one in targets)
@@ -236,7 +240,7 @@ def test_the_wrench_points_against_closing(run_log: Path) -> None:
 
 def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -> None:
     run, other = synthetic.header("jamia", 100), synthetic.header("jamia11", 100)
-    bodies = [pack_tick_record(*tick)[FRAMING.size :] for tick in synthetic.Synthetic(other, 0.1)]
+    bodies = [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in synthetic.Synthetic(other, 0.1)]
     log = _write(tmp_path / "a", run, bodies, events=("misshapen",))
     topics = by_topic(log)["/tendon_states"]
     oracle = Rosbags(topics[0].kind, topics[0].schema)

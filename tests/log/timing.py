@@ -11,7 +11,7 @@ from pathlib import Path
 import synthetic
 
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.log.write.writer import LogWriter
 
@@ -40,7 +40,7 @@ def main() -> None:
         run = synthetic.header(hand, rate_hz)
         ticks = list(synthetic.Synthetic(run, 10.0))
         number, records = len(ticks), [pack_tick_record(*tick) for tick in ticks]
-        bodies = [record[FRAMING.size :] for record in records]
+        bodies = [record[RECORD_FRAMING_STRUCT.size :] for record in records]
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "run.mcap"
             print(f"{hand} at {rate_hz} Hz, {len(records[9])} bytes and {_frames(ticks[9])} frames a tick")

@@ -10,7 +10,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, inverse_dynamics
 from handctl.paper import sections
 from handctl.paper import sources as src
-from handctl.paper.item import ErrataVerdict, Item
+from handctl.paper.item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations, kinematics, lagrange, motion
 
 PARAMETERS = sp.symbols("I1:4 m1:4 L1:4 d1:4 g", positive=True)
@@ -47,7 +47,7 @@ def in_symbols(expression: sp.Expr) -> sp.Expr:
     return sp.expand(sp.expand_trig(expression))
 
 
-def total(terms: tuple[equations.Term, ...]) -> sp.Expr:
+def total(terms: tuple[equations.EquationTerm, ...]) -> sp.Expr:
     return sp.expand(sp.expand_trig(sum(symbolic(term.right.text) for term in terms)))
 
 
@@ -56,7 +56,7 @@ def test_corrected_energies_are_those_of_three_links() -> None:
     printed = (equations.KINETIC_1, equations.KINETIC_2, equations.KINETIC_3)
     for mine, derived in zip(printed, kinetic, strict=True):
         assert sp.simplify(total(mine) - in_symbols(derived)) == 0
-    assert sp.simplify(total(equations.POTENTIAL) - in_symbols(potential)) == 0
+    assert sp.simplify(total(equations.POTENTIAL_TERMS) - in_symbols(potential)) == 0
 
 
 @pytest.mark.parametrize("i", [0, 1, 2])
@@ -64,7 +64,7 @@ def test_corrected_torques_follow_from_the_lagrangian(i: int) -> None:
     kinetic, potential = energies()
     lagrangian, angle = sum(kinetic) - potential, ANGLES[i]
     torque = sp.diff(sp.diff(lagrangian, sp.diff(angle, TIME)), TIME) - sp.diff(lagrangian, angle)
-    assert sp.simplify(total(equations.TORQUES[i]) - in_symbols(torque)) == 0
+    assert sp.simplify(total(equations.TORQUE_TERMS[i]) - in_symbols(torque)) == 0
 
 
 def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
@@ -79,15 +79,15 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
         theta, rate, acceleration = chance.normal(size=(3, 2)) * np.array([[1.0], [10.0], [100.0]])
         for k in (0, 1):
             states |= {f"th{k + 1}": theta[k], f"dth{k + 1}": rate[k], f"ddth{k + 1}": acceleration[k]}
-        mine = [sum(term.right.value(states) for term in terms) for terms in equations.TORQUES[:2]]
+        mine = [sum(term.right.value(states) for term in terms) for terms in equations.TORQUE_TERMS[:2]]
         q, dq, ddq = (np.diff(values, prepend=0.0) for values in (theta, rate, acceleration))
         tau = np.array(inverse_dynamics(thumb, q, dq, ddq)) - np.array(thumb.armature) * ddq
         assert np.allclose([mine[0] + mine[1], mine[1]], tau, rtol=1e-9)
 
 
 @pytest.mark.parametrize("item", lagrange.term_items(), ids=lambda item: item.id)
-def test_each_verdict_on_a_term_agrees_with_sympy(item: Item) -> None:
-    terms = [*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ())]
+def test_each_verdict_on_a_term_agrees_with_sympy(item: ErrataItem) -> None:
+    terms = [*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ())]
     term = next(term for term in terms if term.id == item.id)
     same = [sp.simplify(symbolic(reading.text) - symbolic(term.right.text)) == 0 for reading in term.readings]
     expected = ErrataVerdict.EQUAL if all(same) else ErrataVerdict.WRONG if not any(same) else ErrataVerdict.UNDECIDABLE
@@ -100,7 +100,7 @@ def test_each_verdict_on_a_term_agrees_with_sympy(item: Item) -> None:
 def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> None:
     def matrix(which: str) -> sp.Matrix:
         rows = []
-        for terms in equations.TORQUES:
+        for terms in equations.TORQUE_TERMS:
             torque = sum(symbolic(getattr(term, which)[0].text if which == "readings" else term.right.text)
                          for term in terms)  # fmt: skip
             rows.append([sp.diff(torque, NAMED[f"ddth{k}"]) for k in (1, 2, 3)])

@@ -81,7 +81,9 @@ def test_workers_do_not_outlive_their_owner() -> None:
     with pool.worker_pool(1, lambda job, done: None):
         pass
     listed = subprocess.run(["ps", "-eo", "ppid,args"], capture_output=True, text=True, check=True).stdout
-    mine = [line for line in listed.splitlines() if line.split()[:1] == [str(os.getpid())] and pool.WORKER in line]
+    mine = [
+        line for line in listed.splitlines() if line.split()[:1] == [str(os.getpid())] and pool.WORKER_MODULE in line
+    ]
     assert not mine
 
 

@@ -6,9 +6,9 @@ import sympy
 
 from handctl.paper.model import equations
 from handctl.paper.model.expression import DimensionError, Expression, dimension_text, pretty_name
-from handctl.paper.model.lagrange import DIMENSIONS, JOULE, random_states
+from handctl.paper.model.lagrange import ENERGY_DIMENSION, SYMBOL_DIMENSIONS, random_states
 
-TERMS = [*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ())]
+TERMS = [*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ())]
 FORMULAS = sorted({expression.text for term in TERMS for expression in (*term.readings, term.right)})
 
 
@@ -21,18 +21,18 @@ def test_values_equal_those_of_sympy(text: str) -> None:
 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: term.id)
-def test_right_terms_are_energies_or_torques(term: equations.Term) -> None:
-    assert term.right.dimension(DIMENSIONS) == JOULE
+def test_right_terms_are_energies_or_torques(term: equations.EquationTerm) -> None:
+    assert term.right.dimension(SYMBOL_DIMENSIONS) == ENERGY_DIMENSION
 
 
 @pytest.mark.parametrize("text", ["m1 + d1", "sin(d1)", "m1*d1 - g"])
 def test_an_inconsistent_expression_has_no_dimension(text: str) -> None:
     with pytest.raises(DimensionError):
-        Expression(text).dimension(DIMENSIONS)
+        Expression(text).dimension(SYMBOL_DIMENSIONS)
 
 
 def test_dimensions_multiply_and_divide() -> None:
-    assert Expression("m1*g*d1/I1").dimension(DIMENSIONS) == (0, 0, -2)
+    assert Expression("m1*g*d1/I1").dimension(SYMBOL_DIMENSIONS) == (0, 0, -2)
     assert dimension_text((1, 2, -2)) == "kg m² s⁻²"
     assert dimension_text((0, 0, 0)) == "1"
 

@@ -17,11 +17,11 @@ from handctl.paper.model import kinematics
 
 @pytest.fixture
 def folder(drawn: dict[str, Path]) -> Path:
-    assert drawn.keys() == page.CAPTIONS.keys()
+    assert drawn.keys() == page.FIGURE_CAPTIONS.keys()
     return drawn["fig1-hand"].parent
 
 
-@pytest.mark.parametrize("name", list(page.CAPTIONS))
+@pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
 def test_pictures_have_content_and_full_resolution(folder: Path, name: str) -> None:
     picture = imread(folder / f"paper-{name}.png")[..., :3]
     height, width, _ = picture.shape
@@ -36,7 +36,7 @@ def test_pictures_have_content_and_full_resolution(folder: Path, name: str) -> N
     )
 
 
-@pytest.mark.parametrize("name", list(page.CAPTIONS))
+@pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
 def test_nothing_is_drawn_outside_of_the_picture(folder: Path, name: str) -> None:
     """No dark pixel is at the border of a picture. A text that is cut off would touch the border."""
     picture = imread(folder / f"paper-{name}.png")[..., :3]
@@ -44,7 +44,7 @@ def test_nothing_is_drawn_outside_of_the_picture(folder: Path, name: str) -> Non
     assert frame.min() > 0.99
 
 
-@pytest.mark.parametrize("name", list(page.CAPTIONS))
+@pytest.mark.parametrize("name", list(page.FIGURE_CAPTIONS))
 def test_svg_is_the_same_each_time_and_names_no_place(folder: Path, name: str) -> None:
     text = (folder / f"paper-{name}.svg").read_text(encoding="utf-8")
     assert "<dc:date>" not in text
@@ -70,7 +70,7 @@ def test_units_and_printed_values_are_in_the_figures(folder: Path) -> None:
 
 def test_without_experiments_the_measured_figures_are_left_out() -> None:
     found = figure_contents(None)
-    assert page.CAPTIONS.keys() - found.keys() == {"fig5-force-displacement", "fig8-payload"}
+    assert page.FIGURE_CAPTIONS.keys() - found.keys() == {"fig5-force-displacement", "fig8-payload"}
 
 
 def test_the_path_lies_in_the_workspace_and_the_workspace_in_reach() -> None:

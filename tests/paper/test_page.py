@@ -57,7 +57,7 @@ def test_page_has_every_measured_result(measured: dict[str, Any]) -> None:
     for item in sections.page_items(measured):
         assert f"| {item.id} | " in text, item.id
     rows = re.findall(r"^\| (payload\.\w\.d\d+) \|.*\| ([\d.]+) kg(?: or more)? \| \*\*(\w+)\*\*", text, re.MULTILINE)
-    assert len(rows) == len(payload.DIAMETERS_MM) * len(payload.AXES)
+    assert len(rows) == len(payload.DIAMETERS_MM) * len(payload.LOAD_DIRECTIONS)
     for _, carried, verdict in rows:
         assert 0.5 < float(carried) < 3.0
         assert verdict == ("bound" if float(carried) > 0.9155 else "wrong" if float(carried) < 0.9145 else "equal")
@@ -66,7 +66,7 @@ def test_page_has_every_measured_result(measured: dict[str, Any]) -> None:
 def test_every_figure_of_the_page_exists(measured: dict[str, Any]) -> None:
     text = PAGE.read_text(encoding="utf-8")
     found = re.findall(r"\]\((\.\./figures/paper-[\w-]+\.png)\)", text)
-    assert len(found) == len(set(found)) == len(page.CAPTIONS)
+    assert len(found) == len(set(found)) == len(page.FIGURE_CAPTIONS)
     for name in found:
         assert (PAGE.parent / name).stat().st_size > 20_000
         assert (PAGE.parent / name).with_suffix(".svg").is_file()
@@ -111,7 +111,7 @@ def test_measured_items_are_judged_by_what_was_measured(measured: dict[str, Any]
 
 def test_html_page_loads_no_other_file(measured: dict[str, Any], drawn: dict[str, Path]) -> None:
     text = page.page_as_html(sections.page_sections(measured), drawn)
-    assert text.count("data:image/svg+xml;base64,") == len(page.CAPTIONS)
+    assert text.count("data:image/svg+xml;base64,") == len(page.FIGURE_CAPTIONS)
     links = re.findall(r"(?:src|href)=\"([^\"]{0,40})", text)
     assert all(link.startswith("data:") for link in links)
     for item in sections.page_items(measured):

@@ -18,10 +18,10 @@ from handctl.log.write.recorder import Recorder
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import load_task
-from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, Peer, load_peer
-from handctl.runtime.loop import Loop
+from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, LockstepPeer, load_peer
+from handctl.runtime.loop import ControlLoop
 from handctl.session.header import run_header
-from handctl.session.plan import Plan
+from handctl.session.plan import RunPlan
 from handctl.session.run import snapshot_recorder
 
 TASK = """schema = 1
@@ -73,7 +73,7 @@ class PeerWithLostReplies:
         since_ns: start of the loss [ns].
     """
 
-    peer: Peer
+    peer: LockstepPeer
     can_id: int
     since_ns: int
 
@@ -102,7 +102,7 @@ def run(
     rate_hz: float = 250.0,
     friction: float = 0.5,
     seed: int = 0,
-    spoil: Callable[[Peer], Peer] = lambda peer: peer,
+    spoil: Callable[[LockstepPeer], LockstepPeer] = lambda peer: peer,
     io_events: dict[int, tuple[IoEvent, ...]] | None = None,
     requests: dict[int, tuple[str, ...]] | None = None,
     truth: Path | None = None,
@@ -119,7 +119,7 @@ def run(
         truth: path of the truth file, None for none.
     """
     described = load_hand(hand)
-    plan = Plan(described, Gains(), rate_hz, ())
+    plan = RunPlan(described, Gains(), rate_hz, ())
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene.toml"
         scene.write_text(SCENE.format(friction=friction))
@@ -130,7 +130,7 @@ def run(
             "homed": True,
         }
         options["truth_path"] = str(truth) if truth else None
-        peer = load_peer("firmware_sim.rig:Rig", **options, period_ns=plan.period_ns)
+        peer = load_peer("firmware_sim.rig:LockstepHand", **options, period_ns=plan.period_ns)
     clock = LockstepClock(spoil(peer), plan.period_ns)
     controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
     header = run_header(plan, controller, None, lockstep=True)
@@ -140,7 +140,7 @@ def run(
     def record(entry: TickIn, out: TickOut) -> None:
         recorder.record(pack_tick_record(entry, out))
 
-    loop = Loop(
+    loop = ControlLoop(
         clock,
         plan.period_ns,
         [LockstepBus(clock)],
@@ -159,7 +159,7 @@ def run(
         peer.close()
 
 
-def peer_with_silent_index(peer: Peer) -> Peer:
+def peer_with_silent_index(peer: LockstepPeer) -> LockstepPeer:
     """Return a peer whose index motor sends no replies from 2.2 s on. This is during the hold."""
     return PeerWithLostReplies(peer, 0x11, 2_200_000_000)
 

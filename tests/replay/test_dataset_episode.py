@@ -21,7 +21,7 @@ from handctl.log.export.lerobot import export_lerobot
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import PlaybackProgram
 from handctl.replay.dataset_episode import find_episode
-from handctl.session.simulate import Simulator, homed_controller
+from handctl.session.simulate import SimulatorSettings, homed_controller
 
 LOGS = Path(__file__).parents[2] / "logs" / "golden"
 PERIOD = 0.002
@@ -81,7 +81,7 @@ def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
     program = PlaybackProgram(find_episode(dataset, 1, HAND, jamia.period, 200.0))
     controller = homed_controller(jamia, program)
     errors, faults = [], set()
-    with Simulator("jamia", homed=True).against(controller) as run:
+    with SimulatorSettings("jamia", homed=True).against(controller) as run:
         for _, out in run.ticks(40.0):
             faults |= {event.text for event in out.events if event.name == "fault"}
             if out.phase == "playback":

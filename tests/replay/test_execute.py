@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.controller.setup import Setup, make_controller
+from handctl.controller.setup import RunSetup, make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.types import TickIn, TickOut
 from handctl.errors import LogError
@@ -29,10 +29,10 @@ from handctl.programs.live import JogProgram, LiveProgram
 from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.replay import rebuild as rebuilding
-from handctl.replay.counterfactual import Commands, command_change, draw_commands
+from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
 from handctl.replay.execute import execute_log, is_within_tolerance, relative_error
 from handctl.replay.rebuild import logged_gains, rebuild_controller
-from handctl.replay.tick_difference import Columns, are_outputs_equal, differing_fields, distance_in_ulps
+from handctl.replay.tick_difference import TelemetryColumns, are_outputs_equal, differing_fields, distance_in_ulps
 
 GOLDEN = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
 
@@ -79,7 +79,7 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh: Path
 
 def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
     with RunLog(fresh) as log:
-        controller, columns = rebuild_controller(log), Columns.of(log.header)
+        controller, columns = rebuild_controller(log), TelemetryColumns.of(log.header)
         logged, numbers = next(zip(log.ticks(), log.packed(), strict=True))
         _, out = controller.tick(controller.initial(), logged.tick_in)
         assert are_outputs_equal(logged, numbers, out)
@@ -130,8 +130,8 @@ def calibration(hand_name: str) -> Calibration:
 def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     hand, gains, rate = load_hand("jamia"), Gains(), 333.3
     first = make_controller(hand, gains, rate, program, calibration("jamia"), arm_at_once=False)
-    text = Setup.of(first, rate).model_dump_json(by_alias=True)
-    again = Setup.model_validate_json(text).controller(hand, gains)
+    text = RunSetup.of(first, rate).model_dump_json(by_alias=True)
+    again = RunSetup.model_validate_json(text).controller(hand, gains)
     assert again.program == program
     assert again.arm_at_once is False
     assert again.model.period == first.model.period
@@ -180,7 +180,7 @@ def test_other_gains_give_other_commands_and_a_figure(fresh: Path, tmp_path: Pat
     with RunLog(fresh) as log:
         gains = logged_gains(log)
         stiff = gains.model_copy(update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})})
-        commands = Commands()
+        commands = CommandCollector()
         execute_log(log, stiff, commands.add)
         change = command_change(log, commands)
         assert commands.torque.shape == log.field("motor_torque_goal").shape

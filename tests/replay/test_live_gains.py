@@ -10,7 +10,7 @@ import pytest
 import runs
 
 from handctl.core.gains.gains import Gains
-from handctl.core.identified import Identified
+from handctl.core.identified import IdentifiedParameters
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
@@ -18,9 +18,9 @@ from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.replay.execute import execute_log
-from handctl.session.plan import Plan
+from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.simulate import Simulator, simulate
+from handctl.session.simulate import SimulatorSettings, simulate
 
 REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
 
@@ -44,7 +44,9 @@ def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
     Its drives make the fraction ``torque_gain`` of a command.
     """
     calibration = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
-    identified = Identified(names=("torque_gain",), values=(torque_gain,), half_widths=(0.01,), covariance=((1e-4,),))
+    identified = IdentifiedParameters(
+        names=("torque_gain",), values=(torque_gain,), half_widths=(0.01,), covariance=((1e-4,),)
+    )
     return Calibration(
         hand=hand.name,
         identity=hand.identity,
@@ -60,8 +62,8 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tm
     The controller knows this factor as an identified value, so it commands a quarter more.
     """
     hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
-    plan = Plan(hand, Gains(), 500.0, ())
-    simulator = Simulator("jamia", perturb={"torque_constant": 0.8}, homed=True)
+    plan = RunPlan(hand, Gains(), 500.0, ())
+    simulator = SimulatorSettings("jamia", perturb={"torque_constant": 0.8}, homed=True)
     program = JogProgram(HoldTension(do="hold", tension_N={"index": 8.0}), 0.5)
     with simulator.clock(plan.period_ns) as clock:
         run_lockstep(plan, make_controller(plan, program, identified_calibration(hand, 0.8), True), log, clock)
@@ -80,11 +82,11 @@ def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) ->
     Regression: this was the fault N14.
     """
     hand = load_hand("jamia")
-    plan = Plan(hand, Gains(), 500.0, ())
+    plan = RunPlan(hand, Gains(), 500.0, ())
     program = JogProgram(HoldTension(do="hold", tension_N={"index": 75.0}), 2.0)
     controller = make_controller(plan, program, identified_calibration(hand, torque_gain), True)
     tension = list[float]()
-    simulator = Simulator("jamia", perturb={"torque_constant": torque_gain}, homed=True)
+    simulator = SimulatorSettings("jamia", perturb={"torque_constant": torque_gain}, homed=True)
     state = simulate(controller, simulator, lambda entry, out: tension.append(float(out.telemetry.tension[0])))
     assert not state.failure
     assert abs(np.mean(tension[-700:-200]) - 75.0) < 4.0

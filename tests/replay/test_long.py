@@ -17,7 +17,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
 from handctl.replay.execute import execute_log
-from handctl.runtime.clocks.lockstep import Peer
+from handctl.runtime.clocks.lockstep import LockstepPeer
 
 RATE_HZ, SECONDS = 200.0, 600.0
 DEAF_S = 598.0
@@ -31,7 +31,7 @@ class LossyPeer:
     Such losses do not end a run.
     """
 
-    peer: Peer
+    peer: LockstepPeer
     chance: random.Random = field(default_factory=lambda: random.Random(6))
     silent: int = 0
 
@@ -61,7 +61,7 @@ def write(log: Path) -> None:
     io_events = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
     requests = {k + 7: ("no request",) for k in ticks}
 
-    def spoil(peer: Peer) -> Peer:
+    def spoil(peer: LockstepPeer) -> LockstepPeer:
         return runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
 
     runs.run(log, TaskProgram(load_task(task)), rate_hz=RATE_HZ, spoil=spoil, io_events=io_events, requests=requests)

@@ -12,12 +12,12 @@ import pytest
 import runs
 
 from handctl.cli.main import main
-from handctl.core.types import Event, TickIn, TickOut
+from handctl.core.types import TickEvent, TickIn, TickOut
 from handctl.drives.frame import EXTENDED
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.read.reader import RunLog
-from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 from handctl.replay.execute import execute_log
 from handctl.replay.motion_replay import (
@@ -29,7 +29,7 @@ from handctl.replay.motion_replay import (
     recorded_targets,
 )
 from handctl.replay.other_limits import judge_by_limits
-from handctl.replay.tick_difference import Columns, are_outputs_equal, differing_fields
+from handctl.replay.tick_difference import TelemetryColumns, are_outputs_equal, differing_fields
 
 Ticks = list[tuple[TickIn, TickOut]]
 STOP = '{"do": "stop"}'
@@ -47,7 +47,7 @@ def grasp(golden: Path) -> tuple[RunHeader, Ticks]:
 def written(path: Path, header: RunHeader, ticks: Ticks) -> Path:
     writer = LogWriter(path, header, lambda *what: None, 1)
     for entry, out in ticks:
-        writer.add(pack_tick_record(entry, out)[FRAMING.size :])
+        writer.add(pack_tick_record(entry, out)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
     return path
 
@@ -108,7 +108,7 @@ def test_a_stopped_replay_is_compared_up_to_its_end(golden: Path, tmp_path: Path
             assert (driven_duration(before, after), compare_replay(before, after)) == (0.0, {})
 
 
-def with_event(event: Event) -> Callable[[TickOut], TickOut]:
+def with_event(event: TickEvent) -> Callable[[TickOut], TickOut]:
     return lambda out: out._replace(events=(event,))
 
 
@@ -119,9 +119,9 @@ def with_frame(**changes: int) -> Callable[[TickOut], TickOut]:
 @pytest.mark.parametrize(
     "changed",
     [
-        with_event(Event("warn", "phase", "", "hold")),
-        with_event(Event("info", "mode", "", "hold")),
-        with_event(Event("info", "phase", "thumb", "hold")),
+        with_event(TickEvent("warn", "phase", "", "hold")),
+        with_event(TickEvent("info", "mode", "", "hold")),
+        with_event(TickEvent("info", "phase", "thumb", "hold")),
         with_frame(flags=4),
         with_frame(can_id=EXTENDED | 1),
         with_frame(t_ns=5),
@@ -132,13 +132,13 @@ def test_every_difference_is_named(
 ) -> None:
     header, ticks = grasp
     entry, out = next(tick for tick in ticks if tick[1].frames)
-    base = out._replace(events=(Event("info", "phase", "", "hold"),), frames=(out.frames[0]._replace(can_id=1),))
+    base = out._replace(events=(TickEvent("info", "phase", "", "hold"),), frames=(out.frames[0]._replace(can_id=1),))
     with RunLog(written(tmp_path / "one.mcap", header, [(entry, base)])) as log:
         logged, numbers = next(log.ticks()), next(log.packed())
     now = changed(base)
     assert are_outputs_equal(logged, numbers, base)
     assert not are_outputs_equal(logged, numbers, now)
-    (result,) = differing_fields(Columns.of(header), logged, numbers, now)
+    (result,) = differing_fields(TelemetryColumns.of(header), logged, numbers, now)
     assert result.logged != result.computed
 
 

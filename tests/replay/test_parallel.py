@@ -17,17 +17,17 @@ from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core.plain import plain_bytes
 from handctl.core.types import Mode, TickIn, TickOut
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.replay import log_runner as courses
 from handctl.replay import parallel
-from handctl.replay.execute import Execution, execute_log
+from handctl.replay.execute import LogExecution, execute_log
 from handctl.replay.rebuild import rebuild_controller
 from handctl.replay.tick_difference import state_difference
 
 Change = Callable[[State, TickIn], None]
-Both = Callable[..., tuple[Execution, Execution]]
+Both = Callable[..., tuple[LogExecution, LogExecution]]
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
     A change may spoil the controller's state.
     """
 
-    def run(change: Change | None = None) -> tuple[Execution, Execution]:
+    def run(change: Change | None = None) -> tuple[LogExecution, LogExecution]:
         original_tick = Controller.tick
 
         def tick(controller: Controller, before: State, entry: TickIn) -> tuple[State, TickOut]:
@@ -53,7 +53,7 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
     return run
 
 
-def findings(execution: Execution) -> dict[str, Any]:
+def findings(execution: LogExecution) -> dict[str, Any]:
     """Return all results of an execution except its times."""
     return {name: value for name, value in asdict(execution).items() if name not in ("wall_s", "cpu_s")}
 
@@ -81,7 +81,7 @@ def test_a_snapshot_restores_the_state_unchanged(fresh: Path) -> None:
             assert (same.state_hash, other.digest()) == (out.state_hash, logged.state_hash)
 
 
-@pytest.mark.parametrize("protocol", GUARDED)
+@pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
 def test_a_snapshot_restores_the_state_of_every_protocol(protocol: str) -> None:
     with homed_run(hand_with_protocol("jamia", protocol), 250.0, 0) as simulation:
         seen = set()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.report.lift import MAX_SLIP_MM, judge_lift, lift_failure
-from handctl.report.summary import summarise
+from handctl.report.summary import summarise_run
 from handctl.report.truth import TruthRecord
 from tests.report.made_up import JAMIA, MadeUpLog, set_column, truth_of
 
@@ -59,9 +59,9 @@ def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
     steady.fields["contact"][:, 0] = 1.0
     steady.fields["tension_goal"][:] = steady.fields["tension"][:] = steady.fields["tension_raw"][:] = 9.0
     steady.fields["tip_force"][:] = 0.0
-    assert np.isnan(summarise(steady, JAMIA, truth, 0)["object_motion_mm"])  # type: ignore[arg-type]
+    assert np.isnan(summarise_run(steady, JAMIA, truth, 0)["object_motion_mm"])  # type: ignore[arg-type]
     _, sinking = log_and_truth_of_lift(0.2, 0.0)
-    assert not np.isnan(summarise(steady, JAMIA, sinking, 0)["object_motion_mm"])  # type: ignore[arg-type]
+    assert not np.isnan(summarise_run(steady, JAMIA, sinking, 0)["object_motion_mm"])  # type: ignore[arg-type]
 
 
 def test_without_a_sinking_table_or_a_hold_there_is_no_judgement() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.core.types import Mode
-from handctl.report.summary import hold_windows, mean_angles, measured_load, rms, summarise
+from handctl.report.summary import hold_windows, mean_angles, measured_load, root_mean_square, summarise_run
 from tests.report.made_up import JAMIA, PERIOD_NS, MadeUpLog, set_column, truth_of
 
 
@@ -35,13 +35,13 @@ def test_ticks_misses_and_lateness() -> None:
     log = quiet()
     log.k = np.concatenate((np.arange(100), np.arange(103, 203)))
     log.late_ns = np.arange(200) * 1000
-    result = summarise(log, JAMIA, None, 0)
+    result = summarise_run(log, JAMIA, None, 0)
     assert (result["hand"], result["ticks"], result["missed"], result["rate_hz"]) == ("jamia", 200, 3, 100.0)
     assert result["late_us"] == pytest.approx({"p50": 99.5, "p99_9": 198.801, "max": 199.0})
 
 
 def test_summary_without_truth_has_nan() -> None:
-    result = summarise(hold_log(), JAMIA, None, 0)
+    result = summarise_run(hold_log(), JAMIA, None, 0)
     for name in (
         "tracking_rmse_rad",
         "tension_rmse_n",
@@ -56,7 +56,7 @@ def test_summary_without_truth_has_nan() -> None:
 def test_a_truth_of_another_time_is_no_truth() -> None:
     """The truth file of an earlier simulator on the same bus may still exist. It is not used for a later run."""
     log = hold_log()
-    result = summarise(log, JAMIA, truth_of(JAMIA, 400, offset_ns=10**15), 0)
+    result = summarise_run(log, JAMIA, truth_of(JAMIA, 400, offset_ns=10**15), 0)
     assert math.isnan(result["tracking_rmse_rad"])
     assert result["contact_force_n"] == {}
 
@@ -85,7 +85,7 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     force[120:140] = 0.2
     set_column(truth, "contact_force/index/y", force)
     log.mode[140:160] = Mode.RELAX
-    result = summarise(log, JAMIA, truth, 7)
+    result = summarise_run(log, JAMIA, truth, 7)
     assert result["tracking_rmse_rad"] == pytest.approx(0.01)
     assert result["tracking_rmse_deg"]["index"] == pytest.approx(math.degrees(0.01))
     assert math.isnan(result["tracking_rmse_deg"]["thumb"]), "the thumb had no goal"
@@ -104,7 +104,7 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     log.fields["tension_raw"][1:] = real[:-1, None] + np.where(np.arange(199) % 2, 0.5, -0.5)[:, None]
     log.fields["tension_raw"][0] = np.nan
     log.fields["tension_raw"][50] = np.nan
-    result = summarise(log, JAMIA, truth, 0)
+    result = summarise_run(log, JAMIA, truth, 0)
     assert result["tension_rmse_n"] == pytest.approx(0.3)
     assert result["tension_raw_rmse_n"] == pytest.approx(0.5)
 
@@ -112,7 +112,7 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
 def test_slack_tendons_do_not_count() -> None:
     log, truth = quiet(), truth_of(JAMIA, 200)
     log.fields["tension"][:] = 7.0
-    assert math.isnan(summarise(log, JAMIA, truth, 0)["tension_rmse_n"])
+    assert math.isnan(summarise_run(log, JAMIA, truth, 0)["tension_rmse_n"])
 
 
 def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None:
@@ -143,7 +143,7 @@ def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
     set_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
     set_column(truth, f"tension/{thumb}", 25.0 + 0.7)
     set_column(truth, f"tension/{middle}", 3.0)  # its goal is a feedforward without contact
-    result = summarise(log, JAMIA, truth, 0)
+    result = summarise_run(log, JAMIA, truth, 0)
     assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
     assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)
 
@@ -153,7 +153,7 @@ def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
     log.fields["tip_force"][:, 0] = np.where(np.arange(400) < 169, 99.0, 3.0)
     set_column(truth, "contact_force/index/x", np.where(np.arange(400) < 169, 50.0, 3.0))
     set_column(truth, "contact_force/index/y", np.where(np.arange(400) < 169, 50.0, 4.0))
-    result = summarise(log, JAMIA, truth, 0)
+    result = summarise_run(log, JAMIA, truth, 0)
     assert result["tip_equivalent_force_n"]["index"] == pytest.approx(3.0)
     assert result["contact_force_n"]["index"] == pytest.approx(5.0)
     assert result["contact_force_n"]["thumb"] == 0.0
@@ -167,7 +167,7 @@ def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> Non
     x[300:] = 0.080  # after the release
     set_column(truth, "object/x", x)
     set_column(truth, "object/z", np.where(np.arange(400) == 201, 3e-4, 0.0))
-    assert summarise(log, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.5)
+    assert summarise_run(log, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.5)
     two = MadeUpLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold"})
     two.fields["contact"][:, 0] = 1.0
     two.fields["tension_goal"][:] = 9.0
@@ -175,14 +175,14 @@ def test_object_motion_is_the_largest_distance_from_the_start_of_a_hold() -> Non
     two.fields["tension"][:] = two.fields["tension_raw"][:] = 9.0
     set_column(truth, "object/x", np.where(np.arange(400) < 150, 0.0, 0.010))
     set_column(truth, "object/z", 0.0)
-    assert summarise(two, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.0), (
+    assert summarise_run(two, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.0), (
         "the object moved between two holds"
     )
 
 
 def test_rms_ignores_nan() -> None:
-    assert rms(np.array([3.0, np.nan, -4.0])) == pytest.approx(math.sqrt(12.5))
-    assert math.isnan(rms(np.array([np.nan])))
+    assert root_mean_square(np.array([3.0, np.nan, -4.0])) == pytest.approx(math.sqrt(12.5))
+    assert math.isnan(root_mean_square(np.array([np.nan])))
 
 
 def test_measured_load_equals_a_hand_calculation() -> None:
@@ -197,7 +197,7 @@ def test_measured_load_equals_a_hand_calculation() -> None:
 
 def test_an_empty_run_has_no_numbers_and_no_error() -> None:
     log = MadeUpLog(JAMIA, 0, {})
-    result = summarise(log, JAMIA, truth_of(JAMIA, 3), 0)
+    result = summarise_run(log, JAMIA, truth_of(JAMIA, 3), 0)
     assert result["ticks"] == 0
     assert math.isnan(result["late_us"]["p50"])
     assert 1e9 / result["rate_hz"] == PERIOD_NS

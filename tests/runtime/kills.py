@@ -28,7 +28,7 @@ from handctl.programs.calibration import load_calibration
 from handctl.programs.grasp import TaskProgram
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.runtime.paths import faults_path, local_bus_path, run_dir
-from handctl.session.plan import Plan, bus_specs
+from handctl.session.plan import RunPlan, bus_specs
 from handctl.session.run import make_controller, run_live
 from handctl.session.tasks import load_task
 from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_homed
@@ -127,7 +127,7 @@ class Range:
         task.write_text(LONG)
         write_homed(calibration, hand)
         load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
-        self.plan = Plan(hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), time_scale=scale, clear=True)
+        self.plan = RunPlan(hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), time_scale=scale, clear=True)
         self.controller: Controller = make_controller(
             self.plan, TaskProgram(load_task(task)), load_calibration(calibration, hand), arm_at_once=True
         )
@@ -155,7 +155,7 @@ class Range:
             devnull = os.open(os.devnull, os.O_WRONLY)
             os.dup2(devnull, 1)
             os.dup2(devnull, 2)
-            code = int(run_live(self.plan, self.controller, log).exit)
+            code = int(run_live(self.plan, self.controller, log).exit_code)
         finally:
             os._exit(code)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import Calibration, TendonCalibration
-from handctl.runtime.mailbox import Watcher
+from handctl.runtime.mailbox import StatusWatcher
 from handctl.session.calibration import write_calibration
 
 READY_S = 60.0
@@ -80,7 +80,7 @@ def result_of(process: "subprocess.Popen[str]", timeout_s: float = END_S) -> tup
     return process.returncode, json.loads(out) if out else {}, err
 
 
-def wait_for(phase: str, watcher: Watcher, process: "subprocess.Popen[str]", timeout_s: float = 60.0) -> None:
+def wait_for(phase: str, watcher: StatusWatcher, process: "subprocess.Popen[str]", timeout_s: float = 60.0) -> None:
     """Wait until a running controller is in a phase."""
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:

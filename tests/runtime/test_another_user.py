@@ -25,9 +25,9 @@ from firmware_sim.description import SimulatorError
 from handctl.cli.main import main
 from handctl.errors import BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import describe_request, parse_request
-from handctl.runtime.buses.local import connect
-from handctl.runtime.confirm import request_action, send_confirmed
-from handctl.runtime.mailbox import Mailbox, Watcher
+from handctl.runtime.buses.local import connect_to_hub
+from handctl.runtime.confirm import request_action, send_with_confirmation
+from handctl.runtime.mailbox import Mailbox, StatusWatcher
 from handctl.runtime.paths import mailbox_path, run_dir
 from tests.runtime.processes import BUS, end, handctl, modes_of_complete, result_of, start_handctl, wait_for
 
@@ -80,7 +80,7 @@ def theirs(shared: Path) -> Path:
 
 def refuses(word: str) -> None:
     """Check that the controller, the simulator and every request refuse the run directory with a given reason."""
-    for refused in (lambda: Mailbox("local:x"), lambda: Watcher("local:x"), lambda: connect("x"), run_dir):
+    for refused in (lambda: Mailbox("local:x"), lambda: StatusWatcher("local:x"), lambda: connect_to_hub("x"), run_dir):
         with pytest.raises(BusError, match=word) as caught:
             refused()
         assert "\n" not in str(caught.value)
@@ -216,7 +216,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
 def test_requests_and_status_lines_of_another_user_are_ignored(shared):
     """They are ignored even if the folder is open to others, because the kernel names the user of each sender."""
     box = Mailbox("local:x")
-    watcher = Watcher("local:x")
+    watcher = StatusWatcher("local:x")
     for path in (watcher.path, Path(box.path)):
         path.chmod(0o777)
     for path in (run_dir(), run_dir().parent):
@@ -255,7 +255,7 @@ def test_a_hub_accepts_only_its_own_user(shared):
     assert hub.clients == 0
     for path in (folder.parent, folder):
         path.chmod(0o700)
-    link = connect("x")
+    link = connect_to_hub("x")
     hub.serve(hub.readers())
     assert hub.clients == 1
     link.close()
@@ -338,7 +338,7 @@ def test_clear_ends_when_the_controller_has_taken_it(place, capsys):
 
 
 def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
-    others = [Watcher(BUS) for _ in range(6)]
+    others = [StatusWatcher(BUS) for _ in range(6)]
     with AnsweringController() as controller:
         until = time.monotonic() + 1.0
 
@@ -349,9 +349,9 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
 
         crowding = threading.Thread(target=crowd)
         crowding.start()
-        asking = Watcher(BUS)
+        asking = StatusWatcher(BUS)
         for _ in range(20):
-            assert send_confirmed(asking, {"do": "arm"})[1] == []
+            assert send_with_confirmation(asking, {"do": "arm"})[1] == []
         asking.close()
         crowding.join()
     assert controller.taken.count("arm") == 20
@@ -391,7 +391,7 @@ def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(place, short_co
 def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(place, hand, calibrated, scale):
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
     try:
-        watcher = Watcher(BUS)
+        watcher = StatusWatcher(BUS)
         wait_for("stay", watcher, process)
         watcher.close()
         process.send_signal(signal.SIGSTOP)
@@ -423,7 +423,7 @@ def test_a_flooded_mailbox_still_takes_a_stop(place, hand, calibrated, scale):
 
     flooding = threading.Thread(target=flood)
     try:
-        watcher = Watcher(BUS)
+        watcher = StatusWatcher(BUS)
         wait_for("stay", watcher, process)
         watcher.close()
         flooding.start()

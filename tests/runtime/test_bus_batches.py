@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
-from handctl.drives.records import WORDS, Frames, frames_as_records, join_frames
+from handctl.drives.records import WORDS_PER_RECORD, Frames, frames_as_records, join_frames
 from handctl.runtime.buses import canfd
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
@@ -61,7 +61,7 @@ def contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
 
 def zero_behind_payloads(frames: Frames) -> bool:
     """Return True if frame records have zeros behind each payload. Check that the records have their full width."""
-    assert frames.rows.shape == (len(frames), WORDS)
+    assert frames.rows.shape == (len(frames), WORDS_PER_RECORD)
     behind = np.arange(64) >= frames.records["length"][:, np.newaxis]
     return not frames.records["data"][behind].any()
 
@@ -244,7 +244,7 @@ def test_the_kernels_stamps_become_the_runs_time(udp: tuple[SocketCanBus, socket
 
 
 def test_a_flood_of_new_batches_fills_no_memory() -> None:
-    structs = canfd.Structs(bytearray(4096 * canfd.SIZE))
+    structs = canfd.FrameStructs(bytearray(4096 * canfd.CANFD_FRAME_BYTES))
     before = canfd._convert_received.cache_info().currsize
     assert len(structs.read(4096, structs.converted_heads(4096, 0), 0)) == 4096
     assert canfd._convert_received.cache_info().currsize == before

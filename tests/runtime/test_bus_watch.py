@@ -5,14 +5,14 @@ import math
 
 import pytest
 
-from firmware_sim.rig import Rig
+from firmware_sim.rig import LockstepHand
 from handctl.cli.main import main
 from handctl.controller.setup import make_drives, make_sensors
-from handctl.drives.contract import Phase
+from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.load import load_hand
-from handctl.runtime.diagnostics.watch import BusWatch, Reading, is_saturated
+from handctl.runtime.diagnostics.watch import BusWatch, SensorReading, is_saturated
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives
 from tests.drives.protocol_bench import hand_file, on_two_buses
@@ -28,7 +28,7 @@ class SimulatedBuses:
 
     def __init__(self, path):
         self.hand = load_hand(str(path))
-        self.rig = Rig(str(path), seed=3, period_ns=PERIOD_NS, homed=True)
+        self.rig = LockstepHand(str(path), seed=3, period_ns=PERIOD_NS, homed=True)
         self.motors = list(self.rig.world.plant.motors.values())
         self.t_ns = 0
         self.outgoing, self.incoming = [], []
@@ -70,7 +70,7 @@ def watched(path):
     return place, BusWatch(make_drives(place.hand), make_sensors(place.hand), place.buses(), place)
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("protocol", PROTOCOL_TRAITS)
 def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     place, watch = watched(hand_file(tmp_path, [protocol]))
     for _ in range(120):
@@ -79,7 +79,7 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
     for _ in range(30):
         watch.tick()
     assert watch.silent() == []
-    assert {state.phase for state in watch.states} == {Phase.READY}
+    assert {state.phase for state in watch.states} == {DrivePhase.READY}
     assert [state.position for state in watch.states] == pytest.approx([m.theta for m in place.motors], abs=0.01)
     assert watch.states[0].position == pytest.approx(TURNED_RAD, abs=0.01)
     assert (
@@ -130,8 +130,8 @@ def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
     for _ in range(80):
         watch.tick()
     assert watch.silent() == [watch.drives[1].name]
-    assert math.isnan(Reading(3.0, 0).at(10**9))
-    assert math.isnan(Reading().at(0))
+    assert math.isnan(SensorReading(3.0, 0).at(10**9))
+    assert math.isnan(SensorReading().at(0))
 
 
 def test_another_host_is_noticed():

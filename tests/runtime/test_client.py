@@ -13,7 +13,7 @@ import pytest
 import handctl as library
 from handctl import BusError, ConfigError, DriveError, PowerError
 from handctl.client import HandClient
-from handctl.runtime.mailbox import Watcher, is_running
+from handctl.runtime.mailbox import StatusWatcher, is_running
 from tests.runtime.processes import BUS, handctl, modes_of_complete, start_handctl, wait_for
 
 REALTIME = pytest.mark.realtime
@@ -206,7 +206,7 @@ def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, m
     monkeypatch.setattr("handctl.client.hand.ATTACH_TIMEOUT_S", 1.0)
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
     processes.append(process)
-    watcher = Watcher(BUS)
+    watcher = StatusWatcher(BUS)
     wait_for("stay", watcher, process)
     watcher.close()
     with pytest.raises(DriveError, match=r"not in phase 'live' after 1 s: phase 'stay'"), library.connect("jamia", BUS):

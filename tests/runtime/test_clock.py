@@ -6,10 +6,10 @@ import time
 import pytest
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import Frames, Records, frames_as_records
+from handctl.drives.records import Frames, RecordArray, frames_as_records
 from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_peer
-from handctl.runtime.clocks.priority import Priority
+from handctl.runtime.clocks.priority import GrantedPriority
 from handctl.runtime.clocks.real import RealClock
 
 PERIOD = 2_000_000
@@ -93,9 +93,9 @@ def test_the_real_clock_keeps_time() -> None:
 
 
 def test_the_granted_priority_is_described() -> None:
-    assert str(Priority(True, True)) == "SCHED_FIFO, memory locked"
-    assert str(Priority(True, True, awake=True)) == "SCHED_FIFO, memory locked, processors kept awake"
-    assert "not permitted" in str(Priority(False, False))
+    assert str(GrantedPriority(True, True)) == "SCHED_FIFO, memory locked"
+    assert str(GrantedPriority(True, True, awake=True)) == "SCHED_FIFO, memory locked, processors kept awake"
+    assert "not permitted" in str(GrantedPriority(False, False))
 
 
 class Peer:
@@ -159,7 +159,7 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
 class RecordPeer(Peer):
     """A lockstep peer that takes and returns records of frames instead of objects."""
 
-    def exchange(self, t_ns: int, records: Records) -> Records:
+    def exchange(self, t_ns: int, records: RecordArray) -> RecordArray:
         self.steps.append((t_ns, list(Frames(records))))
         answers = records.copy()
         answers["can_id"] += 0x10

@@ -5,10 +5,10 @@ A good drive passes all of them, and a broken drive fails the check of its fault
 
 import pytest
 
-from firmware_sim.faults.faulty_drive import FAULTS
-from firmware_sim.nodes import PROTOCOLS as SIMULATED
+from firmware_sim.faults.faulty_drive import DRIVE_FAULTS
+from firmware_sim.nodes import PROTOCOL_SPECS as SIMULATED
 from handctl.drives.contract import DriveTarget
-from handctl.drives.motor_description import GUARDED, PROTOCOLS
+from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
 from handctl.runtime.diagnostics.conformance import (
     CheckVerdict,
     ConformanceCheck,
@@ -30,7 +30,7 @@ def check_results(
     return {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))}, place, rig
 
 
-@pytest.fixture(params=GUARDED)
+@pytest.fixture(params=GUARDED_PROTOCOLS)
 def protocol(request):
     return request.param
 
@@ -85,7 +85,7 @@ FAILED_CHECK = {
 }
 
 
-@pytest.mark.parametrize("fault", sorted(FAULTS))
+@pytest.mark.parametrize("fault", sorted(DRIVE_FAULTS))
 def test_a_broken_drive_fails_its_check(protocol, fault):
     if fault == "eager" and not SIMULATED[protocol].force_command:
         pytest.skip("its simulated drive cannot follow a torque command while disabled")
@@ -95,7 +95,7 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
 
 
 @pytest.mark.parametrize("fault", ["deaf", "eager", "mute", "sign", "twin"])
-@pytest.mark.parametrize("protocol", sorted(PROTOCOLS.keys() - set(GUARDED)))
+@pytest.mark.parametrize("protocol", sorted(PROTOCOL_TRAITS.keys() - set(GUARDED_PROTOCOLS)))
 def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
     """Regression: a CubeMars that ignores commands passed all checks.
 

@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from firmware_sim.bus.frame import Frame as SimFrame
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.modes import DriveMode, MotionLimits
 from handctl.drives.registry import make_drive, make_mode_drive
 from handctl.errors import ConfigError
@@ -41,12 +41,12 @@ def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, directio
     result = jog_drive(rig, goal_of(mode, 2.0 * sign))
     assert result.failure == ""
     expected = 2.0 * sign if mode != DriveMode.VELOCITY else 2.0 * sign * 2.0
-    assert result.moved == pytest.approx(expected, rel=0.15 if mode == DriveMode.VELOCITY else 0.02)
-    assert direction * motor.theta == pytest.approx(result.moved, abs=0.05)
+    assert result.moved_rad == pytest.approx(expected, rel=0.15 if mode == DriveMode.VELOCITY else 0.02)
+    assert direction * motor.theta == pytest.approx(result.moved_rad, abs=0.05)
     assert result.fastest < 1.1 * LIMITS.speed
     assert result.final_speed < 0.05
     assert release_drive(rig, 0.05, torque_drive)
-    assert rig.state.phase == Phase.READY
+    assert rig.state.phase == DrivePhase.READY
     assert (motor.servo.kp, motor.servo.kd, motor.servo.torque) == (0.0, 0.0, 0.0)
 
 
@@ -55,7 +55,7 @@ def test_every_protocol_has_the_torque_mode(protocol):
     place, rig, torque_drive = bench_of(protocol, DriveMode.TORQUE)
     result = jog_drive(rig, JogGoal(DriveMode.TORQUE, 0.05, 0.3, MotionLimits(200.0, 10.0), LIMIT, 500.0))
     assert result.failure == ""
-    assert result.moved > 0.01
+    assert result.moved_rad > 0.01
     assert place.top <= 0.06
     assert release_drive(rig, 0.05, torque_drive)
 
@@ -76,9 +76,9 @@ def test_force_position_is_a_mode_of_damiao_motors(protocol):
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e3, -1e3])
 def test_no_command_beyond_its_range_is_encoded(protocol, mode, value):
     _, rig, _ = bench_of(protocol, mode)
-    assert rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0)
+    assert rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0)
     rig.idle_command = lambda state: state.position if "position" in mode.value else 0.0
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 5.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 5.0)
     with pytest.raises(ValueError, match="expected at most"):
         rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, value)
 
@@ -125,7 +125,7 @@ def test_the_watchdog_disables_a_drive_if_the_host_falls_silent(protocol, mode):
     rig.keep(DriveTarget.LISTEN, 0.5)
     assert (place.bench.motors[0].servo.kd, place.bench.motors[0].servo.torque) == (0.0, 0.0)
     rig.keep(DriveTarget.ENABLE, 0.3)
-    assert rig.state.phase == Phase.FAULT, "the fault is latched"
+    assert rig.state.phase == DrivePhase.FAULT, "the fault is latched"
 
 
 @pytest.mark.parametrize(("protocol", "mode"), MODES)
@@ -139,7 +139,7 @@ def test_a_target_beyond_the_range_is_refused_before_it_is_enabled():
     place, rig, _ = bench_of("mit", DriveMode.POSITION)
     place.bench.motors[0].theta = 11.0
     assert "beyond its range of 12.5 rad" in jog_drive(rig, goal_of(DriveMode.POSITION, 2.0)).failure
-    assert rig.state.phase == Phase.READY
+    assert rig.state.phase == DrivePhase.READY
 
 
 def test_a_drive_that_loses_its_largest_speed_is_a_fault():
@@ -161,7 +161,7 @@ def test_a_blocked_cia402_drive_reports_its_following_error():
     place.wait = blocked
     result = jog_drive(rig, goal_of(DriveMode.POSITION, 3.0, 4.0))
     assert result.failure == "following error"
-    assert result.moved == pytest.approx(0.0, abs=0.01)
+    assert result.moved_rad == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize(("distance", "speed", "acceleration"), [(3.0, 1.0, 2.0), (-3.0, 10.0, 2.0), (0.0, 1.0, 1.0)])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from handctl.drives.mit.codec import Ranges
+from handctl.drives.mit.codec import MotorRanges
 from handctl.drives.mit.drive import MitDrive
 from handctl.runtime.diagnostics import drive_rig
 
@@ -18,7 +18,7 @@ def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.Monk
         def start(self) -> None:
             order.append("start")
 
-    monkeypatch.setattr(drive_rig, "prepare", lambda: order.append("prepare"))
-    drive = MitDrive("m", 0, 1, 0x101, Ranges(12.5, 50.0, 0.8), 1, 0.0, 1000)
+    monkeypatch.setattr(drive_rig, "compile_kernels", lambda: order.append("prepare"))
+    drive = MitDrive("m", 0, 1, 0x101, MotorRanges(12.5, 50.0, 0.8), 1, 0.0, 1000)
     drive_rig.DriveRig(drive, None, Clock())  # type: ignore[arg-type]
     assert order == ["prepare", "start"]

@@ -14,7 +14,7 @@ import pytest
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute_log
-from handctl.runtime.mailbox import Watcher
+from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for, write_homed
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
@@ -66,7 +66,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, sca
     simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
     words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", *scale)
     process = start_handctl("run", *words, "--log", str(disk / "run.mcap"))
-    watcher = Watcher(BUS)
+    watcher = StatusWatcher(BUS)
     try:
         wait_for("stay", watcher, process)
         full_at = watcher.fresh_line(2.0)["k"]

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from handctl.runtime.buses.interface import rate_difference, wrong_rate
+from handctl.runtime.buses.interface import rate_difference, wrong_rate_text
 from handctl.runtime.buses.link import parse_link
 
 
@@ -38,4 +38,4 @@ def test_a_bit_rate_other_than_the_hand_files_is_reported(
 
 
 def test_a_missing_interface_has_no_wrong_rate() -> None:
-    assert wrong_rate("no-such-if", 1_000_000, None) == ""
+    assert wrong_rate_text("no-such-if", 1_000_000, None) == ""

@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from handctl.runtime.buses.adapter import Adapter, read_adapter
+from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
 from handctl.runtime.buses.link import parse_link
 from handctl.runtime.diagnostics.link_findings import adapter_findings, interface_findings, missing_interface_finding
 
@@ -97,7 +97,7 @@ def usb_interface(folder, driver="gs_usb", speed="12", serial="0042"):
 
 def test_the_adapter_of_an_interface_is_read(tmp_path):
     network = usb_interface(tmp_path)
-    assert read_adapter("can0", network) == Adapter("gs_usb", 12.0, "0042")
+    assert read_adapter("can0", network) == UsbAdapter("gs_usb", 12.0, "0042")
     assert read_adapter("vcan0", network) is None
 
 
@@ -108,16 +108,16 @@ def test_a_controller_without_usb_has_no_speed(tmp_path):
     (spi / "driver").symlink_to(tmp_path / "mcp251xfd")
     (tmp_path / "net" / "can0").mkdir(parents=True)
     (tmp_path / "net" / "can0" / "device").symlink_to(spi)
-    assert read_adapter("can0", tmp_path / "net") == Adapter("mcp251xfd", 0.0, "")
+    assert read_adapter("can0", tmp_path / "net") == UsbAdapter("mcp251xfd", 0.0, "")
 
 
 @pytest.mark.parametrize(
     ("adapter", "kind", "good", "said"),
     [
-        (Adapter("gs_usb", 12.0, "0042"), "can", True, "at most 333 Hz"),
-        (Adapter("peak_usb", 480.0, "1"), "can", True, "USB 480 Mbit/s"),
-        (Adapter("mttcan"), "can", True, "driver mttcan"),
-        (Adapter("mcp251x"), "can", False, "two receive buffers"),
+        (UsbAdapter("gs_usb", 12.0, "0042"), "can", True, "at most 333 Hz"),
+        (UsbAdapter("peak_usb", 480.0, "1"), "can", True, "USB 480 Mbit/s"),
+        (UsbAdapter("mttcan"), "can", True, "driver mttcan"),
+        (UsbAdapter("mcp251x"), "can", False, "two receive buffers"),
         (None, "slcan", False, "serial line"),
     ],
 )
@@ -131,5 +131,5 @@ def test_a_virtual_interface_has_no_adapter():
 
 
 def test_two_usb_adapters_get_names_by_their_serial_numbers():
-    (_, name) = adapter_findings("can0", Adapter("gs_usb", 480.0, "0042"), "can", ["can1"])
+    (_, name) = adapter_findings("can0", UsbAdapter("gs_usb", 480.0, "0042"), "can", ["can1"])
     assert 'ATTRS{serial}=="0042", NAME="can0"' in name.observation

@@ -9,14 +9,14 @@ import pytest
 
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
-from handctl.drives.motor_description import GUARDED
-from handctl.drives.registry import PROTOCOLS
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
-from handctl.session.plan import Plan, highest_rate_of_buses
+from handctl.session.plan import RunPlan, highest_rate_of_buses
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file
 from tests.runtime.processes import GO, MOVE
 
@@ -25,8 +25,8 @@ RUNS = 2
 
 CASES = [
     ("cia402", None),  # its drives still get frames after they are off
-    *(pytest.param(name, None, marks=pytest.mark.nightly) for name in sorted(PROTOCOLS) if name != "cia402"),
-    *(pytest.param(name, [], marks=pytest.mark.nightly) for name in GUARDED),
+    *(pytest.param(name, None, marks=pytest.mark.nightly) for name in sorted(PROTOCOL_ENTRIES) if name != "cia402"),
+    *(pytest.param(name, [], marks=pytest.mark.nightly) for name in GUARDED_PROTOCOLS),
 ]
 
 
@@ -39,9 +39,9 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.1))
     hand = load_hand(path)
     rate = highest_rate_of_buses(bus_loads(hand))
-    plan = Plan(hand, Gains(), rate, (0.5,))
+    plan = RunPlan(hand, Gains(), rate, (0.5,))
     failures = []
-    with Simulator(path, homed=True, wire=wire).clock(plan.period_ns) as clock:
+    with SimulatorSettings(path, homed=True, wire=wire).clock(plan.period_ns) as clock:
         for number in range(RUNS):
             controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
             failures.append(run_lockstep(plan, controller, tmp_path / f"{number}.mcap", clock).state.failure)

@@ -15,9 +15,9 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
 from handctl.runtime.hold_limit import MAX_HOLD_S
-from handctl.session.plan import Plan, highest_rate_of_buses
+from handctl.session.plan import RunPlan, highest_rate_of_buses
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 from tests.runtime.processes import GO, MOVE
 
 
@@ -27,9 +27,9 @@ def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
     task = tmp_path / "bend.toml"
     task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.5))
     hand = load_hand("jamia")
-    plan = Plan(hand, Gains(), highest_rate_of_buses(bus_loads(hand)), (0.5,))
+    plan = RunPlan(hand, Gains(), highest_rate_of_buses(bus_loads(hand)), (0.5,))
     log = tmp_path / "held.mcap"
-    with Simulator("jamia", homed=True).clock(plan.period_ns) as clock:
+    with SimulatorSettings("jamia", homed=True).clock(plan.period_ns) as clock:
         clock.peer.inject("noise encoder=1 size=0.005")  # type: ignore[attr-defined]
         controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
         with pytest.raises(DriveError, match=r"in lockstep.*held for 5 s by N07 a noisy encoder"):

@@ -19,7 +19,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.records import Frames, frames_as_records
 from handctl.errors import PowerError
 from handctl.runtime import loop
-from handctl.runtime.loop import Loop
+from handctl.runtime.loop import ControlLoop
 
 PERIOD = 1_000_000
 CUT = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
@@ -43,7 +43,7 @@ class ScriptedClock:
     def now_ns(self) -> int:
         return 0
 
-    def facts(self) -> dict[str, str]:
+    def clock_facts(self) -> dict[str, str]:
         return {}
 
 
@@ -106,7 +106,7 @@ class Run:
         self.entries: list[TickIn] = []
         self.recorded: list[tuple[TickIn, TickOut]] = []
         self.shown: list[tuple[TickIn, TickOut]] = []
-        self.loop: Loop[int] = Loop(
+        self.loop: ControlLoop[int] = ControlLoop(
             self.clock, PERIOD, self.buses, lambda state, entry: WholeTick(self.tick, state, entry), CUT,
             lambda: self.requests.pop(0) if self.requests else (),
             lambda: self.host.pop(0) if self.host else [],
@@ -371,7 +371,7 @@ def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.Monke
 
     That of a day at 500 Hz would take 330 MiB of locked memory.
     """
-    monkeypatch.setattr(loop, "LATENESS_RING", 16)
+    monkeypatch.setattr(loop, "LATENESS_RING_TICKS", 16)
     run = Run(200, clock=ScriptedClock(list(range(200))))
     run.go()
     assert sorted(run.loop.stats.late_ns) == list(range(184, 200))

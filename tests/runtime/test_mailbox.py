@@ -16,8 +16,15 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.errors import BusError
-from handctl.runtime.confirm import send_confirmed
-from handctl.runtime.mailbox import MAX_REQUEST_BYTES, MAX_REQUESTS_PER_TICK, Mailbox, Watcher, bus_lock, is_running
+from handctl.runtime.confirm import send_with_confirmation
+from handctl.runtime.mailbox import (
+    MAX_REQUEST_BYTES,
+    MAX_REQUESTS_PER_TICK,
+    Mailbox,
+    StatusWatcher,
+    bus_lock,
+    is_running,
+)
 from handctl.runtime.paths import local_bus_path, mailbox_path, run_dir, truth_path
 from tests.drives.protocol_bench import hand_file, on_two_buses
 
@@ -158,14 +165,14 @@ else:
 
 
 def test_a_request_without_a_controller_is_one_line() -> None:
-    watcher = Watcher("local:x")
+    watcher = StatusWatcher("local:x")
     with pytest.raises(BusError, match="no controller answers") as caught:
-        send_confirmed(watcher, {"do": "arm"})
+        send_with_confirmation(watcher, {"do": "arm"})
     assert "local:x" in str(caught.value)
     box = Mailbox("local:x")
     box.close()
     with pytest.raises(BusError, match="no controller answers"):
-        send_confirmed(watcher, {"do": "arm"})
+        send_with_confirmation(watcher, {"do": "arm"})
     watcher.close()
 
 
@@ -214,7 +221,7 @@ def test_watchers_get_each_published_line_once() -> None:
 
 def test_a_program_may_watch_two_controllers() -> None:
     boxes = [Mailbox("local:x"), Mailbox("local:y")]
-    watchers = [Watcher("local:x"), Watcher("local:y")]
+    watchers = [StatusWatcher("local:x"), StatusWatcher("local:y")]
     for box, watcher in zip(boxes, watchers, strict=True):
         watcher.fresh_line(0.0)
         box.read()
@@ -250,7 +257,7 @@ def test_a_watcher_that_does_not_read_never_blocks_the_controller() -> None:
 
 
 def test_a_watcher_gets_only_lines_published_after_it_starts() -> None:
-    watcher = Watcher("local:x")
+    watcher = StatusWatcher("local:x")
     assert watcher.fresh_line(0.01) is None, "no controller runs"
     box = Mailbox("local:x")
     assert watcher.fresh_line(0.01) is None

@@ -13,7 +13,7 @@ import pytest
 
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.runtime.mailbox import Watcher
+from handctl.runtime.mailbox import StatusWatcher
 from tests.replay.repeat import mean_angle_differences, tensions_held
 from tests.replay.runs import SCENE
 from tests.runtime.processes import (
@@ -66,7 +66,7 @@ def test_an_interrupted_replay_reports_its_progress(place, scale):
     words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *scale, "--log", "half.mcap", "--json")
     try:
         driving = start_handctl("replay", "drive", str(GOLDEN), *words)
-        watcher = Watcher(BUS)
+        watcher = StatusWatcher(BUS)
         wait_for("playback", watcher, driving)
         time.sleep(0.6)
         driving.send_signal(signal.SIGINT)

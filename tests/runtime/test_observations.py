@@ -18,7 +18,14 @@ from handctl.programs.streams import StreamStatus
 from handctl.runtime.mailbox import Mailbox
 from handctl.runtime.observations import RING_RECORDS, ObservationReader, ObservationWriter
 from handctl.runtime.paths import observations_path, targets_path
-from handctl.runtime.targets import HEADER, MAGIC, MAX_TARGETS_PER_TICK, READ_PER_TICK, TargetBox, TargetSender
+from handctl.runtime.targets import (
+    HEADER_STRUCT,
+    MAGIC,
+    MAX_DATAGRAMS_PER_TICK,
+    MAX_TARGETS_PER_TICK,
+    TargetBox,
+    TargetSender,
+)
 from handctl.safety.action import Action
 
 AXES = {"joint": 3, "tendon": 2, "motor": 2, "digit": 1}
@@ -186,8 +193,8 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
         assert len(texts) <= MAX_TARGETS_PER_TICK
         last = parse_target(texts[-1])
         assert last is not None
-        assert last.number == min(read + READ_PER_TICK, sent) - 1, "the newest message of those read"
-        read += READ_PER_TICK
+        assert last.number == min(read + MAX_DATAGRAMS_PER_TICK, sent) - 1, "the newest message of those read"
+        read += MAX_DATAGRAMS_PER_TICK
     assert mail.read() == ()
     sender.close()
     box.close()
@@ -197,15 +204,16 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
 @pytest.mark.parametrize(
     "data",
     [
-        b"", b"HCT1", b"x" * 1000, HEADER.pack(b"HCT0", 1, 1, 0, 0, 0), HEADER.pack(MAGIC, 1, 1, 2, 0, 0) + bytes(8),
-        HEADER.pack(MAGIC, 1, 1, 2**32 - 1, 0, 0), HEADER.pack(MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
+        b"", b"HCT1", b"x" * 1000, HEADER_STRUCT.pack(b"HCT0", 1, 1, 0, 0, 0), HEADER_STRUCT.pack(MAGIC, 1, 1, 2, 0,
+        0) + bytes(8),
+        HEADER_STRUCT.pack(MAGIC, 1, 1, 2**32 - 1, 0, 0), HEADER_STRUCT.pack(MAGIC, 1, 1, 65, 0, 0) + bytes(8 * 65),
     ],
 )  # fmt: skip
 def test_a_datagram_of_another_form_is_dropped(data: bytes) -> None:
     box, sender = TargetBox("local:x", int), TargetSender("local:x", 1, 1)
     sender._socket.send(data)
     assert box.read() == ()
-    sender._socket.send(HEADER.pack(MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0))
+    sender._socket.send(HEADER_STRUCT.pack(MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0))
     assert json.loads(box.read()[0])["values"] == [5.0]
     sender.close()
     box.close()

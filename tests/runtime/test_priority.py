@@ -46,7 +46,7 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
     calls: list[str] = []
     monkeypatch.setattr(priority, "_lock_memory", lambda: calls.append("memory") is None)
     monkeypatch.setattr(priority, "_enter_fifo", lambda level: calls.append("priority") is None)
-    assert take_priority() == priority.Priority(realtime=True, locked=True)
+    assert take_priority() == priority.GrantedPriority(realtime=True, locked=True)
     assert calls == ["memory", "priority"]
 
 

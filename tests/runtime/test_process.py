@@ -13,7 +13,7 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import hand_content, load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.truth import read_truth
-from handctl.runtime.mailbox import Watcher
+from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
     BUS,
     end,
@@ -65,7 +65,7 @@ def start_long(processes, calibrated, *more):
     """Start a run that stays in its last phase until it is stopped, and wait until it has reached this phase."""
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more)
     processes.append(process)
-    watcher = Watcher(BUS)
+    watcher = StatusWatcher(BUS)
     try:
         wait_for("stay", watcher, process)
     finally:

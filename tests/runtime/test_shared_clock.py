@@ -12,7 +12,7 @@ from firmware_sim import shared_clock as simulated
 from firmware_sim.bus.ports import is_on_this_machine
 from handctl.runtime.clocks import shared
 from handctl.runtime.clocks.shared import ClockFile, SharedClock
-from handctl.runtime.mailbox import Watcher
+from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import BUS, result_of, start_handctl, wait_for
 
 PERIOD = 2_000_000
@@ -59,7 +59,10 @@ def machine(tmp_path, monkeypatch):
 
 
 def test_both_sides_agree_on_the_file(tmp_path) -> None:
-    names = ("VERSION", "GATE", "PAUSED", "SENT", "ANSWERED", "REACHED", "COUNT", "OPEN_GATE")
+    names = (
+        "CLOCK_FILE_VERSION", "GATE_INDEX", "PAUSED_INDEX", "SENT_INDEX", "ANSWERED_INDEX", "REACHED_INDEX",
+        "INTEGER_COUNT", "OPEN_GATE_NS",
+    )  # fmt: skip
     assert [getattr(shared, name) for name in names] == [getattr(simulated, name) for name in names]
     assert shared.CONTROLLER_LIMIT_NS < simulated.MAX_GATE_WAIT_NS, "a pause must end before the limit of the simulator"
 
@@ -69,7 +72,7 @@ def test_a_fast_machine_needs_no_pause(machine) -> None:
     late = [machine.controller.wait(k) for k in range(200)]
     assert max(late) <= 20_000
     assert machine.controller.pauses == 0
-    assert machine.controller.facts() == {"clock_pauses": "0", "clock_paused_ms": "0.0"}
+    assert machine.controller.clock_facts() == {"clock_pauses": "0", "clock_paused_ms": "0.0"}
 
 
 @pytest.mark.parametrize("late_ms", [1, 3, 99])
@@ -237,7 +240,7 @@ def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, vict
     """
     processes.append(start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json"))
     simulator, controller = processes[-2:]
-    with closing(Watcher(BUS)) as watcher:
+    with closing(StatusWatcher(BUS)) as watcher:
         wait_for("bend", watcher, controller)
     process = simulator if victim == "simulator" else controller
     for _ in range(5):

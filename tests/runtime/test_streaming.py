@@ -12,7 +12,7 @@ import pytest
 
 import handctl as library
 from handctl import ConfigError, DriveError
-from handctl.runtime.mailbox import MAX_WATCHERS, WATCH, Mailbox, Watcher
+from handctl.runtime.mailbox import MAX_WATCHERS, WATCH_REQUEST, Mailbox, StatusWatcher
 from tests.runtime.processes import BUS, READY_S, handctl, modes_of_complete, start_handctl
 
 REALTIME = pytest.mark.realtime
@@ -107,15 +107,15 @@ def test_only_one_of_several_clients_commands_the_hand(live):
 def test_every_watcher_gets_its_lines(place):
     """Each watcher gets status lines. Regression: a fifth watcher took the place of the first."""
     box = Mailbox("local:many")
-    watchers = [Watcher("local:many") for _ in range(MAX_WATCHERS + 3)]
+    watchers = [StatusWatcher("local:many") for _ in range(MAX_WATCHERS + 3)]
     for watcher in watchers:
-        watcher.send(WATCH, 1.0)
+        watcher.send(WATCH_REQUEST, 1.0)
         box.read()
     box.publish({"k": 1})
     heard = [watcher.next_line(0.0) is not None for watcher in watchers]
     assert all(heard[:MAX_WATCHERS])
     for watcher in watchers[MAX_WATCHERS:]:
-        watcher.send(WATCH, 1.0)
+        watcher.send(WATCH_REQUEST, 1.0)
         box.read()
         box.publish({"k": 2})
         assert watcher.next_line(0.0) == {"k": 2}, "a further watcher gets a line after a request"

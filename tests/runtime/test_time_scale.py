@@ -3,7 +3,7 @@
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.session.plan import Choice, make_plan
+from handctl.session.plan import RunChoice, make_plan
 from tests.runtime.processes import BUS, handctl, scaled, start_hand
 
 
@@ -15,7 +15,7 @@ def slow_hand(place, processes):
 
 
 def time_scale_of(**choice):
-    return make_plan(Choice("jamia", bus=[BUS], **choice)).time_scale
+    return make_plan(RunChoice("jamia", bus=[BUS], **choice)).time_scale
 
 
 def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(slow_hand):
@@ -35,7 +35,7 @@ def test_a_wrong_time_scale_is_refused_before_the_bus_is_opened(slow_hand):
 def test_without_a_simulator_a_run_has_real_time(place):
     assert time_scale_of() == 1.0
     assert time_scale_of(time_scale=0.5) == 0.5
-    assert make_plan(Choice("jamia")).time_scale == 1.0
+    assert make_plan(RunChoice("jamia")).time_scale == 1.0
 
 
 def test_the_socket_of_a_killed_simulator_is_passed_over(slow_hand):

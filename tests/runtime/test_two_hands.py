@@ -3,7 +3,7 @@
 import pytest
 
 from handctl.hand.load import load_hand
-from handctl.runtime.mailbox import Watcher
+from handctl.runtime.mailbox import StatusWatcher
 from tests.runtime.processes import (
     handctl,
     modes_of_complete,
@@ -30,7 +30,7 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
         words = ("--calibration", "c.toml", "--task", "long.toml", "--json", "--log", f"{side}.mcap", *RATE, *scale)
         runs.append(start_handctl("run", "--hand", "jamia", "--bus", bus, *words))
         processes.append(runs[-1])
-    watchers = [Watcher(bus) for bus in buses]
+    watchers = [StatusWatcher(bus) for bus in buses]
     try:
         for watcher, run in zip(watchers, runs, strict=True):
             wait_for("stay", watcher, run)

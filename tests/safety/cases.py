@@ -9,10 +9,10 @@ import numpy as np
 
 from handctl.core.detectors.residuals import BALANCE, COMMAND_DIFFERENCE, EXCESS_FRICTION, JERK, SLIP, TENSION
 from handctl.core.types import Mode
-from handctl.drives.causes import Cause
-from handctl.drives.contract import Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase
 from handctl.safety.action import Action
-from handctl.safety.judge import Report, filter_error_frames, second_controller_reports
+from handctl.safety.judge import EventReport, filter_error_frames, second_controller_reports
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, T, synthetic_limits
 
 COUNT = 8
@@ -36,7 +36,7 @@ class TickInput(NamedTuple):
     """
 
     rows: Mapping[str, dict[object, float]] = MappingProxyType({})
-    reports: tuple[Report, ...] = ()
+    reports: tuple[EventReport, ...] = ()
 
 
 REST = TickInput()
@@ -107,8 +107,8 @@ def heat(**values: float) -> TickInput:
     return rows(temperature={int(name[1:]): value for name, value in values.items()})
 
 
-def error(motor: int, cause: Cause, code: int = 9) -> TickInput:
-    return rows(phase={motor: int(Phase.FAULT)}, fault_cause={motor: int(cause)}, fault_code={motor: code})
+def error(motor: int, cause: DriveFaultCause, code: int = 9) -> TickInput:
+    return rows(phase={motor: int(DrivePhase.FAULT)}, fault_cause={motor: int(cause)}, fault_code={motor: code})
 
 
 def io(kind: str, where: str = "can0", number: int = 1) -> TickInput:
@@ -213,7 +213,7 @@ CASES = {
     "B16": Case(io("enodev"), io("enetdown"), "can0", 1, CUT, True),
     "B17": Case(motors(m0=4), motors(**dict.fromkeys(LIMITS.motors, 4)), "m0", 1, RELAX, True, True),
     "B18": Case(alone_on_the_bus(False), alone_on_the_bus(True), "can0 no acknowledge", 20, RELAX, True),
-    "N01": Case(error(1, Cause.DROPPED_OUT), error(1, Cause.OTHER), "m1", 1, RELAX, True, True),
+    "N01": Case(error(1, DriveFaultCause.DROPPED_OUT), error(1, DriveFaultCause.OTHER), "m1", 1, RELAX, True, True),
     "N02": Case(sensors(t1=6), sensors(**dict.fromkeys(LIMITS.tendons, 5)), "t1", 1, RELAX, True, True),
     "N02b": Case(sensors(j1=16), sensors(j1=15), "j1", 1, RELAX, True, True),
     "N04": Case(stuck_motor(5, 0.6e-3), stuck_motor(5, 0.49e-3), "m5", 1, RELAX, True, True),
@@ -222,13 +222,14 @@ CASES = {
     "N06a": Case(residual(SLIP, t1=3.1), residual(SLIP, t0=3.0), "t1", 1, WARN, False, True),
     "N06b": Case(residual(SLIP, t0=6.1), residual(SLIP, t1=6.0), "t0", 1, RELAX, True, True),
     "N07": Case(residual(JERK, m1=1.1e-4), residual(JERK, m0=1e-4), "m1", 1, HOLD, False, True),
-    "N08": Case(error(2, Cause.WATCHDOG), error(2, Cause.VOLTAGE), "m2", 1, RELAX, True, True),
+    "N08": Case(error(2, DriveFaultCause.WATCHDOG), error(2, DriveFaultCause.VOLTAGE), "m2", 1, RELAX, True, True),
     "N09a": Case(heat(m0=70.1), heat(m0=70.0), "m0", 20, WARN, False),
     "N09b": Case(heat(m1=85.1), heat(m1=85.0), "m1", 20, RELAX, True),
-    "N10": Case(error(3, Cause.VOLTAGE), error(3, Cause.HOT), "m3", 1, RELAX, True, True),
-    "N11": Case(error(4, Cause.OTHER), rows(fault_cause={4: Cause.OTHER}), "m4", 1, RELAX, True, True),
-    "N11b": Case(error(5, Cause.UNKNOWN), error(5, Cause.OTHER), "m5", 1, CUT, True, True),
-    "N12": Case(error(6, Cause.MISMATCH), error(6, Cause.OTHER), "m6", 1, CUT, True, True),
+    "N10": Case(error(3, DriveFaultCause.VOLTAGE), error(3, DriveFaultCause.HOT), "m3", 1, RELAX, True, True),
+    "N11": Case(error(4, DriveFaultCause.OTHER), rows(fault_cause={4: DriveFaultCause.OTHER}), "m4", 1, RELAX, True,
+    True),
+    "N11b": Case(error(5, DriveFaultCause.UNKNOWN), error(5, DriveFaultCause.OTHER), "m5", 1, CUT, True, True),
+    "N12": Case(error(6, DriveFaultCause.MISMATCH), error(6, DriveFaultCause.OTHER), "m6", 1, CUT, True, True),
     "N13": Case(rows(twice={0: 1}), REST, "m0", 3, RELAX, True, True),
     "N14": Case(
         residual(COMMAND_DIFFERENCE, m0=15.1), residual(COMMAND_DIFFERENCE, m1=15.0), "m0", 1, RELAX, True, True
@@ -273,7 +274,7 @@ OTHER_SIGNS = {
     "N04": [stuck_joint(0, 11.0), stuck_motor(5, -0.6e-3)],
     "N05a": [rows(joint_jump={0: 0.4})],
     "N05b": [rows(joint_jump={0: 0.4}, joint_dropped={0: 2.0})],
-    "N11": [error(4, Cause.HOT), error(4, Cause.LOST)],
+    "N11": [error(4, DriveFaultCause.HOT), error(4, DriveFaultCause.LOST)],
     "T06": [
         tensions(t0=-5.0),
         tensions(t0=300.0),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.compiled import prepare
+from handctl.compiled import compile_kernels
 from handctl.controller.apply_requests import clear_latched_faults
 from handctl.controller.state import Decisions, State
 from handctl.core import block as s
@@ -16,10 +16,17 @@ from handctl.core.constants import AXES, ELEMENTS, HAND, KINDS, ConstantTables, 
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.hand_constants import low_pass_fractions
 from handctl.core.types import Mode
-from handctl.safety.faults.fault import JOINT, MOTOR, NODE, TENDON
+from handctl.safety.faults.fault import JOINT_INSTANCE, MOTOR_INSTANCE, NODE_INSTANCE, TENDON_INSTANCE
 from handctl.safety.faults.table import DETECTOR_ROWS
-from handctl.safety.judge import Counting, Latched, Report, Verdict, faults_counting_since_now, judge_tick
-from handctl.safety.limits import LOAD_CELLS, Limits
+from handctl.safety.judge import (
+    CountedFault,
+    EventReport,
+    LatchedFault,
+    TickVerdict,
+    faults_counting_since_now,
+    judge_tick,
+)
+from handctl.safety.limits import LOAD_CELLS, SafetyLimits
 
 T, N = 0.002, np.nan
 SPOOL_M = 0.005
@@ -31,10 +38,10 @@ Rows = dict[str, Any]
 """Values of the state by the name of a field: one value for all elements of the field, or values by index."""
 
 
-def synthetic_limits(tendons: int) -> Limits:
+def synthetic_limits(tendons: int) -> SafetyLimits:
     """Return limits of a synthetic hand with tendons t0, t1, ..., each with one motor and one joint."""
     names = [tuple(f"{letter}{i}" for i in range(tendons)) for letter in "tmj"]
-    return Limits(
+    return SafetyLimits(
         *names, tension_trip=(140.0,) * tendons, drive_limit=(160.0,) * tendons, tension_rail=244.0, tension_low=-5.0,
         silent_ticks=6, one_silent_ticks=4, stalled_ticks=5, frames=64, noise=1e-4,
     )  # fmt: skip
@@ -53,8 +60,8 @@ class Monitor:
         latched, reported_faults: latched and reported faults, as ``safety.judge`` keeps them.
     """
 
-    def __init__(self, limits: Limits, motor_period: Any = T, joint_period: float = T, **constants: Any) -> None:
-        prepare()
+    def __init__(self, limits: SafetyLimits, motor_period: Any = T, joint_period: float = T, **constants: Any) -> None:
+        compile_kernels()
         n = len(limits.tendons)
         self.limits = limits
         sizes = dict.fromkeys((*s.AXES, *AXES), n) | {
@@ -77,8 +84,8 @@ class Monitor:
         self.follow(limits)
         self.set_constants(**constants)
         self.block = self.layout.initial.copy()
-        self.latched: tuple[Latched, ...] = ()
-        self.reported_faults: tuple[Counting, ...] = ()
+        self.latched: tuple[LatchedFault, ...] = ()
+        self.reported_faults: tuple[CountedFault, ...] = ()
         self.set({
             "mode": int(Mode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
             "measured_travel": 0.0, "measured_position": 0.0, "measured_tension": 20.0, "measured_force": 20.0,
@@ -87,7 +94,7 @@ class Monitor:
         })  # fmt: skip
         self.calm = self.block.copy()
 
-    def follow(self, limits: Limits) -> None:
+    def follow(self, limits: SafetyLimits) -> None:
         """Replace the names and thresholds of the hand from the next tick on."""
         self.limits = limits
         self.set_constants(
@@ -160,12 +167,12 @@ class Monitor:
         self.set(rows or {})
         stages.store_commands(self.block, self.layout.places, self._read_only(), self.hand.places)
 
-    def judge(self, rows: Rows | None = None, reports: Iterable[Report] = ()) -> Verdict:
+    def judge(self, rows: Rows | None = None, reports: Iterable[EventReport] = ()) -> TickVerdict:
         """Judge one tick with its findings, the latched faults, and the reports of buses and host."""
         self.tick(rows)
         return self.conclude(self.demanded, reports)
 
-    def conclude(self, demanded: int, reports: Iterable[Report]) -> Verdict:
+    def conclude(self, demanded: int, reports: Iterable[EventReport]) -> TickVerdict:
         """Latch the findings of a tick, add the reports, and select the action."""
         fresh = faults_counting_since_now(self.limits, self.found, self.view("fault_ticks"))
         verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded, reports)
@@ -181,8 +188,16 @@ class Monitor:
 
     def name(self, kind: str, i: int) -> str:
         """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""
-        names = {TENDON: self.limits.tendons, MOTOR: self.limits.motors, JOINT: self.limits.joints}
-        return {**names, NODE: (*self.limits.motors, LOAD_CELLS)}[kind][i] if kind in {*names, NODE} else ""
+        names = {
+            TENDON_INSTANCE: self.limits.tendons,
+            MOTOR_INSTANCE: self.limits.motors,
+            JOINT_INSTANCE: self.limits.joints,
+        }
+        return (
+            {**names, NODE_INSTANCE: (*self.limits.motors, LOAD_CELLS)}[kind][i]
+            if kind in {*names, NODE_INSTANCE}
+            else ""
+        )
 
     def _read_only(self) -> Any:
         constants = self.constants.view()

@@ -6,8 +6,8 @@ An outstanding reply may be late, and a reply without a request is a duplicate.
 import pytest
 
 from handctl.core.detectors.answers import MAX_REQUESTS, add_requests, close_answered_requests
-from handctl.drives.contract import Phase
-from handctl.safety.faults.bus import WINDOW
+from handctl.drives.contract import DrivePhase
+from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 from tests.safety.monitor import Monitor, call_interpreted, synthetic_limits
 
 Outstanding = tuple[tuple[int, ...], ...]
@@ -32,7 +32,7 @@ class OpenRequests(Monitor):
     def ask(self, k: int, able: tuple[bool, ...] | None = None) -> None:
         """Send one request to every motor. A motor that is not able may leave its request unanswered."""
         if able:
-            self.set({"phase_before": [int(Phase.READY if one else Phase.READY - 1) for one in able]})
+            self.set({"phase_before": [int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in able]})
         call_interpreted(add_requests, self.state_tables, k)
 
     def answer(self, came: list[int]) -> list[int]:
@@ -50,8 +50,10 @@ class OpenRequests(Monitor):
     (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # a drive that may skip replies owes the last one
     (((), ()), (False, False), ((7,), (7,))),
     ((tuple(range(7)), tuple(range(-1, 7))), (True, True), ((*range(7), 7), tuple(range(8)))),
-    (((7 - WINDOW, 6), (8 - WINDOW, 6)), (True, True), ((6, 7), (8 - WINDOW, 6, 7))),    # the oldest request expires
-    (((-WINDOW, 7 - WINDOW), (-WINDOW,)), (True, True), ((7 - WINDOW, 7), (-WINDOW, 7))),    # not the last request
+    (((7 - LOSS_WINDOW_TICKS, 6), (8 - LOSS_WINDOW_TICKS, 6)), (True, True),
+        ((6, 7), (8 - LOSS_WINDOW_TICKS, 6, 7))),    # the oldest request expires
+    (((-LOSS_WINDOW_TICKS, 7 - LOSS_WINDOW_TICKS), (-LOSS_WINDOW_TICKS,)), (True, True),
+        ((7 - LOSS_WINDOW_TICKS, 7), (-LOSS_WINDOW_TICKS, 7))),    # not the last request
 ])  # fmt: skip
 def test_a_request_increases_the_number_of_outstanding_replies(outstanding, able, after):
     questions = OpenRequests(outstanding)
@@ -91,7 +93,7 @@ def test_replies_match_requests_and_the_rest_is_excess(outstanding, came, after,
 def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int) -> None:
     """After some ticks without a reply, all missing replies may arrive at once. One reply more is a duplicate."""
     questions = OpenRequests(((),))
-    for start in range(2 * WINDOW):
+    for start in range(2 * LOSS_WINDOW_TICKS):
         questions.set({"open_questions": 0})
         for k in range(start, start + ticks + 1):
             questions.ask(k)
@@ -104,7 +106,7 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int)
 
 def test_lost_replies_do_not_hide_duplicates_for_long() -> None:
     questions = OpenRequests(((),))
-    for k in range(WINDOW + 3):
+    for k in range(LOSS_WINDOW_TICKS + 3):
         questions.ask(k)
         assert questions.answer([0] if k < 3 else [1]) == []
     assert questions.outstanding == ((2,),), "the last one stays open: all may come a tick late"

@@ -3,9 +3,9 @@
 import pytest
 
 from handctl.core.detectors.node import PHASE_FAULT, ROW_OF_CAUSE
-from handctl.drives.causes import Cause
-from handctl.drives.contract import Phase
-from handctl.drives.motor_description import GUARDED, PROTOCOLS
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase
+from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
 from handctl.safety.action import Action
 from handctl.safety.faults.fault import CatalogueRow, Fault
 from handctl.safety.faults.markdown import (
@@ -20,17 +20,19 @@ from tests.safety.cases import error, merge_inputs, rested_monitor, tensions, wi
 
 
 def test_causes_of_a_drive_s_error() -> None:
-    assert len(ROW_OF_CAUSE) == len(Cause)
-    assert PHASE_FAULT == Phase.FAULT
-    shown = merge_inputs(error(0, Cause.OTHER, 9), error(1, Cause.HOT, 11), error(2, Cause.LOST, 12))
+    assert len(ROW_OF_CAUSE) == len(DriveFaultCause)
+    assert PHASE_FAULT == DrivePhase.FAULT
+    shown = merge_inputs(
+        error(0, DriveFaultCause.OTHER, 9), error(1, DriveFaultCause.HOT, 11), error(2, DriveFaultCause.LOST, 12)
+    )
     assert rested_monitor().tick(shown.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
     assert "N11" not in rested_monitor().tick(without_torque(shown).rows)
-    rows = {cause: DETECTOR_ROWS[row][0].id for cause, row in zip(Cause, ROW_OF_CAUSE, strict=True)}
-    assert rows[Cause.DROPPED_OUT] == "N01"
-    assert rows[Cause.WATCHDOG] == "N08"
-    assert rows[Cause.VOLTAGE] == "N10"
-    assert rows[Cause.MISMATCH] == "N12"
-    assert rows[Cause.UNKNOWN] == "N11b"
+    rows = {cause: DETECTOR_ROWS[row][0].id for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)}
+    assert rows[DriveFaultCause.DROPPED_OUT] == "N01"
+    assert rows[DriveFaultCause.WATCHDOG] == "N08"
+    assert rows[DriveFaultCause.VOLTAGE] == "N10"
+    assert rows[DriveFaultCause.MISMATCH] == "N12"
+    assert rows[DriveFaultCause.UNKNOWN] == "N11b"
 
 
 def test_a_tension_above_its_limit_is_detected() -> None:
@@ -61,7 +63,7 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
 ])  # fmt: skip
 def test_catalogue_row_has_all_columns(entry: CatalogueRow, last: str) -> None:
     head, line, row = catalogue_markdown((entry,)).splitlines()
-    protocols = [PROTOCOLS[name].title for name in GUARDED]
+    protocols = [PROTOCOL_TRAITS[name].title for name in GUARDED_PROTOCOLS]
     assert head == f"| id | fault | judged by | {' | '.join(protocols)} | latest reaction | tested by |"
     assert line == "|---|---|---" + "|---" * len(protocols) + "|---|---|"
     assert row == f"| B12 | t | B12 CUT | {'detected | ' * len(protocols)}{last}"

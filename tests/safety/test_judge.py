@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from handctl.core.types import Mode
 from handctl.safety.action import Action
-from handctl.safety.faults.table import TABLE
-from handctl.safety.judge import Latched
+from handctl.safety.faults.table import FAULT_TABLE
+from handctl.safety.judge import LatchedFault
 from tests.safety.cases import CASES, REST, TickInput, io, merge_inputs, motors, rested_monitor, rows, show, tensions
 from tests.safety.monitor import Monitor
 from tests.safety.test_table import check_ticks
@@ -38,7 +38,7 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
     reported = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
     assert {(first, a.instance), (second, b.instance)} <= reported
     for id_, case in ((first, a), (second, b)):
-        assert (Latched(id_, case.instance) in monitor.latched) == case.latched
+        assert (LatchedFault(id_, case.instance) in monitor.latched) == case.latched
 
 
 @pytest.mark.parametrize(("first", "second"), [*PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")])
@@ -118,7 +118,7 @@ def test_latches_only_grow_between_clearings(ticks: list[tuple[TickInput, list[s
         verdict = judged(monitor, shown)
         assert monitor.latched[: len(before)] == before, "in the order in which they came"
         assert len(set(monitor.latched)) == len(monitor.latched)
-        actions = {fault.id: fault.action for fault in TABLE}
+        actions = {fault.id: fault.action for fault in FAULT_TABLE}
         assert verdict.action >= max((actions[mark.id] for mark in monitor.latched), default=Action.PASS)
         reported += [(f.fault.id, f.instance) for f in verdict.findings]
         assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(reported), "nothing latches in silence"

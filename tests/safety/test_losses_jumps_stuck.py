@@ -10,8 +10,8 @@ from handctl.controller.state import Decisions, State
 from handctl.controller.tick import Controller
 from handctl.core.detectors import losses, stuck
 from handctl.core.detectors.residuals import TENSION
-from handctl.core.types import Event
-from handctl.safety.faults.bus import SHORT_WINDOW, WINDOW
+from handctl.core.types import TickEvent
+from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
 from tests.safety.monitor import NOW_NS, PERIOD_NS, SPOOL_M, Monitor, Rows, call_interpreted, synthetic_limits
 
 NAN = np.nan
@@ -53,21 +53,24 @@ class Window(Monitor):
     ((0, 0), (True, True), (0b1, 0b1)),
     ((0b1, 0b0), (False, True), (0b10, 0b1)),
     ((0b101, 0b1), (True, True), (0b1011, 0b11)),
-    ((1 << (WINDOW - 1), 0), (False, False), (0, 0)),                # the bit of the oldest tick leaves the window
-    ((1 << (WINDOW - 1), 0), (True, False), (1, 0)),
-    ((1 << (WINDOW - 2), 0), (False, False), (1 << (WINDOW - 1), 0)),
-    ((1 << (WINDOW // 2 - 1), 1 << (WINDOW // 2)), (False, True), (1 << WINDOW // 2, 1 << WINDOW // 2 + 1 | 1)),
+    ((1 << (LOSS_WINDOW_TICKS - 1), 0), (False, False), (0, 0)),                # the bit of the oldest tick leaves the window
+    ((1 << (LOSS_WINDOW_TICKS - 1), 0), (True, False), (1, 0)),
+    ((1 << (LOSS_WINDOW_TICKS - 2), 0), (False, False), (1 << (LOSS_WINDOW_TICKS - 1), 0)),
+    ((1 << (LOSS_WINDOW_TICKS // 2 - 1), 1 << (LOSS_WINDOW_TICKS // 2)), (False, True), (1 << LOSS_WINDOW_TICKS // 2, 1 << LOSS_WINDOW_TICKS // 2 + 1 | 1)),
 ])  # fmt: skip
 def test_window_shifts_by_one_bit_per_tick(before, now, after):
     assert Window(*before).count(*now) == after
 
 
 def test_lost_replies_are_counted_per_window():
-    window = Window(0b1011, (1 << WINDOW) - 1)
-    assert [call_interpreted(losses.count_lost_replies, window.state_tables, node) for node in (0, 1)] == [3, WINDOW]
-    for number, ones in ((0b1011, 3), (0, 0), (1 << (SHORT_WINDOW - 1), 1), ((1 << 62) - 1, 62)):
+    window = Window(0b1011, (1 << LOSS_WINDOW_TICKS) - 1)
+    assert [call_interpreted(losses.count_lost_replies, window.state_tables, node) for node in (0, 1)] == [
+        3,
+        LOSS_WINDOW_TICKS,
+    ]
+    for number, ones in ((0b1011, 3), (0, 0), (1 << (MALFORMED_WINDOW_TICKS - 1), 1), ((1 << 62) - 1, 62)):
         assert call_interpreted(losses.count_set_bits, number) == ones
-    window.set({"misshapen": 1 << (SHORT_WINDOW - 1) | 0b1})
+    window.set({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
     window.tick({"misread_now": 1})
     assert window.get("misshapen") == [0b11, 0b11], "so many of the last ticks, and no longer"
 
@@ -107,7 +110,7 @@ def refusal_counter(rate: float) -> Any:
 
     def step(refused: int, k: int) -> tuple[int, ...]:
         window.set({"k": k})
-        Controller._count_refusals(controller, state, (Event("warn", "request", "", ""),) * refused)
+        Controller._count_refusals(controller, state, (TickEvent("warn", "request", "", ""),) * refused)
         lately = state.decisions.refusals
         assert int(window.view("refused").item()) == len(lately)
         return lately

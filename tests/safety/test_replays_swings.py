@@ -9,7 +9,7 @@ import os
 import numpy as np
 import pytest
 
-from handctl.campaign.scenarios import GRASP
+from handctl.campaign.scenarios import GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
 from handctl.controller.bus_load import bus_loads
 from handctl.core.detectors import replays
@@ -117,7 +117,7 @@ def test_step_and_small_swing_are_no_oscillation(rate: float) -> None:
 def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, seed: int) -> None:
     hand = hand_with_protocol("jamia", "mit")
     with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
-        advance_to(course, GRASP)
+        advance_to(course, GRASP_STAGE)
         which = seed % 4
         course.peer.inject(fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name))
         assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), seconds)

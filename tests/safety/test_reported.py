@@ -1,9 +1,9 @@
 """Test which faults follow from reports of the buses, the host and the recorder."""
 
-from handctl.safety.judge import Report, filter_error_frames, locate_reports
+from handctl.safety.judge import EventReport, filter_error_frames, locate_reports
 
 
-def found(*reports: Report) -> list[tuple[str, str, float]]:
+def found(*reports: EventReport) -> list[tuple[str, str, float]]:
     return [(fault.id, where, value) for fault, where, value in locate_reports(reports)]
 
 

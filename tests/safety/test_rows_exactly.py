@@ -5,7 +5,7 @@ import math
 import pytest
 
 from handctl.safety.action import Action
-from handctl.safety.judge import Latched, locate_reports, second_controller_reports
+from handctl.safety.judge import LatchedFault, locate_reports, second_controller_reports
 from tests.safety.cases import (
     LIMITS,
     RELAXED,
@@ -34,9 +34,9 @@ def readings(id_: str, shown: TickInput) -> list[tuple[str, float]]:
 
 def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:
     monitor = rested_monitor()
-    monitor.latched = (Latched("T03", "t0"), Latched("B12", "can0"))
+    monitor.latched = (LatchedFault("T03", "t0"), LatchedFault("B12", "can0"))
     verdict = monitor.judge()
-    assert monitor.latched == (Latched("T03", "t0"), Latched("B12", "can0"))
+    assert monitor.latched == (LatchedFault("T03", "t0"), LatchedFault("B12", "can0"))
     assert (verdict.action, verdict.findings) == (Action.CUT, ())
     assert rested_monitor().judge().action == Action.PASS
 

@@ -11,10 +11,17 @@ import pytest
 from handctl.core.detectors import judge as compiled_judge
 from handctl.safety import judge as judgement
 from handctl.safety.action import Action, RelaxMethod
-from handctl.safety.faults.fault import ITSELF, OPERATOR, Fault
-from handctl.safety.faults.table import ACTIONS, BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS, TABLE
-from handctl.safety.judge import Verdict
-from handctl.safety.limits import Limits, ticks_for
+from handctl.safety.faults.fault import ENDED_BY_ITSELF, ENDED_BY_OPERATOR, Fault
+from handctl.safety.faults.table import (
+    ACTION_NUMBERS,
+    DEBOUNCE_TICKS,
+    DETECTOR_ROWS,
+    FAULT_BY_ID,
+    FAULT_TABLE,
+    FAULTS_BY_EVENT_KIND,
+)
+from handctl.safety.judge import TickVerdict
+from handctl.safety.limits import SafetyLimits, ticks_for
 from tests.safety.cases import (
     CASES,
     LIMITS,
@@ -33,7 +40,7 @@ from tests.safety.monitor import Monitor, call_interpreted
 SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 
 
-def check_ticks(*ticks: TickInput, monitor: Monitor | None = None) -> tuple[Monitor, list[Verdict]]:
+def check_ticks(*ticks: TickInput, monitor: Monitor | None = None) -> tuple[Monitor, list[TickVerdict]]:
     """Judge several ticks one after the other, and return the monitor and the verdicts."""
     monitor = monitor or rested_monitor()
     return monitor, [monitor.judge(show(monitor, shown), shown.reports) for shown in ticks]
@@ -52,15 +59,15 @@ def check_fault_alone(
         found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
         present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
         present += [one.ticks for one in verdict.reported_faults if one.id == id_]
-        counts = max(present, default=0) >= BY_ID[id_].debounce or id_ in {mark.id for mark in verdict.latched}
-        actions.append(BY_ID[id_].action if counts else Action.PASS)
+        counts = max(present, default=0) >= FAULT_BY_ID[id_].debounce or id_ in {mark.id for mark in verdict.latched}
+        actions.append(FAULT_BY_ID[id_].action if counts else Action.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
         reported += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == id_]
     return monitor, actions, reported
 
 
 def test_every_row_has_a_case_and_is_there_once() -> None:
-    assert [fault.id for fault in TABLE] == list(CASES)
+    assert [fault.id for fault in FAULT_TABLE] == list(CASES)
 
 
 def test_hand_without_disturbance_has_no_fault() -> None:
@@ -144,7 +151,7 @@ def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
 
 
 def test_each_row_is_one_line_for_the_operator() -> None:
-    for fault in TABLE:
+    for fault in FAULT_TABLE:
         assert fault.title
         assert fault.detection
         assert "\n" not in fault.title + fault.detection
@@ -158,7 +165,7 @@ DOUBT_THE_LOOP = {"N04", "N05b", "N06b", "N12", "N13", "N14", "N14b", "N17", "T0
 
 
 def test_faults_of_the_tension_loop_relax_without_it() -> None:
-    relaxing = {one.id: one.relax_method for one in TABLE if one.action >= Action.RELAX}
+    relaxing = {one.id: one.relax_method for one in FAULT_TABLE if one.action >= Action.RELAX}
     assert {one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP} == DOUBT_THE_LOOP
     assert {one for one, release in relaxing.items() if release is RelaxMethod.FAST_LOOP} == {"T03", "T06"}
 
@@ -168,7 +175,7 @@ def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
     listed = {row[1].strip(): set(re.findall(r"[A-Z]\d\d[a-c]?", row[3])) for row in rows}
     for release in (RelaxMethod.FAST_LOOP, RelaxMethod.OPEN_LOOP):
         # A fault that cuts the torque does not relax.
-        relaxing = {one.id for one in TABLE if one.relax_method is release and one.action is Action.RELAX}
+        relaxing = {one.id for one in FAULT_TABLE if one.relax_method is release and one.action is Action.RELAX}
         assert listed[release.value] == relaxing
 
 
@@ -177,14 +184,16 @@ def test_a_fault_is_either_found_or_reported() -> None:
 
     A detector has one row for each kind of part.
     """
-    for fault in TABLE:
+    for fault in FAULT_TABLE:
         assert bool(fault.per) != bool(fault.reports), fault.id
         assert [kind for one, kind in DETECTOR_ROWS if one is fault] == list(fault.per)
         assert fault.name or "hand" not in fault.per
     assert len(DETECTOR_ROWS) <= len(rested_monitor().view("fault_ticks")), "there is room for how long each is present"
-    assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE.tolist()
-    assert [fault.action for fault, _ in DETECTOR_ROWS] == ACTIONS.tolist()
-    assert {fault.id for ones in REPORTS.values() for fault in ones} == {f.id for f in TABLE if f.reports}
+    assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE_TICKS.tolist()
+    assert [fault.action for fault, _ in DETECTOR_ROWS] == ACTION_NUMBERS.tolist()
+    assert {fault.id for ones in FAULTS_BY_EVENT_KIND.values() for fault in ones} == {
+        f.id for f in FAULT_TABLE if f.reports
+    }
 
 
 @pytest.mark.parametrize(("seconds", "period", "least", "ticks"), [
@@ -207,7 +216,7 @@ def trace(id_: str) -> list[tuple[Action, int]]:
         monitor.set({"fault_ticks": before})
         monitor.found[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = math.nan
         demanded = call_interpreted(compiled_judge.debounce_faults, monitor.state_tables, monitor.found)
-        reports = shown.reports if judgement.BY_ID[id_].reports else ()
+        reports = shown.reports if judgement.FAULT_BY_ID[id_].reports else ()
         verdict = monitor.conclude(demanded, reports)
         seen.append((verdict.action, len(verdict.findings)))
     return seen
@@ -220,16 +229,16 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     def declare(other: Fault) -> None:
         found = tuple((other if fault.id == other.id else fault, kind) for fault, kind in DETECTOR_ROWS)
         monkeypatch.setattr(judgement, "DETECTOR_ROWS", found)
-        monkeypatch.setattr(judgement, "BY_ID", BY_ID | {other.id: other})
-        monkeypatch.setattr(judgement, "REPORTS", {
-            kind: tuple(other for fault in ones if fault.id == other.id) for kind, ones in REPORTS.items()
+        monkeypatch.setattr(judgement, "FAULT_BY_ID", FAULT_BY_ID | {other.id: other})
+        monkeypatch.setattr(judgement, "FAULTS_BY_EVENT_KIND", {
+            kind: tuple(other for fault in ones if fault.id == other.id) for kind, ones in FAULTS_BY_EVENT_KIND.items()
         })  # fmt: skip
-        debounce, actions = DEBOUNCE.copy(), ACTIONS.copy()
+        debounce, actions = DEBOUNCE_TICKS.copy(), ACTION_NUMBERS.copy()
         for row, (fault, _) in enumerate(found):
             debounce[row], actions[row] = fault.debounce, fault.action
-        monkeypatch.setattr(judgement, "DEBOUNCE", debounce)
-        monkeypatch.setattr(compiled_judge, "DEBOUNCE", debounce)
-        monkeypatch.setattr(compiled_judge, "ACTIONS", actions)
+        monkeypatch.setattr(judgement, "DEBOUNCE_TICKS", debounce)
+        monkeypatch.setattr(compiled_judge, "DEBOUNCE_TICKS", debounce)
+        monkeypatch.setattr(compiled_judge, "ACTION_NUMBERS", actions)
 
     return declare
 
@@ -237,8 +246,8 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 @pytest.mark.parametrize("id_", CASES)
 def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
     """If a number or a word of a row is changed by one step, the result differs. The cases can therefore fail."""
-    fault = BY_ID[id_]
-    other = ITSELF if fault.latched else OPERATOR
+    fault = FAULT_BY_ID[id_]
+    other = ENDED_BY_ITSELF if fault.latched else ENDED_BY_OPERATOR
     changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]
     changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
     changed += [replace(fault, action=Action(fault.action + step)) for step in (-1, 1) if 0 <= fault.action + step <= 4]
@@ -262,7 +271,7 @@ THRESHOLDS = {
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_moved_threshold_would_be_noticed(id_: str, sign: int) -> None:
     name, step = next(iter(THRESHOLDS[id_].items()))
-    moved: Limits = replace(LIMITS, **{name: getattr(LIMITS, name) + sign * step})
+    moved: SafetyLimits = replace(LIMITS, **{name: getattr(LIMITS, name) + sign * step})
     case, monitor = CASES[id_], rested_monitor()
     monitor.follow(moved)
     _, actions, _ = check_fault_alone(

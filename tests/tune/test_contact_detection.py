@@ -14,7 +14,7 @@ from handctl.hand.load import load_hand
 from handctl.tune.identify.contact_detection import (
     CLEAR_SCORE,
     CONTACT_SCORE,
-    Ramp,
+    ResidualRamp,
     are_joints_moving,
     steepest_ramp,
 )
@@ -86,7 +86,7 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
     assert one.fit.values["spring_stiffness"] == pytest.approx(draw_plant(8)["spring"], rel=0.05)
 
 
-def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> Ramp | None:
+def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> ResidualRamp | None:
     """Return the ramp that a fitted straight line leaves unexplained.
 
     The data are noise with a kink in two sweeps.
@@ -126,7 +126,7 @@ def test_a_fit_without_a_sweep_reports_no_contact() -> None:
 
 
 def test_only_a_sweep_that_the_fit_explains_clears_a_digit() -> None:
-    good = Ramp(1.0, 0.3, 0.6, 0.1, 300, 0.0, 1.0, CONTACT_SCORE)
+    good = ResidualRamp(1.0, 0.3, 0.6, 0.1, 300, 0.0, 1.0, CONTACT_SCORE)
     assert good.excludes_contact
     assert not good.is_contact
     for changes in ({"score": -3.1}, {"rows": 20}, {"outliers": 0.01}, {"mean_square": 1.6}):

@@ -8,7 +8,7 @@ from scipy.signal import cont2discrete
 
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, packaged_gains
-from handctl.core.identified import Identified
+from handctl.core.identified import IdentifiedParameters
 from handctl.core.model import HandModel
 from handctl.hand.load import load_hand, packaged_hands
 from handctl.session.plan import control_rate
@@ -23,7 +23,7 @@ from handctl.tune.loops.design import (
     worst_margins,
 )
 from handctl.tune.loops.linear import LoopKind, PlantFactors
-from handctl.tune.search.ensemble import MIN_SPREAD, draw_ensemble, ensemble_widths
+from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD, draw_ensemble, ensemble_widths
 from tests.conftest import NIGHTLY
 
 MANY_PLANTS = 8
@@ -122,7 +122,7 @@ def test_placed_poles_that_no_weights_have_are_refused(
 
 def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
     drawn = draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
-    assert drawn[0] == dict.fromkeys(MIN_SPREAD, 1.0)
+    assert drawn[0] == dict.fromkeys(MIN_FACTOR_SPREAD, 1.0)
     assert draw_ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != draw_ensemble(65, 4)
     stiffness, mass = (np.array([one[key] for one in drawn]) for key in ("stiffness", "mass"))
     assert 0.8 <= stiffness.min() < 0.83
@@ -130,9 +130,9 @@ def test_an_ensemble_is_at_least_as_wide_as_its_minimum_spread() -> None:
     assert mass.min() < 0.65
 
 
-def identification_of_tendon(stiffness: float, half: float) -> Identified:
+def identification_of_tendon(stiffness: float, half: float) -> IdentifiedParameters:
     """Return the identified stiffness of one tendon with the half width of its interval, and a delay."""
-    return Identified(
+    return IdentifiedParameters(
         names=("tendon_stiffness", "delay"),
         values=(stiffness, 1e-3),
         half_widths=(half, 1e-4),

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from handctl.core.gains.bounds import with_values
-from handctl.core.gains.gains import Gains, Provenance, gains_text, load_gains, load_gains_file
+from handctl.core.gains.gains import Gains, GainsProvenance, gains_text, load_gains, load_gains_file
 from handctl.errors import ConfigError
-from handctl.tune.gains_store import BY_HAND, GainsStore
+from handctl.tune.gains_store import EDITED_BY_HAND_NOTE, GainsStore
 
 
 def force(newtons: float) -> Gains:
@@ -26,7 +26,7 @@ def present(store: GainsStore) -> float:
 
 
 def test_a_file_reads_back_with_its_provenance(tmp_path: Path) -> None:
-    provenance = Provenance(log=("a.mcap", "b.mcap"), fit="c.toml", study="s", note="käse", number=3, restores=0)
+    provenance = GainsProvenance(log=("a.mcap", "b.mcap"), fit="c.toml", study="s", note="käse", number=3, restores=0)
     path = tmp_path / "g.toml"
     path.write_text(gains_text(force(31.0), provenance))
     assert load_gains_file(path).provenance == provenance
@@ -45,7 +45,7 @@ def test_a_gains_file_without_provenance_is_accepted(tmp_path: Path) -> None:
 def test_repeated_rollbacks_go_back_to_the_packaged_gains(store: GainsStore) -> None:
     assert store.present() is None
     for newtons in (21.0, 22.0, 23.0):
-        store.apply(force(newtons), Provenance())
+        store.apply(force(newtons), GainsProvenance())
     seen = []
     for _ in range(3):
         store.rollback()
@@ -59,31 +59,31 @@ def test_repeated_rollbacks_go_back_to_the_packaged_gains(store: GainsStore) -> 
 
 def test_a_rollback_after_a_rollback_and_a_change_skips_the_undone_gains(store: GainsStore) -> None:
     for newtons in (21.0, 22.0):
-        store.apply(force(newtons), Provenance())
+        store.apply(force(newtons), GainsProvenance())
     store.rollback()
-    store.apply(force(24.0), Provenance())
+    store.apply(force(24.0), GainsProvenance())
     assert store.rollback().gains == force(21.0)
 
 
 def test_gains_edited_by_hand_are_kept(store: GainsStore) -> None:
-    store.apply(force(21.0), Provenance())
+    store.apply(force(21.0), GainsProvenance())
     store.path.write_text(store.path.read_text().replace("force_N = 21.0", "force_N = 77.0"))
-    store.apply(force(22.0), Provenance())
+    store.apply(force(22.0), GainsProvenance())
     assert [entry.file.gains.motion.force_N for entry in store.entries()] == [21.0, 77.0, 22.0]
-    assert store.entries()[1].file.provenance.note == BY_HAND
+    assert store.entries()[1].file.provenance.note == EDITED_BY_HAND_NOTE
     assert store.rollback().gains == force(77.0)
 
 
 def test_copied_gains_follow_the_newest_entry(store: GainsStore, tmp_path: Path) -> None:
-    store.apply(force(21.0), Provenance())
-    store.path.write_text(gains_text(force(55.0), Provenance()))
+    store.apply(force(21.0), GainsProvenance())
+    store.path.write_text(gains_text(force(55.0), GainsProvenance()))
     assert store.rollback().gains == force(21.0)
     assert [entry.file.gains.motion.force_N for entry in store.entries()] == [21.0, 55.0, 21.0]
     assert store.entries()[1].file.provenance.replaces == 1
 
 
 def test_a_damaged_file_is_set_aside_and_not_lost(store: GainsStore) -> None:
-    store.apply(force(21.0), Provenance())
+    store.apply(force(21.0), GainsProvenance())
     assert store.set_aside() is None
     renamed = []
     for text in ("schema = [", "nonsense = 1"):
@@ -99,7 +99,7 @@ def test_a_damaged_file_is_set_aside_and_not_lost(store: GainsStore) -> None:
 
 def test_a_history_with_a_gap_is_not_used_for_a_rollback(store: GainsStore) -> None:
     for newtons in (21.0, 22.0, 23.0):
-        store.apply(force(newtons), Provenance())
+        store.apply(force(newtons), GainsProvenance())
     store.rollback()
     (store.history / "0002.toml").unlink()
     with pytest.raises(ConfigError, match="number 2 is not in the history"):
@@ -108,7 +108,7 @@ def test_a_history_with_a_gap_is_not_used_for_a_rollback(store: GainsStore) -> N
 
 
 def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
-    provenance = store.apply(force(21.0), Provenance(study="s.db", log=("a.mcap",))).provenance
+    provenance = store.apply(force(21.0), GainsProvenance(study="s.db", log=("a.mcap",))).provenance
     assert (provenance.study, provenance.log, provenance.hand, provenance.identity, provenance.number) == (
         "s.db",
         ("a.mcap",),
@@ -131,7 +131,7 @@ def test_a_rollback_without_history_is_refused(store: GainsStore) -> None:
 def test_a_change_that_fails_leaves_the_present_gains(
     store: GainsStore, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
-    store.apply(force(21.0), Provenance())
+    store.apply(force(21.0), GainsProvenance())
     before = store.path.read_bytes()
 
     def raise_disk_full(*_: object, **__: object) -> None:
@@ -139,9 +139,9 @@ def test_a_change_that_fails_leaves_the_present_gains(
 
     monkeypatch.setattr(os, fails, raise_disk_full)
     with pytest.raises(ConfigError, match="No space left"):
-        store.apply(force(22.0), Provenance())
+        store.apply(force(22.0), GainsProvenance())
     monkeypatch.undo()
     assert store.path.read_bytes() == before
     assert present(store) == 21.0
-    store.apply(force(23.0), Provenance())
+    store.apply(force(23.0), GainsProvenance())
     assert present(store) == 23.0

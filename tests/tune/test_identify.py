@@ -9,16 +9,16 @@ from matplotlib.figure import Figure
 
 from benchmarks.identify import TOLERANCES, measure_digit, summary
 from handctl.cli.tuning.tune_files import load_tuned_hand
-from handctl.core.identified import UNITS, Identified, identified_hand, torque_gain
+from handctl.core.identified import PARAMETER_UNITS, IdentifiedParameters, identified_hand, torque_gain
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
 from handctl.hand.load import load_hand
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.session.calibration import write_calibration
-from handctl.tune.identify.excitation import excitation, lift_off_tension
+from handctl.tune.identify.excitation import excitation_steps, lift_off_tension
 from handctl.tune.identify.figure import _draw_parameters
 from handctl.tune.identify.fit import PARAMETER_NAMES
-from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters
+from handctl.tune.identify.fit_load import DigitLoad, LoadParameters, SignalBins
 from handctl.tune.identify.fit_motor import HALF_WINDOW_S, _cumulative, _window, _window_curvature, _window_slope
 from handctl.tune.identify.identifiability import _reason_not_identified
 
@@ -94,7 +94,7 @@ def test_the_load_model_balances_every_joint() -> None:
     digit = DigitModel.of(load_hand("jamia"), "index")
     load = DigitLoad.of(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
-    seen = Bins(np.zeros(2), np.array([4e-3, 4e-3]), np.zeros(2), np.array([0.01, -0.01]), np.zeros(2), 5)
+    seen = SignalBins(np.zeros(2), np.array([4e-3, 4e-3]), np.zeros(2), np.array([0.01, -0.01]), np.zeros(2), 5)
     for tension, sign in zip(load.tension(p, seen).tolist(), (1.0, -1.0), strict=True):
         angle, excursion = float(digit.wrap[0]), 0.0
         for arm, k, pre, b in zip(load.arms, load.spring, load.preload, load.damping, strict=True):
@@ -108,7 +108,7 @@ def test_the_load_model_balances_every_joint() -> None:
 
 def test_the_excitation_keeps_within_the_hand_s_limits() -> None:
     hand = load_hand("jamia")
-    steps = excitation(hand, hand.digit_names)
+    steps = excitation_steps(hand, hand.digit_names)
     for digit in hand.digit_names:
         digit_steps = [step for step in steps if step.digit == digit]
         assert sum(step.duration_s for step in digit_steps) < 21.0
@@ -116,13 +116,13 @@ def test_the_excitation_keeps_within_the_hand_s_limits() -> None:
         stretch = [step.target for step in digit_steps if step.name == "stretch"]
         assert max(stretch) < 0.7 * lift_off_tension(hand, digit)
     with pytest.raises(ConfigError, match="pinky"):
-        excitation(hand, ("pinky",))
+        excitation_steps(hand, ("pinky",))
 
 
-def identified_with(**values: float) -> Identified:
+def identified_with(**values: float) -> IdentifiedParameters:
     n = len(values)
     rows = tuple(tuple(1e-6 if i == j else 0.0 for j in range(n)) for i in range(n))
-    return Identified(
+    return IdentifiedParameters(
         names=tuple(values), values=tuple(values.values()), half_widths=(0.1,) * n, covariance=rows, log=("a.mcap",)
     )
 
@@ -138,13 +138,13 @@ def test_the_controller_s_hand_is_the_identified_one() -> None:
     assert real.digit_named("thumb").spring_stiffness_N_m_per_rad == pytest.approx((0.036, 0.036))
     assert real.tendon[:3] == hand.tendon[:3]
     assert torque_gain(hand, known).tolist() == [1.0, 1.0, 1.0, 0.9]
-    assert set(known["thumb_tendon"].names) <= UNITS.keys()
+    assert set(known["thumb_tendon"].names) <= PARAMETER_UNITS.keys()
 
 
 def test_a_name_of_an_earlier_version_is_still_read() -> None:
     found = identified_with(tendon_stiffness=8e4, delay=1e-4)
     earlier = found.model_dump() | {"names": ("rope_stiffness", "delay")}
-    assert Identified.model_validate(earlier) == found
+    assert IdentifiedParameters.model_validate(earlier) == found
 
 
 def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
@@ -212,7 +212,7 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
         update={"covariance": ((4.0, 0.5, 0.25), (0.5, 1.0, 0.0), (0.25, 0.0, 9.0))}
     )
     new = identified_with(motor_inertia=2e-4, torque_gain=0.9).model_copy(update={"log": ("b.mcap",)})
-    both = Identified.model_validate(new.beside(old).model_dump())
+    both = IdentifiedParameters.model_validate(new.beside(old).model_dump())
     assert dict(zip(both.names, both.values, strict=True)) == {
         "motor_inertia": 2e-4, "torque_gain": 0.9, "tendon_stiffness": 8e4, "capstan": 0.2,
     }  # fmt: skip

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from benchmarks.identify import TOLERANCES, measure_digit, summary
-from handctl.core.identified import Identified, identified_hand
+from handctl.core.identified import IdentifiedParameters, identified_hand
 from handctl.core.types import Mode
 from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.safety.action import Action
-from handctl.tune.identify.excitation import excitation
+from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.excitation_antagonists import PAIR_HIGH_FRACTION, STRETCH_FRACTION, sweep_range
 from handctl.tune.identify.fit_pair import stretch_of_pair, tension_of_pair
 from handctl.tune.identify.identifiability import unobservable_parameters
@@ -76,7 +76,7 @@ def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand: st
 @pytest.mark.parametrize("name", HANDS)
 def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> None:
     hand = load_hand(name)
-    steps = excitation(hand, hand.digit_names)
+    steps = excitation_steps(hand, hand.digit_names)
     for digit in map(DigitModel.of, [hand] * len(hand.digit_names), hand.digit_names):
         own = [step for step in steps if step.digit == digit.name]
         assert sum(step.duration_s for step in own) < 35.0
@@ -101,7 +101,7 @@ def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> Non
 def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
     """While a tendon is stretched, the opening torque is larger at every joint of its digit than the closing torque."""
     hand = load_hand("n_plus_1")
-    for step in excitation(hand, hand.digit_names):
+    for step in excitation_steps(hand, hand.digit_names):
         if step.name == "stretch":
             digit = DigitModel.of(hand, step.digit)
             assert (digit.reduced_moment_arms.T @ np.array(step.targets) < 0.0).all()
@@ -152,7 +152,7 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
 
 def test_identified_moment_arms_and_pretensions_are_those_of_the_controller() -> None:
     hand = load_hand("orca_like")
-    known = Identified(
+    known = IdentifiedParameters(
         names=("moment_arm", "pretension"),
         values=(1.1, 8.0),
         half_widths=(0.01, 0.5),

@@ -13,19 +13,19 @@ import pytest
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
-from handctl.tune.scoring import Score, evaluate_job
+from handctl.tune.scoring import GainScore, evaluate_job
 from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.search import (
     RANDOM_BATCHES,
     SearchPlan,
     SearchResult,
-    Trial,
+    SearchTrial,
+    _make_sampler,
     _open_study,
-    _sampler,
     run_search,
 )
-from handctl.tune.search.space import SPACE, clamped_gains
-from handctl.tune.search.workers import Cluster, InProcessWorkers, ProcessPool, Workers
+from handctl.tune.search.space import GAIN_RANGES, clamped_gains
+from handctl.tune.search.workers import DaskCluster, InProcessWorkers, ProcessPool, SearchWorkers
 
 TRIALS = 3
 
@@ -65,7 +65,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
     assert [one.constraints for one in finished] == [{"margins": one.score.shortfall} for one in found.trials]
     with warnings.catch_warnings():
         warnings.simplefilter("error", FutureWarning)
-        _sampler(plan.seed, RANDOM_BATCHES)
+        _make_sampler(plan.seed, RANDOM_BATCHES)
 
 
 class RecordedWorkers:
@@ -101,7 +101,7 @@ class InterruptedWorkers:
 
 @pytest.mark.nightly
 def test_interrupted_search_gives_the_same_result(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
-    workers: Workers = InterruptedWorkers(2)
+    workers: SearchWorkers = InterruptedWorkers(2)
     seen: list[int] = []
     with pytest.raises(KeyboardInterrupt):
         run_search(plan, tmp_path / "study", workers, lambda now: seen.append(len(now.trials)))
@@ -117,7 +117,7 @@ class FakeWorkers:
         for i, job in enumerate(jobs):
             motion, tension = job["gains"]["motion"], job["gains"]["tension"]
             parts = (motion["position_error_m"], tension["tension_error_N"], motion["speed_error_m_s"])
-            yield i, asdict(Score(*parts, 50.0, motion["disturbance_rejection"] - 0.8))
+            yield i, asdict(GainScore(*parts, 50.0, motion["disturbance_rejection"] - 0.8))
 
     def close(self) -> None:
         return
@@ -182,7 +182,7 @@ def test_a_killed_worker_loses_no_result(plan: SearchPlan, found: SearchResult) 
         jobs = [plan.job(i, one.values) for i, one in enumerate(found.trials)]
         scores = {}
         for i, result in workers.scores(jobs):
-            scores[i] = Score(**result)
+            scores[i] = GainScore(**result)
             if i == 1:
                 os.kill(workers.pids[0], signal.SIGKILL)
     finally:
@@ -195,7 +195,7 @@ def test_a_dask_cluster_finds_what_one_process_finds(plan: SearchPlan, found: Se
     from distributed import LocalCluster
 
     with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
-        workers = Cluster(cluster.scheduler_address)
+        workers = DaskCluster(cluster.scheduler_address)
         try:
             assert run_search(plan, tmp_path / "dask", workers, _nothing) == found
         finally:
@@ -226,8 +226,8 @@ def test_journal_of_another_study_is_refused(plan: SearchPlan, tmp_path: Path) -
 
 
 def test_only_good_trials_are_chosen() -> None:
-    def trial(number: int, *numbers: float, failure: str = "") -> Trial:
-        return Trial(number, {}, Score(*numbers, failure=failure))
+    def trial(number: int, *numbers: float, failure: str = "") -> SearchTrial:
+        return SearchTrial(number, {}, GainScore(*numbers, failure=failure))
 
     first = trial(0, 2.0, 4.0, 100.0, 60.0, 0.5)
     best, front = trial(1, 1.0, 2.0, 10.0, 60.0, -0.1), trial(2, 0.5, 5.0, 10.0, 60.0, -0.1)
@@ -240,8 +240,11 @@ def test_only_good_trials_are_chosen() -> None:
 
 
 def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
-    lost = Trial(0, {}, Score(1e3, 1e3, 1e3, 60.0, 0.0, "not taut"))
-    feasible = [Trial(1, {}, Score(1.0, 2.0, 3.0, 60.0, -0.1)), Trial(2, {}, Score(0.5, 1.0, 1.5, 60.0, -0.1))]
+    lost = SearchTrial(0, {}, GainScore(1e3, 1e3, 1e3, 60.0, 0.0, "not taut"))
+    feasible = [
+        SearchTrial(1, {}, GainScore(1.0, 2.0, 3.0, 60.0, -0.1)),
+        SearchTrial(2, {}, GainScore(0.5, 1.0, 1.5, 60.0, -0.1)),
+    ]
     found = SearchResult.of((lost, *feasible))
     assert [found.cost(one) for one in feasible] == pytest.approx([1.0, 0.5])
     assert found.best == feasible[1]
@@ -251,10 +254,12 @@ def test_first_trial_keeps_gains_outside_the_search_space(plan: SearchPlan) -> N
     bold = replace(plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01)))
     assert bold.gains_of(0, clamped_gains(bold.gains)) == bold.gains
     assert bold.job(0, clamped_gains(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
-    assert bold.gains_of(1, clamped_gains(bold.gains)).motion.speed_error_m_s == SPACE["motion.speed_error_m_s"].low
+    assert (
+        bold.gains_of(1, clamped_gains(bold.gains)).motion.speed_error_m_s == GAIN_RANGES["motion.speed_error_m_s"].low
+    )
 
 
 def test_every_key_of_the_space_is_a_gain_and_the_packaged_ones_are_inside() -> None:
-    assert all(one.low <= clamped_gains(Gains())[key] <= one.high for key, one in SPACE.items())
+    assert all(one.low <= clamped_gains(Gains())[key] <= one.high for key, one in GAIN_RANGES.items())
     wild = Gains(motion=MotionGains(position_error_m=0.09))
-    assert clamped_gains(wild)["motion.position_error_m"] == SPACE["motion.position_error_m"].high
+    assert clamped_gains(wild)["motion.position_error_m"] == GAIN_RANGES["motion.position_error_m"].high

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from handctl.tune.identify.solve import BLOCK_S, MAX_BLOCK_ROWS, _block_rows, _covariance
+from handctl.tune.identify.solve import BLOCK_S, MAX_BLOCK_ROWS, _block_rows, _parameter_covariance
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -24,7 +24,7 @@ def test_equal_times_take_a_few_seconds_at_most(span: float) -> None:
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
     begin = time.process_time()
-    covariance, freedom = _covariance(jacobian, residual, np.linspace(0.0, span, 4000))
+    covariance, freedom = _parameter_covariance(jacobian, residual, np.linspace(0.0, span, 4000))
     assert time.process_time() - begin < 20.0
     assert np.isfinite(covariance).all()
     assert np.isfinite(freedom).all()
@@ -40,8 +40,8 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
     jacobian, times = random.normal(size=(2000, 3)), np.linspace(0.0, 20.0 * BLOCK_S, 2000, endpoint=False)
     residual = random.normal(size=2000)
     unlucky = residual * np.where((times > BLOCK_S) & (times < 2.0 * BLOCK_S), 6.0, 1.0)
-    _, freedom = _covariance(jacobian, residual, times)
-    _, less = _covariance(jacobian, unlucky, times)
+    _, freedom = _parameter_covariance(jacobian, residual, times)
+    _, less = _parameter_covariance(jacobian, unlucky, times)
     assert less == pytest.approx(freedom)
     assert (freedom > 14.0).all()
     assert (freedom < 21.0).all()
@@ -54,6 +54,6 @@ def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
     """
     jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
     with np.errstate(all="raise", under="ignore"):
-        covariance, freedom = _covariance(jacobian, np.ones(102), np.linspace(0.0, 5.0, 100))
+        covariance, freedom = _parameter_covariance(jacobian, np.ones(102), np.linspace(0.0, 5.0, 100))
     assert np.isfinite(covariance).all()
     assert freedom[0] < 30.0 < 1e6 < freedom[1] < np.inf

@@ -9,10 +9,10 @@ import pytest
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands
-from handctl.tune.loops.design import Design, design_gains, distinct_tendons, linear_factors
-from handctl.tune.loops.linear import LoopKind, System, _half_closed, controller_system, open_loop
-from handctl.tune.loops.margins import MAX_GAIN_DB, Margins, confirmed_margins, is_stable, margins_of_loop
-from handctl.tune.loops.steps import RestTest, Swing, is_ringing, simulate_swing
+from handctl.tune.loops.design import GainDesign, design_gains, distinct_tendons, linear_factors
+from handctl.tune.loops.linear import LinearSystem, LoopKind, _half_closed, controller_system, open_loop
+from handctl.tune.loops.margins import MAX_GAIN_DB, LoopMargins, confirmed_margins, is_stable, margins_of_loop
+from handctl.tune.loops.steps import RestTest, StepOscillation, is_loop_ringing, simulate_swing
 from handctl.tune.search.ensemble import draw_ensemble
 from tests.conftest import NIGHTLY
 
@@ -77,7 +77,7 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
 
 
 def test_a_loop_without_gain_has_no_margin() -> None:
-    still = System(np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002)
+    still = LinearSystem(np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002)
     for found in (margins_of_loop(still), confirmed_margins(still)):
         assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.are_sufficient) == (
             0.0,
@@ -90,13 +90,13 @@ def test_a_loop_without_gain_has_no_margin() -> None:
 
 def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
     system = open_loop(jamia, 0, LoopKind.TENSION)
-    lost = System(system.A, 10.0 * system.B, system.C, system.D, system.period)
+    lost = LinearSystem(system.A, 10.0 * system.B, system.C, system.D, system.period)
     assert not is_stable(lost)
     for found in (margins_of_loop(lost), confirmed_margins(lost)):
         assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.stable) == (0.0, 0.0, 0.0, 0.0, False)
 
 
-def brute_force(system: System) -> tuple[float, float]:
+def brute_force(system: LinearSystem) -> tuple[float, float]:
     """Find the gain margin [dB] and the phase margin [deg] of a loop by trial.
 
     At a margin, an eigenvalue of the closed loop first leaves the unit circle.
@@ -131,7 +131,7 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
         assert all(is_stable(system, delay=k) for k in range(ticks))
 
 
-def judged_stable(model: HandModel, found: Design, seed: int) -> HandModel:
+def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
     """Check that all loops of a design are stable on both plants, and return the designed model."""
     after = HandModel.of(model.hand, found.gains, 1.0 / model.period)
     for factors in draw_ensemble(2, seed):
@@ -207,10 +207,10 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     """The gains are refused although all other plants come to rest."""
     model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
 
-    def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
+    def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
         hold = chatter_N if tried.gains.tension.integral_per_s == 0.0 else swing_N
-        return Swing(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
+        return StepOscillation(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
 
     monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
     proof = rest_test_of(model)
@@ -226,10 +226,10 @@ def rest_test_with(
     ``chatter`` is that of the plant without feedback, ``found`` that with the gains.
     """
 
-    def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
+    def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
         hold = chatter if tried.gains.tension.integral_per_s == 0.0 else found
-        return Swing(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
+        return StepOscillation(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
 
     monkeypatch.setattr("handctl.tune.loops.steps.simulate_swing", fake)
     return rest_test_of(model)
@@ -256,8 +256,8 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.Monkey
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
     ringing = HandModel.of(jamia.hand, Gains.model_validate(slow), 500.0)
     assert is_stable(open_loop(ringing, 0, LoopKind.TENSION))
-    assert all(is_ringing(model, linear_factors({"friction": 0.5})) for model in (ringing, with_force(393.0)))
-    assert not is_ringing(jamia, linear_factors({"friction": 0.5}))
+    assert all(is_loop_ringing(model, linear_factors({"friction": 0.5})) for model in (ringing, with_force(393.0)))
+    assert not is_loop_ringing(jamia, linear_factors({"friction": 0.5}))
     proof = rest_test_with(monkeypatch, ringing, chatter, chatter)
     assert not proof(ringing)
     assert "of a loop that oscillates" in proof.reason
@@ -266,8 +266,8 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.Monkey
 
 def test_gains_that_fail_at_the_least_friction_are_refused(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
     """If the run without feedback fails too, the oscillation of the plant is unknown, and the gains are refused."""
-    lost = Swing(math.inf, math.inf, (math.inf,) * 4, "N14b")
-    still = Swing(0.0, 0.0, (0.0,) * 4)
+    lost = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
+    still = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
         "handctl.tune.loops.steps.simulate_swing", lambda hand, m, f, s: lost if f == {"friction": 0.5} else still
     )
@@ -293,5 +293,5 @@ def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(column: tup
     joints = digit.coupling @ coordinates
     assert np.all(joints > digit.joint_min)
     assert np.all(joints < digit.joint_max)
-    judged: list[Margins] = [confirmed_margins(open_loop(model, 0, kind)) for kind in LoopKind]
+    judged: list[LoopMargins] = [confirmed_margins(open_loop(model, 0, kind)) for kind in LoopKind]
     assert all(one.stable and 2.0 < one.gain_db < 40.0 for one in judged)

@@ -9,11 +9,11 @@ from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.exercise import Exercise
+from handctl.programs.exercise import ExerciseProgram
 from handctl.replay.execute import execute_log
-from handctl.session.plan import Plan, highest_rate_of_buses
+from handctl.session.plan import RunPlan, highest_rate_of_buses
 from handctl.session.run import make_controller, run_lockstep
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 from handctl.tune.verify import VerifyObserver, scores_by_round
 
 CALM = Gains(motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7))
@@ -23,11 +23,11 @@ UNSTABLE_GAINS = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(f
 def _verified(new: Gains, log: Path) -> VerifyObserver:
     hand = load_hand("jamia")
     rate = highest_rate_of_buses(bus_loads(hand))
-    plan = Plan(hand, CALM, rate, (0.5,))
+    plan = RunPlan(hand, CALM, rate, (0.5,))
     amplitudes = (0.2, 0.2)
     observer = VerifyObserver(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
-    with Simulator(hand, homed=True).clock(plan.period_ns) as clock:
-        run_lockstep(plan, make_controller(plan, Exercise(amplitudes), None, True), log, clock, observer)
+    with SimulatorSettings(hand, homed=True).clock(plan.period_ns) as clock:
+        run_lockstep(plan, make_controller(plan, ExerciseProgram(amplitudes), None, True), log, clock, observer)
     return observer
 
 

@@ -13,12 +13,12 @@ import pytest
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.record_scan import scan_path
-from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 from handctl.view.browse import browse_log
 from handctl.view.feed import run_chunks
 from handctl.view.picture import connect_client, wait_loaded
-from handctl.view.scene.arrow import TIMELINE
+from handctl.view.scene.arrow import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 from handctl.view.time_slices import time_slices
 from handctl.view.viewer import running_viewer
@@ -41,7 +41,7 @@ def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
     assert 1_000_000_000 <= since[1] < 1_250_000_000
     late: list[int] = []
     for chunk in run_chunks(GOLDEN, run, 1_000_000_000):
-        if chunk.entity_path == "/loop/late" and TIMELINE in chunk.timeline_names:
+        if chunk.entity_path == "/loop/late" and RUN_TIME_TIMELINE in chunk.timeline_names:
             late.append(chunk.num_rows)
     assert late[0] == sizes[0]
     assert sum(late) == ticks
@@ -54,11 +54,11 @@ def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.
         run, end_ns = RunInfo.of(log.header, "x"), int(log.t_ns[-1])
     with browse_log(GOLDEN, run, ["--headless", "--window-size", "800x600"], vulkan) as running:
         client = connect_client(running)
-        wait_loaded(client, TIMELINE, end_ns)
+        wait_loaded(client, RUN_TIME_TIMELINE, end_ns)
         state = client.get_state()
         (shown,) = state.recordings
         assert len(state.views) > 5
-        assert end_ns in [line.end for line in shown.timelines if line.name == TIMELINE]
+        assert end_ns in [line.end for line in shown.timelines if line.name == RUN_TIME_TIMELINE]
 
 
 def write_ten_minute_log(path: Path) -> None:
@@ -69,7 +69,7 @@ def write_ten_minute_log(path: Path) -> None:
     writer = LogWriter(path, run, lambda *what: None, 1)
     ticks = itertools.cycle(list(synthetic.Synthetic(run, 5.0)))
     for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
-        writer.add(pack_tick_record(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[FRAMING.size :])
+        writer.add(pack_tick_record(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[RECORD_FRAMING_STRUCT.size :])
     writer.finish("finished", 0)
 
 

@@ -14,7 +14,7 @@ from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.view.live_view import start_live
 from handctl.view.picture import timeline_end
-from handctl.view.scene.arrow import TIMELINE
+from handctl.view.scene.arrow import RUN_TIME_TIMELINE
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -39,7 +39,7 @@ def url_of(follower: "subprocess.Popen[bytes]") -> str:
 
 def shown_until(client: "ViewerClient") -> int:
     """Return the latest run time of the data that the viewer has received [ns]."""
-    return timeline_end(client.get_state(), TIMELINE)
+    return timeline_end(client.get_state(), RUN_TIME_TIMELINE)
 
 
 def wait_for(client: "ViewerClient", t_ns: int) -> int:

@@ -8,9 +8,9 @@ import synthetic
 from rrd_entities import Entity, of_file, run_info_of
 
 from handctl.cli.main import main
-from handctl.hand.formats.meshes import meshes_of
+from handctl.hand.formats.meshes import meshes_of_hand
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.link_frames import quaternion
+from handctl.hand.link_frames import quaternion_of_rotation
 from handctl.log.attached_meshes import mesh_attachments
 from handctl.log.header import RunHeader
 from handctl.view.feed import write_rrd
@@ -48,7 +48,7 @@ def recorded(mesh_log: Path) -> dict[str, Entity]:
 def test_each_mesh_is_an_asset_in_the_frame_of_its_link(recorded: dict[str, Entity], mesh_log: Path) -> None:
     run = run_info_of(mesh_log)
     assert run.note == ""
-    for mesh in meshes_of(run.hand):
+    for mesh in meshes_of_hand(run.hand):
         shown = recorded[f"/hand/{mesh.link}/mesh"].static
         assert shown["CoordinateFrame:frame"] == [mesh.link]
         assert bytes(np.array(shown["Asset3D:blob"][0], np.uint8)) == run.meshes[mesh.link].data
@@ -56,13 +56,13 @@ def test_each_mesh_is_an_asset_in_the_frame_of_its_link(recorded: dict[str, Enti
         red, green, blue, *_ = link_colour(mesh.link, run)
         assert shown["Asset3D:albedo_factor"] == [(red << 24) | (green << 16) | (blue << 8) | 255]
         assert shown["InstancePoses3D:translations"] == [pytest.approx(mesh.position, rel=1e-6)]
-        assert shown["InstancePoses3D:quaternions"] == [pytest.approx(quaternion(mesh.rotation), abs=1e-6)]
+        assert shown["InstancePoses3D:quaternions"] == [pytest.approx(quaternion_of_rotation(mesh.rotation), abs=1e-6)]
         assert shown["InstancePoses3D:scales"] == [pytest.approx(mesh.scale, rel=1e-6)]
 
 
 def test_a_link_has_a_mesh_or_capsules(recorded: dict[str, Entity], mesh_log: Path) -> None:
     hand = run_info_of(mesh_log).hand
-    meshed_links = {mesh.link for mesh in meshes_of(hand)}
+    meshed_links = {mesh.link for mesh in meshes_of_hand(hand)}
     links = {"palm"} | {f"{digit.name}_link{i + 1}" for digit in hand.digit for i in range(len(digit.joints))}
     assert meshed_links < links
     for link in links:
@@ -84,7 +84,7 @@ def test_the_live_view_sends_the_same_meshes(mesh_log: Path, monkeypatch: pytest
     follower = follow.LogFollower(mesh_log, run, "rerun+http://127.0.0.1:1/proxy")
     follower.close()
     links = {path.split("/")[2] for path in sent if path.endswith("/mesh")}
-    assert links == {mesh.link for mesh in meshes_of(run.hand)}
+    assert links == {mesh.link for mesh in meshes_of_hand(run.hand)}
 
 
 def test_a_log_without_its_meshes_shows_capsules_and_says_so(

@@ -14,17 +14,18 @@ from typing import Any
 
 from handctl.cli.main import main as handctl
 from tools.figures import diagrams, gif, numbers, plots, runs, tuning
-from tools.figures.style import FOLDER, apply_style, save, stamp, without_blanks
+from tools.figures.style import FIGURES_FOLDER, apply_style, save_figure, stamp_picture, without_blanks
 
-ROOT = Path(__file__).parents[2]
-RUNS = ROOT / "build" / "figures"
+REPOSITORY_ROOT = Path(__file__).parents[2]
+RUNS_FOLDER = REPOSITORY_ROOT / "build" / "figures"
 DIAGRAMS: dict[str, Callable[[], Any]] = {
-    "architecture": diagrams.architecture, "control-law": diagrams.control, "wiring": diagrams.wiring,
-    "tendon": diagrams.tendon, "modes": diagrams.modes,
+    "architecture": diagrams.architecture_diagram, "control-law": diagrams.control_law_diagram,
+    "wiring": diagrams.wiring_diagram,
+    "tendon": diagrams.tendon_diagram, "modes": diagrams.modes_diagram,
 }  # fmt: skip
 PLOTS: dict[str, Callable[[Path], Any]] = {
-    "estimate": plots.estimate, "snapped-tendon": plots.snapped_tendon, "tip-force": plots.tip_force,
-    "replay": plots.replayed, "bus-tick": plots.bus_tick,
+    "estimate": plots.estimate_plot, "snapped-tendon": plots.snapped_tendon, "tip-force": plots.tip_force,
+    "replay": plots.replay_plot, "bus-tick": plots.bus_tick,
 }  # fmt: skip
 PICTURES: dict[str, Callable[[Path], Path]] = {
     "run": runs.run_picture, "view": runs.view_picture, "gym-training": runs.training_picture,
@@ -36,50 +37,51 @@ PICTURES: dict[str, Callable[[Path], Path]] = {
 
 def draw_paper() -> None:
     """Draw the figures that repeat those of the source paper, from the experiments in docs/evidence."""
-    results = ROOT / "docs" / "evidence" / "paper-results.json"
+    results = REPOSITORY_ROOT / "docs" / "evidence" / "paper-results.json"
     with contextlib.redirect_stdout(io.StringIO()):
-        handctl(["paper", "--json", "--figures", str(FOLDER), "--results", str(results)])
-    for path in FOLDER.glob("paper-*.svg"):
+        handctl(["paper", "--json", "--figures", str(FIGURES_FOLDER), "--results", str(results)])
+    for path in FIGURES_FOLDER.glob("paper-*.svg"):
         path.write_bytes(without_blanks(path.read_bytes()))
 
 
-OTHERS: dict[str, Callable[[], None]] = {
-    "grasp": lambda: gif.write(RUNS, FOLDER / "grasp.gif"), "numbers": lambda: numbers.write(ROOT, RUNS),
+OTHER_WRITERS: dict[str, Callable[[], None]] = {
+    "grasp": lambda: gif.write_gif(RUNS_FOLDER, FIGURES_FOLDER / "grasp.gif"),
+    "numbers": lambda: numbers.write_numbers(REPOSITORY_ROOT, RUNS_FOLDER),
     "paper": draw_paper,
 }  # fmt: skip
-SLOW = ("tune-search", "tune-verify")
+SLOW_PICTURES = ("tune-search", "tune-verify")
 """Pictures that take minutes each. They are drawn only if their names are given."""
-NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, *OTHERS)
+FIGURE_NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, *OTHER_WRITERS)
 
 
 def main() -> int:
     """Draw all figures, or those whose names are given. Return the exit code."""
     parser = argparse.ArgumentParser(description="Draw the figures of README and site, and write the demo's numbers.")
     parser.add_argument("names", nargs="*", metavar="NAME",
-                        help=f"{', '.join(NAMES)} "
-                             f"(default: all but {', '.join(SLOW)}; report needs Chromium)")  # fmt: skip
+                        help=f"{', '.join(FIGURE_NAMES)} "
+                             f"(default: all but {', '.join(SLOW_PICTURES)}; report needs Chromium)")  # fmt: skip
     parser.add_argument("--keep", action="store_true", help="use the demo's run in build/figures if it is there")
     args = parser.parse_args()
-    if unknown := set(args.names) - set(NAMES):
-        parser.error(f"{min(unknown)}: no such figure; expected {', '.join(NAMES)}")
+    if unknown := set(args.names) - set(FIGURE_NAMES):
+        parser.error(f"{min(unknown)}: no such figure; expected {', '.join(FIGURE_NAMES)}")
     apply_style()
-    RUNS.mkdir(parents=True, exist_ok=True)
+    RUNS_FOLDER.mkdir(parents=True, exist_ok=True)
     if not args.keep:
-        for path in RUNS.glob("grasp.*"):
+        for path in RUNS_FOLDER.glob("grasp.*"):
             path.unlink()
-    left_out = SLOW if tuning.find_browser() else (*SLOW, "report")
+    left_out = SLOW_PICTURES if tuning.find_browser() else (*SLOW_PICTURES, "report")
     if not args.names:
         print(f"left out: {', '.join(left_out)}", flush=True)
-    for name in args.names or [name for name in NAMES if name not in left_out]:
+    for name in args.names or [name for name in FIGURE_NAMES if name not in left_out]:
         start = time.monotonic()
         if name in DIAGRAMS:
-            save(DIAGRAMS[name](), name)
+            save_figure(DIAGRAMS[name](), name)
         elif name in PLOTS:
-            save(PLOTS[name](RUNS), name)
+            save_figure(PLOTS[name](RUNS_FOLDER), name)
         elif name in PICTURES:
-            stamp(PICTURES[name](RUNS), FOLDER / f"{name}.png")
+            stamp_picture(PICTURES[name](RUNS_FOLDER), FIGURES_FOLDER / f"{name}.png")
         else:
-            OTHERS[name]()
+            OTHER_WRITERS[name]()
         print(f"{name}: {time.monotonic() - start:.1f} s", flush=True)
     return 0
 

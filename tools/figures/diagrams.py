@@ -3,10 +3,10 @@
 from typing import Any
 
 from tools.figures.shapes import area, arrow, block, circle, note, plane
-from tools.figures.style import DIGITS, FAULT, INK
+from tools.figures.style import DIGIT_COLOURS, FAULT_COLOUR, INK_COLOUR
 
 
-def architecture() -> Any:
+def architecture_diagram() -> Any:
     """Draw the architecture: the processes and files of a run."""
     figure, axes = plane(8.6, 4.6, (17.2, 9.2))
     area(axes, (4.0, 2.7), (6.2, 6.2), "controller: one process, one thread")
@@ -38,7 +38,7 @@ def architecture() -> Any:
     return figure
 
 
-def control() -> Any:
+def control_law_diagram() -> Any:
     """Draw the control law of a tendon as a block diagram, with the symbols of the equations."""
     figure, axes = plane(9.2, 5.9, (18.4, 11.8))
     block(axes, (0.2, 6.4), (2.3, 1.3), "setpoint\n$q_d,\\ \\dot q_d,\\ \\ddot q_d$")
@@ -103,7 +103,7 @@ def control() -> Any:
     return figure
 
 
-def wiring() -> Any:
+def wiring_diagram() -> Any:
     """Draw power, CAN and the emergency stop of a hand on a bench."""
     figure, axes = plane(8.6, 4.4, (17.2, 8.8))
     block(axes, (0.3, 6.6), (2.6, 1.3), "supply\ncurrent limit set", "wire")
@@ -114,24 +114,24 @@ def wiring() -> Any:
     block(axes, (4.0, 2.6), (2.8, 1.5), "CAN adapter\ncan0", "wire")
     for i, (x, name) in enumerate(((7.9, "drive 1"), (10.3, "drive 2"), (12.7, "drive n"))):
         block(axes, (x, 3.6), (1.9, 1.3), f"{name}\nown limit", "hardware")
-        arrow(axes, [(x + 0.6, 5.7), (x + 0.6, 4.9)], colour=FAULT)
-        axes.plot([x + 0.95, x + 0.95], [3.6, 2.4], color=INK, linewidth=1.1)
+        arrow(axes, [(x + 0.6, 5.7), (x + 0.6, 4.9)], colour=FAULT_COLOUR)
+        axes.plot([x + 0.95, x + 0.95], [3.6, 2.4], color=INK_COLOUR, linewidth=1.1)
         note(axes, (x + 1.1, 3.0), f"node {i + 1}" if i < 2 else "node n", fontsize=7)
     block(axes, (15.1, 3.6), (1.9, 1.3), "sensor node\nload cells", "hardware")
-    axes.plot([16.05, 16.05], [3.6, 2.4], color=INK, linewidth=1.1)
-    axes.plot([8.5, 13.3], [5.7, 5.7], color=FAULT, linewidth=1.6)
-    arrow(axes, [(2.9, 7.25), (4.0, 7.25)], colour=FAULT)
-    arrow(axes, [(6.8, 7.25), (7.9, 7.25)], "coil", (7.35, 7.5), colour=FAULT)
-    arrow(axes, [(1.6, 7.9), (1.6, 8.4), (9.1, 8.4), (9.1, 7.9)], "motor power", (5.4, 8.6), colour=FAULT)
-    axes.plot([9.1, 9.1], [6.6, 5.7], color=FAULT, linewidth=1.6)
-    axes.plot([12.6, 12.6], [6.6, 5.7], color=FAULT, linewidth=1.6)
-    note(axes, (9.3, 6.15), "motor power, switched", color=FAULT)
+    axes.plot([16.05, 16.05], [3.6, 2.4], color=INK_COLOUR, linewidth=1.1)
+    axes.plot([8.5, 13.3], [5.7, 5.7], color=FAULT_COLOUR, linewidth=1.6)
+    arrow(axes, [(2.9, 7.25), (4.0, 7.25)], colour=FAULT_COLOUR)
+    arrow(axes, [(6.8, 7.25), (7.9, 7.25)], "coil", (7.35, 7.5), colour=FAULT_COLOUR)
+    arrow(axes, [(1.6, 7.9), (1.6, 8.4), (9.1, 8.4), (9.1, 7.9)], "motor power", (5.4, 8.6), colour=FAULT_COLOUR)
+    axes.plot([9.1, 9.1], [6.6, 5.7], color=FAULT_COLOUR, linewidth=1.6)
+    axes.plot([12.6, 12.6], [6.6, 5.7], color=FAULT_COLOUR, linewidth=1.6)
+    note(axes, (9.3, 6.15), "motor power, switched", color=FAULT_COLOUR)
     arrow(axes, [(2.9, 3.35), (4.0, 3.35)], "USB", (3.45, 3.6), both=True)
-    axes.plot([5.4, 5.4], [2.6, 2.4], color=INK, linewidth=1.1)
-    axes.plot([5.4, 16.6], [2.4, 2.4], color=INK, linewidth=2.2)
+    axes.plot([5.4, 5.4], [2.6, 2.4], color=INK_COLOUR, linewidth=1.1)
+    axes.plot([5.4, 16.6], [2.4, 2.4], color=INK_COLOUR, linewidth=2.2)
     for x in (5.4, 16.6):
         block(axes, (x - 0.25, 1.2), (0.5, 0.9), "120\n$\\Omega$", "wire", 6.5)
-        axes.plot([x, x], [2.1, 2.4], color=INK, linewidth=1.1)
+        axes.plot([x, x], [2.1, 2.4], color=INK_COLOUR, linewidth=1.1)
     note(axes, (11.0, 2.1), "CANH, CANL, GND: a line with two ends, short stubs", ha="center", va="top")
     note(axes, (0.3, 0.6), "The emergency stop cuts motor power only. Sensor node and adapter keep theirs, so that the "
          "log shows the stop.\n60 ohm between CANH and CANL with the power off. The drive's own current limit is set "
@@ -140,18 +140,18 @@ def wiring() -> Any:
     return figure
 
 
-def tendon() -> Any:
+def tendon_diagram() -> Any:
     """Draw motor, spool, load cell, pulleys and joints of a digit, each with its symbol."""
     from matplotlib.patches import Arc
 
     figure, axes = plane(8.6, 2.9, (17.2, 5.8))
     circle(axes, (1.8, 3.4), 1.0, "hardware")
     circle(axes, (1.8, 3.4), 0.12, "wire")
-    axes.add_patch(Arc((1.8, 3.4), 2.6, 2.6, theta1=100, theta2=200, color=INK, linewidth=1.0))
+    axes.add_patch(Arc((1.8, 3.4), 2.6, 2.6, theta1=100, theta2=200, color=INK_COLOUR, linewidth=1.0))
     note(axes, (0.1, 4.6), "$\\theta_m$, $\\tau_m$")
     arrow(axes, [(1.8, 3.4), (2.5, 2.69)], "$r_a$", (2.35, 3.2))
     note(axes, (1.8, 2.05), "motor and spool\nencoder, inertia $J_m$", ha="center", va="top")
-    colour = DIGITS["index"]
+    colour = DIGIT_COLOURS["index"]
     axes.plot([1.8, 4.0], [4.4, 4.4], color=colour, linewidth=2.2)
     block(axes, (4.0, 4.0), (1.5, 0.8), "load cell", "log")
     axes.plot([5.5, 7.6], [4.4, 4.4], color=colour, linewidth=2.2)
@@ -172,7 +172,7 @@ def tendon() -> Any:
     note(axes, (9.5, 4.75), "$f_1 = f_0\\,e^{-\\mu\\varphi_1}$", ha="center")
     note(axes, (12.5, 4.6), "$f_2$", ha="center")
     note(axes, (15.4, 4.3), "anchor")
-    arrow(axes, [(16.9, 4.9), (16.4, 3.8)], "contact $F$", (16.5, 5.15), colour=FAULT)
+    arrow(axes, [(16.9, 4.9), (16.4, 3.8)], "contact $F$", (16.5, 5.15), colour=FAULT_COLOUR)
     note(axes, (0.2, 0.55), "excursion $s = r_1 q_1 + r_2 q_2 + r_3 q_3 = R\\,q$     stretch $x - s - o$     "
          "joint torque $\\tau = R^T f$,  $f \\geq 0$\n"
          "friction: the joints get less tension than $f_0$ while the motor winds in, and more while it pays out",
@@ -180,7 +180,7 @@ def tendon() -> Any:
     return figure
 
 
-def modes() -> Any:
+def modes_diagram() -> Any:
     """Draw the modes of the hand and the transitions between the modes."""
     figure, axes = plane(8.8, 4.0, (17.6, 8.0))
     row = {"SILENT": 0.3, "INVENTORY": 3.5, "READY": 6.9, "ARMING": 10.1, "ACTIVE": 13.3}
@@ -199,8 +199,14 @@ def modes() -> Any:
     arrow(axes, [(14.6, 6.0), (14.6, 5.2)], "stop, end\nor fault", (15.4, 5.6))
     arrow(axes, [(14.6, 3.7), (14.6, 2.9)], "below 8 N\nor 1 s", (15.4, 3.3))
     arrow(axes, [(13.3, 1.8), (5.8, 1.8)], "every drive confirms that it is disabled, or 1 s", (9.4, 1.58))
-    arrow(axes, [(13.6, 6.0), (13.6, 5.55), (9.9, 5.55), (9.9, 4.5)], "cut, or a fault that cuts", (10.35, 5.75), FAULT)
-    arrow(axes, [(13.3, 4.2), (10.6, 4.2)], "the same", (12.2, 4.4), FAULT)
+    arrow(
+        axes,
+        [(13.6, 6.0), (13.6, 5.55), (9.9, 5.55), (9.9, 4.5)],
+        "cut, or a fault that cuts",
+        (10.35, 5.75),
+        FAULT_COLOUR,
+    )
+    arrow(axes, [(13.3, 4.2), (10.6, 4.2)], "the same", (12.2, 4.4), FAULT_COLOUR)
     arrow(axes, [(10.6, 3.4), (12.6, 3.4), (12.6, 2.5), (13.3, 2.5)], "0.1 s", (11.1, 3.6))
     arrow(axes, [(11.6, 6.0), (11.6, 3.05), (13.0, 3.05), (13.0, 2.2), (13.3, 2.2)], "stop", (11.95, 4.85))
     arrow(axes, [(4.65, 6.0), (4.65, 2.9)], "a node is silent or differs,\nor a second controller", (6.4, 4.5))

@@ -10,18 +10,18 @@ from firmware_sim.description import load_hand
 from firmware_sim.plant.mjcf import model_text
 from firmware_sim.scene.scene import load_scene
 from tools.figures import runs
-from tools.figures.style import CREATOR, DIGITS
+from tools.figures.style import CREATOR_TEXT, DIGIT_COLOURS
 
-SIZE = (480, 400)
+PICTURE_SIZE_PX = (480, 400)
 """Width and height of the picture [pixels]."""
 RATE_HZ = 12.5
 """Pictures per second of simulated time."""
-COLOURS = 160
-SAMPLES = 8
+COLOUR_COUNT = 160
+SAMPLED_PICTURES = 8
 """Number of colours in the file, and number of pictures from which the colours are chosen."""
-LARGEST_BYTES = 3_000_000
+MAX_FILE_BYTES = 3_000_000
 """Largest allowed size of the file [bytes]."""
-SKY = """<asset><texture type="skybox" builtin="gradient" rgb1="0.95 0.97 0.99" rgb2="0.78 0.83 0.88"
+SKYBOX_XML = """<asset><texture type="skybox" builtin="gradient" rgb1="0.95 0.97 0.99" rgb2="0.78 0.83 0.88"
   width="32" height="192"/></asset>"""
 ARROW_M_PER_N = 0.006
 """Length of the arrow of a contact force, for each newton [m/N]."""
@@ -33,44 +33,44 @@ def rgba(colour: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
     return red, green, blue, alpha
 
 
-def write(folder: Path, path: Path) -> None:
+def write_gif(folder: Path, path: Path) -> None:
     """Render the grasp of the demo as an animated GIF.
 
     Raises:
-        RuntimeError: the file has more than ``LARGEST_BYTES``.
+        RuntimeError: the file has more than ``MAX_FILE_BYTES``.
     """
     os.environ.setdefault("MUJOCO_GL", "egl")
     from PIL import Image
 
-    pictures = [Image.fromarray(picture) for picture in frames(folder)]
-    palette = sheet(pictures[:: len(pictures) // SAMPLES]).quantize(COLOURS)
-    small = [picture.quantize(COLOURS, palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    pictures = [Image.fromarray(picture) for picture in grasp_frames(folder)]
+    palette = picture_sheet(pictures[:: len(pictures) // SAMPLED_PICTURES]).quantize(COLOUR_COUNT)
+    small = [picture.quantize(COLOUR_COUNT, palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     small[0].save(path, save_all=True, append_images=small[1:], duration=round(1e3 / RATE_HZ), loop=0, optimize=True,
-                  comment=CREATOR.encode())  # fmt: skip
-    if path.stat().st_size > LARGEST_BYTES:
-        raise RuntimeError(f"{path}: {path.stat().st_size} bytes; expected at most {LARGEST_BYTES}")
+                  comment=CREATOR_TEXT.encode())  # fmt: skip
+    if path.stat().st_size > MAX_FILE_BYTES:
+        raise RuntimeError(f"{path}: {path.stat().st_size} bytes; expected at most {MAX_FILE_BYTES}")
 
 
-def sheet(pictures: list[Any]) -> Any:
+def picture_sheet(pictures: list[Any]) -> Any:
     """Join pictures one below the other, so that one palette can have the colours of all."""
     from PIL import Image
 
-    made = Image.new("RGB", (SIZE[0], SIZE[1] * len(pictures)))
+    made = Image.new("RGB", (PICTURE_SIZE_PX[0], PICTURE_SIZE_PX[1] * len(pictures)))
     for i, picture in enumerate(pictures):
-        made.paste(picture, (0, SIZE[1] * i))
+        made.paste(picture, (0, PICTURE_SIZE_PX[1] * i))
     return made
 
 
-def frames(folder: Path) -> list[Any]:
+def grasp_frames(folder: Path) -> list[Any]:
     """Return the pictures of the grasp, each an array (height, width, 3)."""
     import mujoco  # type: ignore[import-untyped,unused-ignore]
 
-    log, truth, _ = runs.grasp(folder)
+    log, truth, _ = runs.grasp_run(folder)
     hand, scene = load_hand("jamia"), load_scene("cylinder")
     model = mujoco.MjModel.from_xml_string(
-        model_text(hand, scene, meshes=True).replace("<worldbody>", SKY + "<worldbody>")
+        model_text(hand, scene, meshes=True).replace("<worldbody>", SKYBOX_XML + "<worldbody>")
     )
-    paint(mujoco, model)
+    paint_model(mujoco, model)
     model.vis.headlight.ambient[:] = 0.45
     model.vis.headlight.diffuse[:] = 0.55
     data = mujoco.MjData(model)
@@ -83,10 +83,10 @@ def frames(folder: Path) -> list[Any]:
     joints = truth.table([f"q/{joint}" for joint in log.header.joints], times)
     pose = truth.table([f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")], times)
     sunk = truth.at("support", times)
-    force = {name: truth.table([f"contact_force/{name}/{axis}" for axis in "xyz"], times) for name in DIGITS}
+    force = {name: truth.table([f"contact_force/{name}/{axis}" for axis in "xyz"], times) for name in DIGIT_COLOURS}
     top = float(data.mocap_pos[0, 2])
     pictures = []
-    with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
+    with mujoco.Renderer(model, PICTURE_SIZE_PX[1], PICTURE_SIZE_PX[0]) as renderer:
         for i in range(len(times)):
             data.qpos[: joints.shape[1]] = joints[i]
             data.qpos[joints.shape[1] :] = pose[i]
@@ -94,21 +94,21 @@ def frames(folder: Path) -> list[Any]:
             mujoco.mj_kinematics(model, data)
             mujoco.mj_camlight(model, data)
             renderer.update_scene(data, camera)
-            for name in DIGITS:
+            for name in DIGIT_COLOURS:
                 link = f"{name}_link{2 if name == 'thumb' else 3}"
-                add_arrow(mujoco, renderer.scene, data.body(link).xpos, force[name][i], rgba(DIGITS[name], 0.9))
-            pictures.append(labelled(renderer.render(), log, int(times[i]) - offset, force, i))
+                add_arrow(mujoco, renderer.scene, data.body(link).xpos, force[name][i], rgba(DIGIT_COLOURS[name], 0.9))
+            pictures.append(labelled_picture(renderer.render(), log, int(times[i]) - offset, force, i))
     return pictures
 
 
-def paint(mujoco: Any, model: Any) -> None:
+def paint_model(mujoco: Any, model: Any) -> None:
     """Set the colours of links, palm, object and table in the model."""
     for geom in range(model.ngeom):
         body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.geom_bodyid[geom])
         digit = body.partition("_")[0]
         plain = {"object": "#d8d2c4", "table": "#8d99a5"}.get(body, "#5b6670")
         model.geom_rgba[geom] = (
-            rgba(DIGITS[digit]) if digit in DIGITS else rgba(plain, 0.55 if body == "object" else 1.0)
+            rgba(DIGIT_COLOURS[digit]) if digit in DIGIT_COLOURS else rgba(plain, 0.55 if body == "object" else 1.0)
         )
 
 
@@ -123,7 +123,7 @@ def add_arrow(mujoco: Any, scene: Any, start: Any, force: Any, colour: tuple[flo
     mujoco.mjv_connector(geom, arrow, 0.0025, np.array(start), np.array(start) + ARROW_M_PER_N * force)
 
 
-def labelled(picture: Any, log: Any, t_ns: int, force: dict[str, Any], i: int) -> Any:
+def labelled_picture(picture: Any, log: Any, t_ns: int, force: dict[str, Any], i: int) -> Any:
     """Write time, phase and true contact forces into a picture."""
     from matplotlib import font_manager
     from PIL import Image, ImageDraw, ImageFont
@@ -133,7 +133,7 @@ def labelled(picture: Any, log: Any, t_ns: int, force: dict[str, Any], i: int) -
     font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 15)
     phase = [change.name for change in log.phases if change.t_ns <= t_ns][-1]
     draw.text((12, 10), f"{t_ns * 1e-9:4.1f} s   {phase}", fill="#22303c", font=font)
-    for row, (name, colour) in enumerate(DIGITS.items()):
+    for row, (name, colour) in enumerate(DIGIT_COLOURS.items()):
         newtons = float(np.linalg.norm(force[name][i]))
         draw.rectangle((12, 36 + 20 * row, 22, 46 + 20 * row), fill=colour)
         draw.text((30, 32 + 20 * row), f"{name} {newtons:4.1f} N", fill="#22303c", font=font)

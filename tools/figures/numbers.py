@@ -14,7 +14,7 @@ TABLE_PATTERN = re.compile(r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)
 """Pattern of the marks in a page, and of the table between them."""
 
 
-def table(result: dict[str, Any]) -> str:
+def numbers_table(result: dict[str, Any]) -> str:
     """Return the table for a result that ``handctl demo --lockstep --json`` has printed."""
     rows = "\n".join(f"| {name} | {value} |" for name, value in rows_of(result))
     return f"| `handctl demo --lockstep` prints, among others | |\n|---|---|\n{rows}\n"
@@ -36,11 +36,11 @@ def rows_of(result: dict[str, Any]) -> list[tuple[str, str]]:
     ]  # fmt: skip
 
 
-def write(root: Path, folder: Path) -> None:
+def write_numbers(root: Path, folder: Path) -> None:
     """Write the table into every page that has its marks."""
-    _, _, result = runs.grasp(folder)
+    _, _, result = runs.grasp_run(folder)
     for path in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
         text = path.read_text(encoding="utf-8")
-        new = TABLE_PATTERN.sub(lambda match: f"{match[1]}{table(result)}{match[3]}", text)
+        new = TABLE_PATTERN.sub(lambda match: f"{match[1]}{numbers_table(result)}{match[3]}", text)
         if new != text:
             path.write_text(new, encoding="utf-8")

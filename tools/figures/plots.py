@@ -9,21 +9,31 @@ from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from tools.figures import runs
-from tools.figures.style import BLOCKS, COMMAND, DIGITS, ESTIMATE, FAULT, INK, RAW, TRUTH, new_figure
+from tools.figures.style import (
+    BLOCK_COLOURS,
+    COMMAND_COLOUR,
+    DIGIT_COLOURS,
+    ESTIMATE_COLOUR,
+    FAULT_COLOUR,
+    INK_COLOUR,
+    RAW_COLOUR,
+    TRUTH_COLOUR,
+    new_figure,
+)
 
 POINTS_LIMIT = 1500
 """Maximum number of points of a curve in an SVG."""
 
 
-def thinned(t: Any, *curves: Any) -> tuple[Any, ...]:
+def thinned_curves(t: Any, *curves: Any) -> tuple[Any, ...]:
     """Return every n-th point of curves, so that no curve has more than POINTS_LIMIT points."""
     step = max(1, len(t) // POINTS_LIMIT)
     return tuple(values[::step] for values in (t, *curves))
 
 
-def estimate(folder: Path) -> Any:
+def estimate_plot(folder: Path) -> Any:
     """Plot the raw load cell, the estimate with its band, and the true tension, in motion and at contact."""
-    log, truth, _ = runs.grasp(folder)
+    log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     true = truth.at("tension/index_tendon", log.t_ns + offset)
     raw, mean, sigma = (log.field(name)[:, 0] for name in ("tension_raw", "tension", "tension_sigma"))
@@ -35,11 +45,12 @@ def estimate(folder: Path) -> Any:
     for axes, first, last, title in spans:
         part = (log.times >= first) & (log.times <= last)
         t = log.times[part]
-        axes.plot(t, raw[part], ".", color=RAW, markersize=3, label="raw load cell")
-        axes.fill_between(t, (mean - 2 * sigma)[part], (mean + 2 * sigma)[part], color=ESTIMATE, alpha=0.2, linewidth=0,
+        axes.plot(t, raw[part], ".", color=RAW_COLOUR, markersize=3, label="raw load cell")
+        axes.fill_between(t, (mean - 2 * sigma)[part], (mean + 2 * sigma)[part], color=ESTIMATE_COLOUR, alpha=0.2,
+            linewidth=0,
                           label="estimate, two sigma")  # fmt: skip
-        axes.plot(t, mean[part], color=ESTIMATE, label="estimate")
-        axes.plot(t, true[part], color=TRUTH, linewidth=0.9, label="truth of the plant")
+        axes.plot(t, mean[part], color=ESTIMATE_COLOUR, label="estimate")
+        axes.plot(t, true[part], color=TRUTH_COLOUR, linewidth=0.9, label="truth of the plant")
         axes.set(title=f"index tendon, {title}", xlabel="time [s]")
         axes.margins(x=0)
     left.set_ylabel("tension [N]")
@@ -50,15 +61,20 @@ def estimate(folder: Path) -> Any:
 def snapped_tendon(folder: Path) -> Any:
     """Plot tension, torque and mode before and after a tendon snaps."""
     del folder
-    run = runs.snap()
+    run = runs.snap_run()
     ms = run.t * 1e3
     figure = new_figure(8.6, 4.6)
     top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(3, 3, 1.1))
-    for n, (name, colour) in enumerate(DIGITS.items()):
+    for n, (name, colour) in enumerate(DIGIT_COLOURS.items()):
         top.plot(ms, run.values["true_tension"][:, n], color=colour, label=name)
         middle.plot(ms, run.values["motor_torque_goal"][:, n] * 1e3, color=colour)
     top.plot(
-        ms, run.values["tension"][:, 0], color=DIGITS["index"], linestyle="--", linewidth=0.9, label="index, estimate"
+        ms,
+        run.values["tension"][:, 0],
+        color=DIGIT_COLOURS["index"],
+        linestyle="--",
+        linewidth=0.9,
+        label="index, estimate",
     )
     top.set_ylabel("true tension [N]")
     top.legend(loc="center left")
@@ -67,20 +83,22 @@ def snapped_tendon(folder: Path) -> Any:
     for mode in np.unique(modes):
         part = ms[modes == mode]
         length_ms = part[-1] - part[0] + 2.0
-        colour = BLOCKS["host" if mode == Mode.ACTIVE else "safety"]
-        bottom.barh(0, length_ms, left=part[0], color=colour, edgecolor=INK, linewidth=0.6, height=0.8)
-        bottom.text(part[0] + length_ms / 2.0, 0, Mode(mode).name, ha="center", va="center", color=INK,
+        colour = BLOCK_COLOURS["host" if mode == Mode.ACTIVE else "safety"]
+        bottom.barh(0, length_ms, left=part[0], color=colour, edgecolor=INK_COLOUR, linewidth=0.6, height=0.8)
+        bottom.text(part[0] + length_ms / 2.0, 0, Mode(mode).name, ha="center", va="center", color=INK_COLOUR,
                     fontsize=7.5 if length_ms > 10.0 else 5.5, rotation=0.0 if length_ms > 10.0 else 90.0)  # fmt: skip
     bottom.set(yticks=[], ylabel="mode", xlabel="time after the snap [ms]")
     bottom.grid(visible=False)
     reports = [(when, text) for when, text in run.events if text.startswith(("T01", "T02"))][:1]
     for axes in (top, middle, bottom):
-        axes.axvline(0.0, color=FAULT, linewidth=1.0)
+        axes.axvline(0.0, color=FAULT_COLOUR, linewidth=1.0)
         axes.margins(x=0)
         for when, _ in reports:
-            axes.axvline(when * 1e3, color=FAULT, linewidth=1.0, linestyle=":")
+            axes.axvline(when * 1e3, color=FAULT_COLOUR, linewidth=1.0, linestyle=":")
     for when, text in reports:
-        middle.text(when * 1e3 + 2.0, middle.get_ylim()[1] * 0.9, text.split(":")[0], color=FAULT, fontsize=8, va="top")
+        middle.text(
+            when * 1e3 + 2.0, middle.get_ylim()[1] * 0.9, text.split(":")[0], color=FAULT_COLOUR, fontsize=8, va="top"
+        )
     top.set_title("the index tendon snaps in a grasp")
     return figure
 
@@ -96,7 +114,7 @@ def tip_force(folder: Path) -> Any:
         _draw_tip_forces(row, run, commanded)
     grid[0, 0].set_ylabel("on a wall:\nforce at the tip [N]")
     grid[1, 0].set_ylabel("in a held grasp:\ncontact force of the digit [N]")
-    for axes, name in zip(grid[0], DIGITS, strict=True):
+    for axes, name in zip(grid[0], DIGIT_COLOURS, strict=True):
         axes.set_title(name)
     for axes in grid[1]:
         axes.set_xlabel("time [s]")
@@ -104,7 +122,7 @@ def tip_force(folder: Path) -> Any:
     return figure
 
 
-def _draw_tip_forces(row: Any, run: runs.Recording, commanded: Any) -> None:
+def _draw_tip_forces(row: Any, run: runs.RunRecording, commanded: Any) -> None:
     """Draw the tip forces of each digit in a panel.
 
     Args:
@@ -114,23 +132,27 @@ def _draw_tip_forces(row: Any, run: runs.Recording, commanded: Any) -> None:
     """
     phases = np.array(run.phase)
     part = run.t >= run.t[phases == "0"][0] - 0.4
-    for n, (axes, colour) in enumerate(zip(row, DIGITS.values(), strict=True)):
+    for n, (axes, colour) in enumerate(zip(row, DIGIT_COLOURS.values(), strict=True)):
         command = np.full(len(run.t), np.nan)
         for i, force in enumerate(commanded[n]):
             command[phases == str(i)] = force
-        axes.plot(run.t[part], command[part], color=COMMAND, linestyle="--", label="command")
+        axes.plot(run.t[part], command[part], color=COMMAND_COLOUR, linestyle="--", label="command")
         axes.plot(run.t[part], run.values["tip_force"][part, n], color=colour, linewidth=0.9, label="estimate")
         axes.plot(
-            run.t[part], run.values["true_contact"][part, n], color=TRUTH, linewidth=0.9, label="truth of the plant"
+            run.t[part],
+            run.values["true_contact"][part, n],
+            color=TRUTH_COLOUR,
+            linewidth=0.9,
+            label="truth of the plant",
         )
         axes.margins(x=0)
 
 
-def replayed(folder: Path) -> Any:
+def replay_plot(folder: Path) -> Any:
     """Plot the angles and tensions of a grasp, and of a replay of the grasp on a hand with other noise."""
-    log, _, _ = runs.grasp(folder)
-    again = runs.replay(folder)
-    start, end = runs.interval(log)
+    log, _, _ = runs.grasp_run(folder)
+    again = runs.replay_run(folder)
+    start, end = runs.recording_interval(log)
     first = again.t[again.phase.index("playback")]
     figure = new_figure(8.6, 4.4)
     top, bottom = figure.subplots(2, 1, sharex=True)
@@ -145,14 +167,17 @@ def replayed(folder: Path) -> Any:
             (bottom, log.field("tension")[part, n], again.values["tension"][later, n]),
         ):
             axes.plot(
-                *thinned(log.times[part] - start, old),
-                color=DIGITS[name],
+                *thinned_curves(log.times[part] - start, old),
+                color=DIGIT_COLOURS[name],
                 alpha=0.45,
                 linewidth=3,
                 label=f"{name}, recorded",
             )
             axes.plot(
-                *thinned(again.t[later] - first, new), color=DIGITS[name], linewidth=1.0, label=f"{name}, replayed"
+                *thinned_curves(again.t[later] - first, new),
+                color=DIGIT_COLOURS[name],
+                linewidth=1.0,
+                label=f"{name}, replayed",
             )
     top.set(ylabel="mean joint angle [deg]", title="a recorded grasp, and its replay on a hand with other noise")
     top.legend(ncols=2)
@@ -171,10 +196,13 @@ def bus_tick(folder: Path) -> Any:
     lanes = {"host": 2, "drives": 1, "sensor node": 0}
     # The frames of the host are sent in the order of queueing. Of the waiting answers, the one with
     # the lowest identifier is sent first.
-    commands = [("host", "SYNC", "SYNC", INK), *(("host", f"{name}_motor", name, DIGITS[name]) for name in DIGITS)]
+    commands = [
+        ("host", "SYNC", "SYNC", INK_COLOUR),
+        *(("host", f"{name}_motor", name, DIGIT_COLOURS[name]) for name in DIGIT_COLOURS),
+    ]
     answers = [
-        *(("drives", f"{name}_motor", name, DIGITS[name]) for name in DIGITS),
-        ("sensor node", "tensions", "tensions", INK),
+        *(("drives", f"{name}_motor", name, DIGIT_COLOURS[name]) for name in DIGIT_COLOURS),
+        ("sensor node", "tensions", "tensions", INK_COLOUR),
     ]
     at = 0.0
     for lane, what, label, colour in [*commands, *answers]:
@@ -185,11 +213,11 @@ def bus_tick(folder: Path) -> Any:
         axes.text(at + us / 2.0 - 3.0, lanes[lane], label, ha="center", va="center", color="white", fontsize=7,
                   rotation=turned)  # fmt: skip
         at += us
-    axes.axvline(2000.0, color=FAULT, linewidth=1.0)
-    axes.text(1990.0, 2.4, "next tick", ha="right", color=FAULT, fontsize=8)
+    axes.axvline(2000.0, color=FAULT_COLOUR, linewidth=1.0)
+    axes.text(1990.0, 2.4, "next tick", ha="right", color=FAULT_COLOUR, fontsize=8)
     axes.axvspan(at, 2000.0, color="#eef3f7", zorder=0)
     text = f"free: {2000.0 - at:.0f} us\nfor read-backs, retries,\nthe next computation"
-    axes.text((at + 2000.0) / 2.0, 1.0, text, ha="center", va="center", fontsize=8, color=INK)
+    axes.text((at + 2000.0) / 2.0, 1.0, text, ha="center", va="center", fontsize=8, color=INK_COLOUR)
     axes.set(yticks=list(lanes.values()), yticklabels=list(lanes), xlim=(0.0, 2000.0), ylim=(-0.5, 2.7))
     axes.set(xlabel="time on the wire [us]",
              title="one tick of jamia at 500 Hz, 1 Mbit/s: SYNC, four commands, four replies, tensions")  # fmt: skip

@@ -27,11 +27,11 @@ from handctl.programs.program import Program
 from handctl.programs.task import Task
 from handctl.replay.motion_replay import active_interval, playback_program
 from handctl.report.truth import TruthRecord, read_truth
-from handctl.session.simulate import Simulation, Simulator
-from tools.figures.style import SETTINGS
+from handctl.session.simulate import SimulatedRun, SimulatorSettings
+from tools.figures.style import PLOT_SETTINGS
 
 Array = NDArray[np.float64]
-DEMO = ("demo", "--lockstep", "--json")
+DEMO_COMMAND = ("demo", "--lockstep", "--json")
 """Arguments of the run whose numbers are in the README."""
 RATE_HZ = 500.0
 SNAP_S = 0.25
@@ -40,7 +40,7 @@ TIP_HAND, TIP_RATE_HZ = "jamia11", 200.0
 TIP_COMMANDS_N = (2.0, 4.0, 6.0)
 GRIP_COMMANDS_N = (1.0, 1.5, 2.0)
 FINGERS = ("index", "middle", "ring")
-WALL = """name = "wall"
+WALL_SCENE = """name = "wall"
 [object]
 shape = "box"
 size_m = [0.04, 0.02, 0.093]
@@ -54,7 +54,7 @@ drop_when = "never"
 
 
 @dataclass
-class Recording:
+class RunRecording:
     """Recorded numbers of a run, one for each tick.
 
     Attributes:
@@ -72,11 +72,11 @@ class Recording:
     events: list[tuple[float, str]] = field(default_factory=list)
 
 
-FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
+RECORDED_FIELDS = ("q", "tension", "motor_torque_goal", "tip_force")
 """Telemetry fields in a recording."""
 
 
-def record(run: Simulation, seconds: float, until: str = "") -> Recording:
+def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecording:
     """Continue a run and record it, until a phase begins, the hand is done, or the time is over.
 
     Args:
@@ -84,8 +84,10 @@ def record(run: Simulation, seconds: float, until: str = "") -> Recording:
         seconds: longest duration of the recording [s].
         until: phase at whose begin the recording ends.
     """
-    rows: dict[str, list[Array]] = {name: [] for name in (*FIELDS, "true_tension", "true_torque", "true_contact")}
-    made = Recording(np.zeros(0), {}, [], [])
+    rows: dict[str, list[Array]] = {
+        name: [] for name in (*RECORDED_FIELDS, "true_tension", "true_torque", "true_contact")
+    }
+    made = RunRecording(np.zeros(0), {}, [], [])
     times = []
     run.record = False
     for _ in range(round(seconds * 1e9 / run.period_ns)):
@@ -94,7 +96,7 @@ def record(run: Simulation, seconds: float, until: str = "") -> Recording:
         contact = np.linalg.norm(np.reshape(run.peer.world.plant.contact_forces(), (-1, 3)), axis=1)
         out = run.tick()
         times.append(t)
-        for name in FIELDS:
+        for name in RECORDED_FIELDS:
             rows[name].append(np.array(getattr(out.telemetry, name)))
         rows["true_tension"].append(np.array(truth["tension"]))
         rows["true_torque"].append(np.array(truth["torque"]))
@@ -109,23 +111,23 @@ def record(run: Simulation, seconds: float, until: str = "") -> Recording:
     return made
 
 
-def grasp(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
+def grasp_run(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
     """Run the demo. Return its log, the true state of the plant, and the printed result."""
     log = folder / "grasp.mcap"
     printed = folder / "grasp.json"
     if not printed.exists():
         out = io.StringIO()
         with contextlib.redirect_stdout(out):
-            code = main([*DEMO, "--log", str(log)])
+            code = main([*DEMO_COMMAND, "--log", str(log)])
         if code:
-            raise RuntimeError(f"handctl {' '.join(DEMO)} returned {code}")
+            raise RuntimeError(f"handctl {' '.join(DEMO_COMMAND)} returned {code}")
         printed.write_text(out.getvalue(), encoding="utf-8")
     return RunLog(log), read_truth(log.with_suffix(".truth")), json.loads(printed.read_text(encoding="utf-8"))
 
 
 def run_picture(folder: Path) -> Path:
     """Return the path of the picture that the demo itself has drawn."""
-    grasp(folder)
+    grasp_run(folder)
     return folder / "grasp.png"
 
 
@@ -134,7 +136,7 @@ def view_picture(folder: Path) -> Path:
 
     This needs a Vulkan driver.
     """
-    log, _, _ = grasp(folder)
+    log, _, _ = grasp_run(folder)
     at_s = next(change.t_ns for change in log.phases if change.name == "hold") * 1e-9 + 2.5
     path = folder / "view.png"
     if code := main(["view", str(folder / "grasp.mcap"), "--picture", str(path), "--at", f"{at_s:.1f}"]):
@@ -142,42 +144,42 @@ def view_picture(folder: Path) -> Path:
     return path
 
 
-def replay(folder: Path) -> Recording:
+def replay_run(folder: Path) -> RunRecording:
     """Replay the demo's log on a simulated hand with other noise, and record the run."""
-    log, _, _ = grasp(folder)
+    log, _, _ = grasp_run(folder)
     program: Program = playback_program(log, 1.0 / RATE_HZ, False)
     hand = load_hand("jamia")
     controller = make_controller(hand, Gains(), RATE_HZ, program, None, arm_at_once=True)
-    with Simulator(hand, "cylinder", 5, homed=True).against(controller) as run:
-        return record(run, 30.0)
+    with SimulatorSettings(hand, "cylinder", 5, homed=True).against(controller) as run:
+        return record_run(run, 30.0)
 
 
-def interval(log: RunLog) -> tuple[float, float]:
+def recording_interval(log: RunLog) -> tuple[float, float]:
     """Return the begin and the end [s] of the part of a log that a replay repeats."""
     return active_interval(log)
 
 
-def snap() -> Recording:
+def snap_run() -> RunRecording:
     """Record a grasp in which the tendon of the index finger snaps."""
     with homed_run(load_hand("jamia"), RATE_HZ, 0) as run:
         advance_to(run, "grasp")
-        record(run, 0.5)
-        before = record(run, 0.05)
+        record_run(run, 0.5)
+        before = record_run(run, 0.05)
         run.peer.inject("snap tendon=index_tendon")
-        after = record(run, SNAP_S)
+        after = record_run(run, SNAP_S)
     t = np.concatenate([before.t, after.t]) - after.t[0]
     values = {name: np.concatenate([before.values[name], after.values[name]]) for name in before.values}
     events = [(when - after.t[0], text) for when, text in after.events]
-    return Recording(t, values, before.phase + after.phase, before.mode + after.mode, events)
+    return RunRecording(t, values, before.phase + after.phase, before.mode + after.mode, events)
 
 
-def tip_on_wall() -> Recording:
+def tip_on_wall() -> RunRecording:
     """Record a hand with a tendon at every joint that presses on a wall with three commanded tip forces."""
     opened = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
-    return _press(WALL, opened, 60.0, [{"tip_force_N": force} for force in TIP_COMMANDS_N])
+    return _press(WALL_SCENE, opened, 60.0, [{"tip_force_N": force} for force in TIP_COMMANDS_N])
 
 
-def tip_in_grasp() -> Recording:
+def tip_in_grasp() -> RunRecording:
     """Record a hand that holds a cylinder with three commanded tip forces of each finger.
 
     The commanded force of the thumb is the sum of those of the fingers.
@@ -188,7 +190,7 @@ def tip_in_grasp() -> Recording:
     return _press("cylinder:35", opened, closed, [{"tip_force_N": force} for force in forces])
 
 
-def _press(scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]) -> Recording:
+def _press(scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]) -> RunRecording:
     """Close a hand with a tendon at every joint on an object.
 
     Then record holds, named 0, 1 and so on.
@@ -201,15 +203,15 @@ def _press(scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]) ->
     ]
     task = Task.model_validate_json(json.dumps({"schema": 1, "name": "tip", "phase": phases}))
     controller = make_controller(hand, Gains(), TIP_RATE_HZ, TaskProgram(task), None, arm_at_once=True)
-    with Simulator(hand, scene, 0, homed=True).against(controller) as run:
-        return record(run, 14.0)
+    with SimulatorSettings(hand, scene, 0, homed=True).against(controller) as run:
+        return record_run(run, 14.0)
 
 
 def training_picture(folder: Path) -> Path:
     """Run ``examples/train_policy.py``, and return the path of its picture."""
     program = Path(__file__).parents[2] / "examples" / "train_policy.py"
     # matplotlib reads its settings from a file of this name in the folder of the process.
-    style = "".join(f"{key}: {value}\n" for key, value in SETTINGS.items())
+    style = "".join(f"{key}: {value}\n" for key, value in PLOT_SETTINGS.items())
     (folder / "matplotlibrc").write_text(style, encoding="utf-8")
     subprocess.run([sys.executable, str(program)], cwd=folder, check=True, stdout=subprocess.DEVNULL)
     return folder / "training.png"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from tools.figures.style import BLOCKS, INK, new_figure
+from tools.figures.style import BLOCK_COLOURS, INK_COLOUR, new_figure
 
 Point = tuple[float, float]
 
@@ -27,10 +27,12 @@ def block(axes: Any, corner: Point, size: Point, text: str, subject: str = "host
 
     style = "round,pad=0,rounding_size=0.12"
     axes.add_patch(
-        FancyBboxPatch(corner, *size, boxstyle=style, facecolor=BLOCKS[subject], edgecolor=INK, linewidth=0.9)
+        FancyBboxPatch(
+            corner, *size, boxstyle=style, facecolor=BLOCK_COLOURS[subject], edgecolor=INK_COLOUR, linewidth=0.9
+        )
     )
     middle = (corner[0] + size[0] / 2.0, corner[1] + size[1] / 2.0)
-    axes.text(*middle, text, ha="center", va="center", fontsize=fontsize, color=INK, linespacing=1.35)
+    axes.text(*middle, text, ha="center", va="center", fontsize=fontsize, color=INK_COLOUR, linespacing=1.35)
 
 
 def area(axes: Any, corner: Point, size: Point, text: str) -> None:
@@ -42,7 +44,12 @@ def area(axes: Any, corner: Point, size: Point, text: str) -> None:
 
 
 def arrow(
-    axes: Any, points: Sequence[Point], text: str = "", at: Point | None = None, colour: str = INK, both: bool = False
+    axes: Any,
+    points: Sequence[Point],
+    text: str = "",
+    at: Point | None = None,
+    colour: str = INK_COLOUR,
+    both: bool = False,
 ) -> None:
     """Draw an arrow along a line of points.
 
@@ -70,12 +77,14 @@ def arrow(
 
 def note(axes: Any, place: Point, text: str, **how: Any) -> None:
     """Write a text at a place in the diagram."""
-    axes.text(*place, text, **{"ha": "left", "va": "center", "fontsize": 7.5, "color": INK, "linespacing": 1.3} | how)
+    axes.text(
+        *place, text, **{"ha": "left", "va": "center", "fontsize": 7.5, "color": INK_COLOUR, "linespacing": 1.3} | how
+    )
 
 
 def circle(axes: Any, place: Point, radius: float, subject: str = "hardware", text: str = "") -> None:
     """Draw a circle with a text in its middle."""
     from matplotlib.patches import Circle
 
-    axes.add_patch(Circle(place, radius, facecolor=BLOCKS[subject], edgecolor=INK, linewidth=0.9))
+    axes.add_patch(Circle(place, radius, facecolor=BLOCK_COLOURS[subject], edgecolor=INK_COLOUR, linewidth=0.9))
     note(axes, place, text, ha="center")

@@ -6,25 +6,25 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-FOLDER = Path(__file__).parents[2] / "docs" / "figures"
-DIGITS = {"index": "#3b6fb6", "middle": "#d9822b", "ring": "#3c9d5d", "thumb": "#b8436f"}
+FIGURES_FOLDER = Path(__file__).parents[2] / "docs" / "figures"
+DIGIT_COLOURS = {"index": "#3b6fb6", "middle": "#d9822b", "ring": "#3c9d5d", "thumb": "#b8436f"}
 """Colour of each digit. The figures of a run and the viewer use the same colours."""
-TRUTH = "#000000"
-COMMAND = "#7a7a7a"
-ESTIMATE = "#3b6fb6"
-RAW = "#c9c9c9"
-FAULT = "#d01c1c"
+TRUTH_COLOUR = "#000000"
+COMMAND_COLOUR = "#7a7a7a"
+ESTIMATE_COLOUR = "#3b6fb6"
+RAW_COLOUR = "#c9c9c9"
+FAULT_COLOUR = "#d01c1c"
 """Colours of true values, commands, estimates, raw readings and faults."""
-INK = "#22303c"
-BLOCKS = {"host": "#dbe7f5", "wire": "#f6e3c8", "hardware": "#dcefdf", "log": "#ece2f4", "safety": "#f8d9d9"}
+INK_COLOUR = "#22303c"
+BLOCK_COLOURS = {"host": "#dbe7f5", "wire": "#f6e3c8", "hardware": "#dcefdf", "log": "#ece2f4", "safety": "#f8d9d9"}
 """Colours of the lines and texts in diagrams, and of the blocks by subject."""
-SETTINGS: dict[str, Any] = {
+PLOT_SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9, "axes.grid": True,
     "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False,
     "legend.fontsize": 8, "svg.hashsalt": "handctl", "svg.fonttype": "path", "figure.facecolor": "white",
     "lines.linewidth": 1.3, "figure.dpi": 100,
 }  # fmt: skip
-CREATOR = f"handctl {version('handctl')}"
+CREATOR_TEXT = f"handctl {version('handctl')}"
 """Name and version of the program, for the metadata of every figure."""
 
 
@@ -32,7 +32,7 @@ def apply_style() -> None:
     """Apply the style to all figures of this process, also to those that handctl draws itself."""
     import matplotlib
 
-    for key, value in SETTINGS.items():
+    for key, value in PLOT_SETTINGS.items():
         matplotlib.rcParams[key] = value  # type: ignore[index]
 
 
@@ -47,10 +47,10 @@ def new_figure(width: float, height: float) -> Any:
     return figure
 
 
-def save(figure: Any, name: str, folder: Path = FOLDER) -> list[Path]:
+def save_figure(figure: Any, name: str, folder: Path = FIGURES_FOLDER) -> list[Path]:
     """Write a figure as an SVG and a PNG file, both with the version in the metadata."""
     written = []
-    for kind, metadata in (("svg", {"Creator": CREATOR, "Date": None}), ("png", {"Software": CREATOR})):
+    for kind, metadata in (("svg", {"Creator": CREATOR_TEXT, "Date": None}), ("png", {"Software": CREATOR_TEXT})):
         path = folder / f"{name}.{kind}"
         buffer = io.BytesIO()
         figure.savefig(buffer, format=kind, metadata=metadata, dpi=110)
@@ -65,12 +65,12 @@ def without_blanks(content: bytes) -> bytes:
     return b"\n".join(map(bytes.rstrip, content.split(b"\n")))
 
 
-def stamp(source: Path, path: Path) -> None:
+def stamp_picture(source: Path, path: Path) -> None:
     """Copy a PNG that handctl has drawn, and add the version to the metadata of the copy."""
     from PIL import Image, PngImagePlugin
 
     info = PngImagePlugin.PngInfo()
-    info.add_text("Software", CREATOR)
+    info.add_text("Software", CREATOR_TEXT)
     with Image.open(source) as image:
         image.save(path, pnginfo=info, optimize=True)
 

@@ -23,10 +23,10 @@ motor_disturbance_N = 0.36
 """
 UNSTABLE_GAINS = "schema = 1\n[motion]\nforce_N = 450.0\n[tension]\nforce_N = 300.0\n"
 """Gains with which the control loops oscillate."""
-PERTURBED = ("stiffness=0.8", "spring=1.2", "friction=1.25", "motor_inertia=0.8", "torque_constant=1.1")
+PERTURBATION_FACTORS = ("stiffness=0.8", "spring=1.2", "friction=1.25", "motor_inertia=0.8", "torque_constant=1.1")
 OTHER_HAND = ("stiffness=0.7", "friction=1.3", "motor_inertia=0.7")
 """Factors that change the simulated hands on the page *Tune a hand*."""
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+BROWSER_COMMANDS = ("chromium", "chromium-browser", "google-chrome")
 PAGE_SIZE = (1100, 2080)
 """Width and height of the picture of a report [pixels]."""
 
@@ -35,7 +35,7 @@ HAND_VIEW = (2, 66, 638, 500)
 """Left, upper, right and lower edge of the hand's view within a picture of the dashboard [pixels]."""
 
 
-def call(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> None:
+def call_handctl(folder: Path, *words: str, codes: tuple[int, ...] = (0,)) -> None:
     """Execute a command of handctl in a folder.
 
     Raises:
@@ -61,29 +61,32 @@ def empty_folder(folder: Path, name: str) -> Iterator[Path]:
 def identify_picture(folder: Path) -> Path:
     """Identify a simulated index finger whose parameters differ from the hand file."""
     with empty_folder(folder, "identify") as path:
-        call(path, "identify", "--hand", "jamia", "--lockstep", "--seed", "7", "--digits", "index", "--perturb",
-             *PERTURBED, "--log", "identify.mcap")  # fmt: skip
+        call_handctl(path, "identify", "--hand", "jamia", "--lockstep", "--seed", "7", "--digits", "index", "--perturb",
+             *PERTURBATION_FACTORS, "--log", "identify.mcap")  # fmt: skip
         return next(path.glob("*.png"))
 
 
 def design_picture(folder: Path) -> Path:
     """Design gains with margins, starting from gains without margins."""
     with empty_folder(folder, "design") as path:
-        call(path, "tune", "design", "--hand", "jamia", "--gains", "detuned.toml", "--output", "design.toml")
+        call_handctl(path, "tune", "design", "--hand", "jamia", "--gains", "detuned.toml", "--output", "design.toml")
         return path / "design.png"
 
 
 def return_picture(folder: Path) -> Path:
     """Verify gains with which the loops oscillate, so that the run returns to the old gains."""
     with empty_folder(folder, "return") as path:
-        call(path, "tune", "verify", "wild.toml", "--hand", "jamia", "--lockstep", "--log", "return.mcap", codes=(1,))
+        call_handctl(
+            path, "tune", "verify", "wild.toml", "--hand", "jamia", "--lockstep", "--log", "return.mcap", codes=(1,)
+        )
         return path / "return.png"
 
 
 def search_picture(folder: Path) -> Path:
     """Search for gains in 24 trials."""
     with empty_folder(folder, "search") as path:
-        call(path, "tune", "search", "--hand", "jamia", "--gains", "detuned.toml", "--plants", "2", "--trials", "24",
+        call_handctl(path, "tune", "search", "--hand", "jamia", "--gains", "detuned.toml", "--plants", "2",
+            "--trials", "24",
              "--jobs", "1", "--study", "jamia.study", "--output", "search.toml")  # fmt: skip
         return path / "search.png"
 
@@ -97,7 +100,7 @@ def verify_picture(folder: Path) -> Path:
     if not gains_file.exists():
         search_picture(folder)
     with empty_folder(folder, "verify") as path:
-        call(path, "tune", "verify", str(gains_file), "--hand", "jamia", "--gains",
+        call_handctl(path, "tune", "verify", str(gains_file), "--hand", "jamia", "--gains",
              "detuned.toml", "--lockstep", "--perturb", *OTHER_HAND, "--log", "verify.mcap", codes=(0, 1))  # fmt: skip
         return path / "verify.png"
 
@@ -105,7 +108,7 @@ def verify_picture(folder: Path) -> Path:
 def pair_picture(folder: Path) -> Path:
     """Return the picture that the demo draws of a hand with spool pairs."""
     with empty_folder(folder, "orca_like") as path:
-        call(path, "demo", "--lockstep", "--hand", "orca_like", "--seed", "0", "--log", "orca_like.mcap")
+        call_handctl(path, "demo", "--lockstep", "--hand", "orca_like", "--seed", "0", "--log", "orca_like.mcap")
         return path / "orca_like.png"
 
 
@@ -114,8 +117,8 @@ def mesh_picture(folder: Path) -> Path:
     from PIL import Image
 
     with empty_folder(folder, "meshes") as path:
-        call(path, "demo", "--lockstep", "--hand", "t42", "--seed", "0", "--log", "t42.mcap")
-        call(path, "view", "t42.mcap", "--picture", "meshes.png")
+        call_handctl(path, "demo", "--lockstep", "--hand", "t42", "--seed", "0", "--log", "t42.mcap")
+        call_handctl(path, "view", "t42.mcap", "--picture", "meshes.png")
         picture = path / "meshes.png"
         with Image.open(picture) as dashboard:
             part = dashboard.crop(HAND_VIEW)
@@ -125,7 +128,7 @@ def mesh_picture(folder: Path) -> Path:
 
 def find_browser() -> str | None:
     """Return the path of the browser Chromium, or None if it is not installed."""
-    return next(filter(None, map(shutil.which, BROWSERS)), None)
+    return next(filter(None, map(shutil.which, BROWSER_COMMANDS)), None)
 
 
 def report_picture(folder: Path) -> Path:
@@ -134,12 +137,12 @@ def report_picture(folder: Path) -> Path:
     Raises:
         RuntimeError: this machine has no Chromium.
     """
-    runs.grasp(folder)
+    runs.grasp_run(folder)
     page, picture = folder / "grasp.html", folder / "report.png"
-    call(folder, "report", "grasp.mcap", "--truth", "grasp.truth", "--output", page.name)
+    call_handctl(folder, "report", "grasp.mcap", "--truth", "grasp.truth", "--output", page.name)
     browser = find_browser()
     if browser is None:
-        raise RuntimeError(f"the picture of the report needs one of {', '.join(BROWSERS)}")
+        raise RuntimeError(f"the picture of the report needs one of {', '.join(BROWSER_COMMANDS)}")
     words = (browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
     size = "{},{}".format(*PAGE_SIZE)
     subprocess.run([*words, f"--window-size={size}", f"--screenshot={picture}", page.as_uri()], check=True,

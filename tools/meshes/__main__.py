@@ -7,14 +7,14 @@ from pathlib import Path
 from tools.meshes import t42
 from tools.meshes.solids import stl
 
-HANDS = Path(__file__).parents[2] / "src" / "handctl" / "hand" / "hands"
+HANDS_FOLDER = Path(__file__).parents[2] / "src" / "handctl" / "hand" / "hands"
 """Folder of the packaged hands."""
 
 
 def files() -> Iterator[tuple[Path, bytes]]:
     """Yield the path and the content of each mesh file."""
     for name, triangles in (("palm", t42.palm()), ("inner", t42.inner_link()), ("outer", t42.outer_link())):
-        yield HANDS / "t42" / f"{name}.stl", stl(triangles)
+        yield HANDS_FOLDER / "t42" / f"{name}.stl", stl(triangles)
 
 
 def main() -> int:
@@ -22,7 +22,7 @@ def main() -> int:
     for path, content in files():
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(content)
-        print(f"{path.relative_to(HANDS.parent)}: {len(content)} bytes")
+        print(f"{path.relative_to(HANDS_FOLDER.parent)}: {len(content)} bytes")
     return 0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-HEADER = b"made by python -m tools.meshes"
+STL_HEADER = b"made by python -m tools.meshes"
 """Start of the header of 80 bytes in each STL file."""
 
 
@@ -53,4 +53,4 @@ def stl(triangles: Array) -> bytes:
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     records["normal"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     records["corners"] = triangles
-    return HEADER.ljust(80, b"\0") + len(records).to_bytes(4, "little") + records.tobytes()
+    return STL_HEADER.ljust(80, b"\0") + len(records).to_bytes(4, "little") + records.tobytes()

@@ -8,36 +8,45 @@ import numpy as np
 
 from tools.meshes.solids import Array, along_x, disc, prism
 
-INNER = 62.551
+INNER_LENGTH_MM = 62.551
 """Distance between the two joints of a finger [mm]."""
-OUTER = 48.0
+OUTER_LENGTH_MM = 48.0
 """Distance of the fingertip from the outer joint [mm]."""
 HALF_WIDTH = 9.0
 """Half of the extent of a link along the hinge axis [mm]."""
-MOUNT = 26.0
+MOUNT_DISTANCE_MM = 26.0
 """Distance of a finger's first joint from the middle of the palm [mm]."""
 
 
 def inner_link() -> Array:
     """Return the inner link: a knuckle, a bar, a pad on the closing side, and two cheeks at the outer joint."""
-    bar = [(2.0, -7.0), (INNER - 14.0, -6.0), (INNER - 10.0, -4.0), (INNER - 10.0, 3.5), (INNER - 13.0, 5.0),
+    bar = [(2.0, -7.0), (INNER_LENGTH_MM - 14.0, -6.0), (INNER_LENGTH_MM - 10.0, -4.0), (INNER_LENGTH_MM - 10.0, 3.5),
+        (INNER_LENGTH_MM - 13.0, 5.0),
            (2.0, 6.5)]  # fmt: skip
-    pad = [(12.0, 4.0), (INNER - 15.0, 4.0), (INNER - 17.0, 8.0), (14.0, 8.0)]
-    cheek = [(INNER - 18.0, -5.5), (INNER, -6.0), (INNER + 5.0, -3.5), (INNER + 6.0, 0.0), (INNER + 5.0, 3.5),
-             (INNER, 6.0), (INNER - 18.0, 4.5)]  # fmt: skip
+    pad = [(12.0, 4.0), (INNER_LENGTH_MM - 15.0, 4.0), (INNER_LENGTH_MM - 17.0, 8.0), (14.0, 8.0)]
+    cheek = [(INNER_LENGTH_MM - 18.0, -5.5), (INNER_LENGTH_MM, -6.0), (INNER_LENGTH_MM + 5.0, -3.5),
+        (INNER_LENGTH_MM + 6.0, 0.0), (INNER_LENGTH_MM + 5.0, 3.5),
+             (INNER_LENGTH_MM, 6.0), (INNER_LENGTH_MM - 18.0, 4.5)]  # fmt: skip
     return np.vstack([
         prism(disc((0.0, 0.0), 8.0), -5.5, 5.5, 0.8), prism(bar, -HALF_WIDTH, HALF_WIDTH, 1.5),
         prism(pad, -HALF_WIDTH + 1.0, HALF_WIDTH - 1.0, 1.0),
         prism(cheek, -HALF_WIDTH, -HALF_WIDTH + 2.5, 0.5), prism(cheek, HALF_WIDTH - 2.5, HALF_WIDTH, 0.5),
-        prism(disc((INNER, 0.0), 2.5), -HALF_WIDTH - 0.8, HALF_WIDTH + 0.8, 0.4),
+        prism(disc((INNER_LENGTH_MM, 0.0), 2.5), -HALF_WIDTH - 0.8, HALF_WIDTH + 0.8, 0.4),
     ])  # fmt: skip
 
 
 def outer_link() -> Array:
     """Return the outer link: a knuckle, a bar that narrows to the tip, and a pad on the closing side."""
-    bar = [(3.0, -5.5), (26.0, -5.0), (OUTER - 8.0, -3.0), (OUTER - 2.0, 0.5), (OUTER, 3.5), (OUTER - 1.5, 5.5),
-           (OUTER - 6.0, 6.5), (8.0, 6.0), (3.0, 4.5)]  # fmt: skip
-    pad = [(9.0, 4.0), (OUTER - 3.0, 4.5), (OUTER - 4.5, 7.5), (OUTER - 9.0, 8.0), (12.0, 7.8)]
+    bar = [(3.0, -5.5), (26.0, -5.0), (OUTER_LENGTH_MM - 8.0, -3.0), (OUTER_LENGTH_MM - 2.0, 0.5),
+        (OUTER_LENGTH_MM, 3.5), (OUTER_LENGTH_MM - 1.5, 5.5),
+           (OUTER_LENGTH_MM - 6.0, 6.5), (8.0, 6.0), (3.0, 4.5)]  # fmt: skip
+    pad = [
+        (9.0, 4.0),
+        (OUTER_LENGTH_MM - 3.0, 4.5),
+        (OUTER_LENGTH_MM - 4.5, 7.5),
+        (OUTER_LENGTH_MM - 9.0, 8.0),
+        (12.0, 7.8),
+    ]
     return np.vstack([
         prism(disc((0.0, 0.0), 6.0), -5.8, 5.8, 0.8), prism(bar, -HALF_WIDTH + 0.5, HALF_WIDTH - 0.5, 1.5),
         prism(pad, -HALF_WIDTH + 1.2, HALF_WIDTH - 1.2, 1.0),
@@ -51,7 +60,7 @@ def palm() -> Array:
             (-38.0, 33.0)]  # fmt: skip
     parts = [prism(block, -17.0, 17.0, 1.5), prism(foot, -17.0, 17.0, 2.0)]
     parts.append(along_x(prism(disc((0.0, 0.0), 24.0, 36), -48.0, -36.0, 1.5)))
-    for y in (-MOUNT, MOUNT):
+    for y in (-MOUNT_DISTANCE_MM, MOUNT_DISTANCE_MM):
         cheek = [(-20.0, y - 8.5), (0.0, y - 8.0), (5.5, y - 5.5), (8.0, y), (5.5, y + 5.5), (0.0, y + 8.0),
                  (-20.0, y + 8.5)]  # fmt: skip
         parts += [prism(cheek, -9.5, -6.2, 0.6), prism(cheek, 6.2, 9.5, 0.6)]

@@ -7,8 +7,8 @@ from pathlib import Path
 from handctl.hand.file.json_schema import hand_schema_text
 from tools.reference.blocks import stale_pages, written_pages
 
-ROOT = Path(__file__).parents[2]
-SCHEMA = ROOT / "src" / "handctl" / "hand" / "hand.schema.json"
+REPOSITORY_ROOT = Path(__file__).parents[2]
+SCHEMA_FILE = REPOSITORY_ROOT / "src" / "handctl" / "hand" / "hand.schema.json"
 """Path of the JSON Schema of hand files, which editors use."""
 
 
@@ -17,17 +17,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Write the generated blocks of the pages in docs/.")
     parser.add_argument("--check", action="store_true", help="write nothing, and return 1 if a page is stale")
     if parser.parse_args().check:
-        stale = [*stale_pages(ROOT)]
-        if SCHEMA.read_text("utf-8") != hand_schema_text():
-            stale.append(str(SCHEMA.relative_to(ROOT)))
+        stale = [*stale_pages(REPOSITORY_ROOT)]
+        if SCHEMA_FILE.read_text("utf-8") != hand_schema_text():
+            stale.append(str(SCHEMA_FILE.relative_to(REPOSITORY_ROOT)))
         for page in stale:
             print(f"{page}: stale; run python -m tools.reference", file=sys.stderr)
         return 1 if stale else 0
-    for page in written_pages(ROOT):
+    for page in written_pages(REPOSITORY_ROOT):
         print(page)
-    if SCHEMA.read_text("utf-8") != hand_schema_text():
-        SCHEMA.write_text(hand_schema_text(), "utf-8")
-        print(SCHEMA.relative_to(ROOT))
+    if SCHEMA_FILE.read_text("utf-8") != hand_schema_text():
+        SCHEMA_FILE.write_text(hand_schema_text(), "utf-8")
+        print(SCHEMA_FILE.relative_to(REPOSITORY_ROOT))
     return 0
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tools.reference import command_line, faults, files, python_api, topics
 
-BLOCKS: dict[str, Callable[[], str]] = {
+BLOCK_FUNCTIONS: dict[str, Callable[[], str]] = {
     "verbs": command_line.verbs,
     "verb-table": command_line.verb_table,
     "exit-codes": command_line.exit_codes,
@@ -36,16 +36,16 @@ def pages(root: Path) -> Iterator[tuple[Path, str, str]]:
     for path in sorted([root / "README.md", *root.glob("docs/**/*.md")]):
         text = path.read_text(encoding="utf-8")
         if BLOCK_PATTERN.search(text):
-            yield path, text, filled(text)
+            yield path, text, filled_page(text)
 
 
-def filled(text: str) -> str:
+def filled_page(text: str) -> str:
     """Return the text of a page in which newly generated blocks replace the old blocks.
 
     Raises:
         KeyError: the page names an unknown block.
     """
-    return BLOCK_PATTERN.sub(lambda match: f"{match[1]}\n{BLOCKS[match[2]]().strip()}\n\n{match[4]}", text)
+    return BLOCK_PATTERN.sub(lambda match: f"{match[1]}\n{BLOCK_FUNCTIONS[match[2]]().strip()}\n\n{match[4]}", text)
 
 
 def stale_pages(root: Path) -> list[str]:

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Iterator
 from typing import Any
 
-from handctl.cli.main import GROUPS, VERBS, verb_parser
+from handctl.cli.main import VERB_GROUPS, VERB_HELP, verb_parser
 from handctl.session.exit_codes import ExitCode
 from tools.reference.markdown import attribute_docstrings, code, prose, table
 
@@ -14,7 +14,7 @@ COMMON_OPTIONS = {"-h", "-v", "-q"}
 
 def verb_table() -> str:
     """Return a table of all commands, with one line for each."""
-    return table(("verb", "purpose"), ((code(name), text) for name, text in VERBS.items()))
+    return table(("verb", "purpose"), ((code(name), text) for name, text in VERB_HELP.items()))
 
 
 def verbs() -> str:
@@ -23,7 +23,7 @@ def verbs() -> str:
     Sub-commands also have sections.
     """
     parts = []
-    for group in GROUPS.values():
+    for group in VERB_GROUPS.values():
         parts.append(f"## {group.title[0].upper()}{group.title[1:]}")
         for name in group.verbs:
             parts += _parser(verb_parser(name), f"handctl {name}", "###")

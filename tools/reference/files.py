@@ -6,21 +6,21 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from handctl.core.gains.bounds import SECTIONS, SHARED_KEYS, TENDON_SECTION, bound_of, bounds
+from handctl.core.gains.bounds import GAIN_SECTIONS, SHARED_KEYS, TENDON_SECTION, bound_of, gain_bounds
 from handctl.core.gains.gains import Gains, TendonForces
 from handctl.hand.description import Hand
 from handctl.hand.file.descriptions import key_description
 from handctl.programs.requests import CommandBase, Request
 from tools.reference.markdown import code, prose, table
 
-MEANINGS = {
+KEY_MEANINGS = {
     "move.angle_deg": "Angle of each digit [deg].",
     "move.duration_s": "Duration of the motion [s].",
     "hold.tension_N": "Tension of each digit [N].",
     "hold.rate_N_per_s": "Rate of the tension [N/s].",
 }
 """Meaning of each key that has no description in its pydantic model."""
-VALUES = {"hand.schema": "1 or 2"}
+KEY_VALUES = {"hand.schema": "1 or 2"}
 """Valid values of keys that may have more values in a file than in the model.
 
 The model describes a file after defaults and templates were applied.
@@ -64,7 +64,11 @@ def _row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
     field = model.model_fields[name]
     required = "yes" if field.is_required() and key not in OPTIONAL_KEYS else "no"
     annotation = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
-    return VALUES.get(key) or value_text(annotation), required, prose(key_description(model, name)) or MEANINGS[key]
+    return (
+        KEY_VALUES.get(key) or value_text(annotation),
+        required,
+        prose(key_description(model, name)) or KEY_MEANINGS[key],
+    )
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
@@ -119,9 +123,9 @@ def _expected(annotation: Any) -> str:
 def gains() -> str:
     """Return a section for each table of a gains file, with bounds, default and meaning of each key."""
     parts = []
-    for section in SECTIONS:
+    for section in GAIN_SECTIONS:
         model = Gains.model_fields[section].annotation
-        keys = [bound for key, bound in bounds().items() if key.startswith(f"{section}.")]
+        keys = [bound for key, bound in gain_bounds().items() if key.startswith(f"{section}.")]
         live = "during a run" if keys[0].live else "before a run only"
         rows = ((code(b.key), f"{b.default:g}", str(b), prose(b.why)) for b in keys)
         parts += [f"## `[{section}]`", f"{prose(getattr(model, '__doc__', ''))}\n\nChanges: {live}."]
@@ -153,7 +157,7 @@ def _fields(model: type[BaseModel], do: str) -> Iterable[tuple[str, str, str, st
         if name == "do" or name in CommandBase.model_fields:
             continue
         default = "required" if field.is_required() else str(field.default).removesuffix(".0")
-        meaning = prose(key_description(model, name)) or MEANINGS[f"{do}.{name}"]
+        meaning = prose(key_description(model, name)) or KEY_MEANINGS[f"{do}.{name}"]
         yield code(name), _bounds_text(schema[name]), default, meaning
 
 

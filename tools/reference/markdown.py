@@ -7,9 +7,9 @@ import re
 import textwrap
 from collections.abc import Iterable, Sequence
 
-SECTION = re.compile(r"^(Args|Returns|Raises|Attributes|Source):\s*$|^(Source): (.*)$")
+SECTION_PATTERN = re.compile(r"^(Args|Returns|Raises|Attributes|Source):\s*$|^(Source): (.*)$")
 """Heading of a section in a docstring."""
-ENTRY = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
+ENTRY_PATTERN = re.compile(r"^    (\*{0,2}[\w, ]+): (.*)$")
 """First line of the entry for an argument or an exception in a docstring."""
 
 
@@ -49,10 +49,10 @@ def docstring(value: object) -> str:
     lines: list[str] = []
     listing = False
     for line in inspect.cleandoc(inspect.getdoc(value) or "").splitlines():
-        if match := SECTION.match(line):
+        if match := SECTION_PATTERN.match(line):
             listing = True
             lines += ["", f"**{match[1] or match[2]}:** {match[3] or ''}".rstrip(), ""]
-        elif listing and (entry := ENTRY.match(line)):
+        elif listing and (entry := ENTRY_PATTERN.match(line)):
             lines.append(f"- `{entry[1]}`: {entry[2]}")
         elif line and not line.startswith(" "):
             listing = False

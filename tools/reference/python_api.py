@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import handctl
 from tools.reference.markdown import docstring
 
-ARRAY = re.compile(r"numpy\.ndarray\[.*?, numpy\.dtype\[[\w.]*(?:\[\w+\])?\]\]")
+ARRAY_PATTERN = re.compile(r"numpy\.ndarray\[.*?, numpy\.dtype\[[\w.]*(?:\[\w+\])?\]\]")
 """Type of an array, as the module inspect writes it. The reference pages write NDArray instead."""
 
 
@@ -53,7 +53,7 @@ def _signature(function: object) -> str:
     result = result.strip("'")
     flat = str(signature.replace(parameters=shown, return_annotation=inspect.Signature.empty))
     flat = flat.replace("collections.abc.", "").replace("typing.", "")
-    flat = ARRAY.sub("NDArray", flat)
+    flat = ARRAY_PATTERN.sub("NDArray", flat)
     line = f"{name}{flat} -> {result}"
     if len(line) > 90:
         inner = flat[1:-1].replace(", ", ",\n    ")

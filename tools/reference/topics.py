@@ -6,22 +6,22 @@ from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Telemetry
 from handctl.hand.load import load_hand
 from handctl.log.export.tables import column_unit
 from handctl.log.header import RunHeader
-from handctl.log.message_types import DEFINITIONS
-from handctl.log.topics.state_topics import ESTIMATES, JOINT_STATES
-from handctl.log.topics.topic_set import Topics
+from handctl.log.message_types import MESSAGE_DEFINITIONS
+from handctl.log.topics.state_topics import ESTIMATE_TOPICS, JOINT_STATE_TOPICS
+from handctl.log.topics.topic_set import TopicSet
 from tools.reference.markdown import attribute_docstrings, code, table
 
-TICK = "every tick"
-HANDS = ("jamia", "orca_like")
+EVERY_TICK = "every tick"
+EXAMPLE_HANDS = ("jamia", "orca_like")
 """Packaged hands that together have all topics."""
-CONTENT = {
+TOPIC_CONTENT = {
     "/robot_description": ("at the start", "URDF of the hand"),
     "/controller/names": ("at the start", "names of the columns of `/controller/values`: `field/name`"),
-    "/controller/values": (TICK, "all telemetry of the tick, see below"),
+    "/controller/values": (EVERY_TICK, "all telemetry of the tick, see below"),
     "/controller/mode": ("at a change", "mode of the hand"),
     "/controller/snapshot": ("every second", "whole state of the controller, for the code that wrote it"),
-    "/tick": (TICK, "the tick as it happened: times [ns], frames, requests, events, hash of the state"),
-    "/tick/chain": (TICK, "hash over this tick and the hash before it"),
+    "/tick": (EVERY_TICK, "the tick as it happened: times [ns], frames, requests, events, hash of the state"),
+    "/tick/chain": (EVERY_TICK, "hash over this tick and the hash before it"),
     "/tf_static": ("at the start", "fixed frames [m]"),
     "/tf": ("50 Hz", "pose of each link [m, quaternion] by the estimated angles"),
     "/rosout": ("per event", "events as text, faults included"),
@@ -29,19 +29,22 @@ CONTENT = {
     "/parameter_events": ("at a change", "gains at the start and after each change"),
     "/grasp/phase": ("at a change", "phase of the task"),
     "/safety/action": ("at a change", "largest reaction that a fault demands"),
-    "/cycle": (TICK, "period, lateness, age of the feedback [s], missed ticks"),
+    "/cycle": (EVERY_TICK, "period, lateness, age of the feedback [s], missed ticks"),
     "/can/rx": ("per frame", "received classical frames of all buses, `frame_id` is the bus"),
     "/can/rx_fd": ("per frame", "received CAN FD frames"),
     "/can/tx": ("per frame", "sent classical frames"),
     "/can/tx_fd": ("per frame", "sent CAN FD frames"),
     "/diagnostics": ("1 Hz and at a change", "state of motors, buses and controller"),
     "/clock_pairs": ("every 10 s", "wall clock and monotonic clock [ns]"),
-    "/fingertip/DIGIT/wrench": (TICK, "tip-equivalent force of the object on the digit [N], in the frame of the tip"),
-    "/spool_pairs": (TICK, "of a hand with spool pairs: estimated tension of both tendons of each pair [N]"),
+    "/fingertip/DIGIT/wrench": (
+        EVERY_TICK,
+        "tip-equivalent force of the object on the digit [N], in the frame of the tip",
+    ),
+    "/spool_pairs": (EVERY_TICK, "of a hand with spool pairs: estimated tension of both tendons of each pair [N]"),
     "/actuator/MOTOR/temperature": ("5 Hz", "temperature of the drive [degC]"),
 }
 """Rate and content of each topic that has no telemetry fields."""
-REMARKS = {
+TOPIC_REMARKS = {
     "/joint_states": "The effort is the torque of the tendons at the estimated tension, R^T f without friction.",
     "/tendon_states": "The effort is the estimated tension at the load cell, the net tension of a spool pair.",
     "/tendon_commands": "The effort is the commanded tension at the load cell.",
@@ -58,9 +61,9 @@ def registered() -> dict[str, tuple[str, str]]:
     Placeholders replace names in topics.
     """
     registered_topics = {}
-    for name in HANDS:
+    for name in EXAMPLE_HANDS:
         header = RunHeader.of_hand(load_hand(name).to_toml(), 2_000_000)
-        made = Topics(header)
+        made = TopicSet(header)
         types = {schema.id: schema.name for schema in made.schemas}
         for channel in made.channels:
             topic = _placeholder(channel.topic, header)
@@ -84,7 +87,7 @@ def topics() -> str:
 def _linked_type(kind: str) -> str:
     """Return a message type. It is a link to the definition if the page prints that."""
     name = kind.replace("/msg/", "/")
-    if name not in DEFINITIONS or not name.startswith(PRINTED_TYPES):
+    if name not in MESSAGE_DEFINITIONS or not name.startswith(PRINTED_TYPES):
         return code(kind)
     return f"[{code(kind)}](#{re.sub('[^a-z_]', '', name.lower())})"
 
@@ -95,26 +98,26 @@ def content(topic: str, note: str) -> tuple[str, str]:
     Raises:
         KeyError: this module has no text about the topic.
     """
-    if topic in JOINT_STATES:
-        axis, *fields = JOINT_STATES[topic]
+    if topic in JOINT_STATE_TOPICS:
+        axis, *fields = JOINT_STATE_TOPICS[topic]
         parts = [
             f"{part} `{field}` [{_unit(field)}]"
             for part, field in zip(("position:", "velocity:", "effort:"), fields, strict=True)
             if field
         ]
         text = f"per {axis}, {', '.join(parts)}"
-        more = REMARKS.get(topic, "")
-        return TICK, f"{text}. {more}" if more else text
-    if topic in ESTIMATES:
-        field, unit = ESTIMATES[topic]
-        return TICK, f"`{field}` per {TELEMETRY_AXES[field]} with its variance [{unit}, {unit}²]"
-    return CONTENT[topic]
+        more = TOPIC_REMARKS.get(topic, "")
+        return EVERY_TICK, f"{text}. {more}" if more else text
+    if topic in ESTIMATE_TOPICS:
+        field, unit = ESTIMATE_TOPICS[topic]
+        return EVERY_TICK, f"`{field}` per {TELEMETRY_AXES[field]} with its variance [{unit}, {unit}²]"
+    return TOPIC_CONTENT[topic]
 
 
 def message_types() -> str:
     """Return the definitions of handctl's own message types, and of two other types that most topics use."""
     parts = []
-    for name, definition in DEFINITIONS.items():
+    for name, definition in MESSAGE_DEFINITIONS.items():
         if name.startswith(PRINTED_TYPES):
             parts += [f"### {name}", f"```text\n{definition.strip()}\n```"]
     return "\n\n".join(parts)

@@ -6,13 +6,13 @@ The data of the free shaft are an assumption.
 from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.cia402.kernels import apply_torque
 from firmware_sim.nodes.cia402.node import Cia402Node, Cia402NodeRow
-from firmware_sim.nodes.protocol_spec import CIA402, UNADDRESSED, ProtocolSpec, Shaft
+from firmware_sim.nodes.protocol_spec import CIA402_KIND, UNADDRESSED_FRAME, ProtocolSpec, ShaftSpec
 
 VALID_NUMBERS = range(1, 0x7F)
 """Valid node numbers of drives. The last node number of CANopen, 127, belongs to handctl."""
 
 
-BENCH_SHAFT = Shaft(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
+BENCH_SHAFT = ShaftSpec(1.0, 5e-5, 0.08, top_speed=24.0 / 0.08, stall_torque=4.0)
 """Shaft of the default motor at 24 V.
 
 Voltage constant [V s/rad] and torque constant [N m/A] are equal.
@@ -31,7 +31,7 @@ def _corrupt_command(frame: Frame) -> Frame:
     # The NMT commands are 2 stop, 0x80 pre-operational, 0x81 reset node and 0x82 reset
     # communication.
     releases = disables or (frame.can_id == 0 and frame.data[:1] in (b"\2", b"\x80", b"\x81", b"\x82"))
-    return UNADDRESSED if releases else frame
+    return UNADDRESSED_FRAME if releases else frame
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
@@ -47,8 +47,8 @@ def _force_command(node: Cia402Node, frame: Frame) -> None:
         apply_torque(node, node.motor.servo)
 
 
-SPEC = ProtocolSpec(
-    Cia402Node, VALID_NUMBERS, BENCH_SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402,
+CIA402_SPEC = ProtocolSpec(
+    Cia402Node, VALID_NUMBERS, BENCH_SHAFT, _host_frame, _corrupt_command, _corrupt_reply, Cia402NodeRow, CIA402_KIND,
     _force_command,
 )  # fmt: skip
 """Specification of the protocol CiA 402 for simulated drives."""

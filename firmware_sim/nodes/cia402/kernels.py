@@ -10,19 +10,19 @@ bytes 0..1, the position in bytes 2..5 and the torque in bytes 6..7.
 import ctypes
 from typing import Any
 
-from firmware_sim.compiled import inner
-from firmware_sim.nodes.cia402.power import ENABLED, PowerStruct, status
+from firmware_sim.compiled import kernel_helper
+from firmware_sim.nodes.cia402.power import ENABLED_STATE, PowerStruct, status
 
-OPERATIONAL = 0x05
+OPERATIONAL_STATE = 0x05
 """NMT state: operational."""
-CST = 10
+CYCLIC_TORQUE_MODE = 10
 """Number of the mode cyclic synchronous torque (0x6060).
 
 The module ``motion`` has the other modes.
 """
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the drive's temperatures [ns]."""
-TURN = 6.283185307179586
+TURN_RAD = 6.283185307179586
 """A full turn [rad]."""
 CYCLIC_OBJECTS = (
     (0x6040, 0), (0x6041, 0), (0x6061, 0), (0x6064, 0), (0x606C, 0), (0x6071, 0), (0x6072, 0), (0x6077, 0), (0x6078, 0),
@@ -66,13 +66,13 @@ class Cia402Struct(ctypes.Structure):
     ]
 
 
-@inner
+@kernel_helper
 def _saturated(value: int, limit: int) -> int:
     """Return a value saturated at the range of a signed object."""
     return min(limit, max(-limit - 1, value))
 
 
-@inner
+@kernel_helper
 def measure(node: Any, power: Any, angle: float, velocity: float, torque: float) -> None:
     """Update the objects of a drive with measured values.
 
@@ -93,13 +93,13 @@ def measure(node: Any, power: Any, angle: float, velocity: float, torque: float)
         word = word & ~0x3C00 | node.mode_bits
     values[STATUS_WORD] = word
     # The position is in encoder counts at the motor shaft.
-    values[POSITION] = _saturated(round(shaft / TURN * node.counts), _INT32)
+    values[POSITION] = _saturated(round(shaft / TURN_RAD * node.counts), _INT32)
     # In this drive, object 0x606C (velocity) is in revolutions per minute.
-    values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN * 60.0), _INT32)
+    values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN_RAD * 60.0), _INT32)
     values[TORQUE] = values[CURRENT] = _saturated(round(sign * torque / gear / node.rated * 1000.0), _INT16)
 
 
-@inner
+@kernel_helper
 def apply_torque(node: Any, servo: Any) -> None:
     """Apply the target torque to the servo of an enabled drive, limited by objects 0x6072 and 0x6080."""
     values = node.values
@@ -109,33 +109,33 @@ def apply_torque(node: Any, servo: Any) -> None:
     # Conversion from thousandths of the rated torque at the shaft to N m at the spool.
     servo.torque = node.direction * node.gear * node.rated / 1000.0 * min(limit, max(-limit, thousandths))
     # Conversion from revolutions per minute at the shaft to rad/s at the spool.
-    servo.speed_limit = values[MAX_SPEED] * TURN / 60.0 / node.gear
+    servo.speed_limit = values[MAX_SPEED] * TURN_RAD / 60.0 / node.gear
     servo.speed_gain = 0.0
     if servo.speed_limit > 0.0:
         servo.speed_gain = node.peak / (SPEED_BAND * servo.speed_limit)
 
 
-@inner
+@kernel_helper
 def follows_torque(node: Any, power: Any) -> bool:
     """Return True if the drive follows torque commands: enabled and in torque mode."""
-    return bool(power.state == ENABLED and node.values[MODE_SHOWN] == CST)
+    return bool(power.state == ENABLED_STATE and node.values[MODE_SHOWN] == CYCLIC_TORQUE_MODE)
 
 
-@inner
+@kernel_helper
 def heartbeat_timeout_ns(node: Any) -> int:
     """Return the timeout of the master's heartbeat [ns], 0 if the drive does not supervise the master."""
     # Object 0x1016 has the master's node number in bits 23..16 and the time [ms] in bits 15..0.
     return int(node.values[MASTER] & 0xFFFF) * 1_000_000
 
 
-@inner
+@kernel_helper
 def heartbeat_due(node: Any, t_ns: int) -> bool:
     """Return True if the drive must now send its heartbeat."""
     period_ns = node.values[HEARTBEAT_MS] * 1_000_000
     return bool(period_ns > 0 and t_ns - node.heartbeat_ns >= period_ns)
 
 
-@inner
+@kernel_helper
 def watchdog_expired(node: Any, t_ns: int) -> bool:
     """Return True if the master's heartbeat has timed out."""
     return bool(
@@ -145,7 +145,7 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
     )
 
 
-@inner
+@kernel_helper
 def schedule(node: Any, t_ns: int, frame_pending: bool) -> None:
     """Schedule the next wake of a drive, for temperatures, heartbeat, timeout of the master or motion.
 

@@ -30,30 +30,30 @@ Choices of this simulation:
 import math
 from typing import Any
 
-from firmware_sim.nodes.cia402.dictionary import OUT_OF_RANGE, Abort
-from firmware_sim.nodes.cia402.kernels import TURN
-from firmware_sim.nodes.motion import PERIOD_NS, Cascade, Setpoint, assumed_gains
+from firmware_sim.nodes.cia402.dictionary import OUT_OF_RANGE, SdoAbort
+from firmware_sim.nodes.cia402.kernels import TURN_RAD
+from firmware_sim.nodes.motion import PERIOD_NS, CascadeController, MotionSetpoint, assumed_gains
 
 PROFILE_POSITION = 1
-HOMING = 6
+HOMING_MODE = 6
 CYCLIC_POSITION = 8
 CYCLIC_VELOCITY = 9
 """Numbers of the modes of operation, as in object 0x6060."""
-MODES = (PROFILE_POSITION, HOMING, CYCLIC_POSITION, CYCLIC_VELOCITY)
+MOTION_MODES = (PROFILE_POSITION, HOMING_MODE, CYCLIC_POSITION, CYCLIC_VELOCITY)
 FOLLOWING_ERROR = 0x8611
 """Emergency code: following error."""
-REACHED = 1 << 10
-LIMITED = 1 << 11
-FOLLOWS = 1 << 12
-DEVIATES = 1 << 13
+TARGET_REACHED_BIT = 1 << 10
+INTERNAL_LIMIT_BIT = 1 << 11
+DRIVE_FOLLOWS_BIT = 1 << 12
+FOLLOWING_ERROR_BIT = 1 << 13
 """Bits of the status word.
 
 FOLLOWS also stands for *set-point acknowledged* and *homing attained*.
 """
-NEW_SETPOINT = 1 << 4
-IMMEDIATELY = 1 << 5
-RELATIVE = 1 << 6
-HALT = 1 << 8
+NEW_SETPOINT_BIT = 1 << 4
+CHANGE_IMMEDIATELY_BIT = 1 << 5
+RELATIVE_BIT = 1 << 6
+HALT_BIT = 1 << 8
 """Bits of the control word. In homing mode, NEW_SETPOINT starts homing."""
 INDEX_NEGATIVE, INDEX_POSITIVE = 33, 34
 """Homing methods that move to the next index pulse, in negative or positive direction."""
@@ -72,7 +72,7 @@ def check_write(index: int, value: int) -> None:
         Abort: the value is a homing method that the drive does not have.
     """
     if index == 0x6098 and value not in HOMING_METHODS:
-        raise Abort(OUT_OF_RANGE)
+        raise SdoAbort(OUT_OF_RANGE)
 
 
 class MotionModes:
@@ -84,9 +84,9 @@ class MotionModes:
     def __init__(self, node: Any) -> None:
         """Use the objects and the rotor of a drive (``node.Cia402Node``)."""
         self._node = node
-        self._demand = Setpoint()
-        self._at_spool = Setpoint()
-        self._cascade = Cascade(node.motor)
+        self._demand = MotionSetpoint()
+        self._at_spool = MotionSetpoint()
+        self._cascade = CascadeController(node.motor)
         self._mode = 0
         self._updated_ns = self._late_ns = 0
         self._target = 0.0
@@ -140,12 +140,12 @@ class MotionModes:
 
         Bit 4 starts a motion only on its rising edge.
         """
-        edge = word & ~self._control & NEW_SETPOINT
+        edge = word & ~self._control & NEW_SETPOINT_BIT
         self._control = word
-        if self._mode == HOMING:
+        if self._mode == HOMING_MODE:
             if edge:
                 self._start_homing()
-            elif not word & NEW_SETPOINT:
+            elif not word & NEW_SETPOINT_BIT:
                 self._homing = False
             return
         if self._mode != PROFILE_POSITION:
@@ -154,30 +154,30 @@ class MotionModes:
             return
         objects = self._node.objects
         target = float(objects[0x607A, 0])
-        if word & RELATIVE:
+        if word & RELATIVE_BIT:
             target += self._target
-        if word & IMMEDIATELY or self._bits & REACHED:
+        if word & CHANGE_IMMEDIATELY_BIT or self._bits & TARGET_REACHED_BIT:
             self._target = self._limited(target)
             self._next = None
         elif self._next is None:
             self._next = target
         self._acknowledged = True
         # The bit *target reached* still belongs to the previous target.
-        self._bits &= ~REACHED
+        self._bits &= ~TARGET_REACHED_BIT
 
     def _start_homing(self) -> None:
         """Start homing with the method in object 0x6098."""
         node = self._node
         self._homing = True
         self._attained = False
-        self._bits &= ~(REACHED | FOLLOWS)
+        self._bits &= ~(TARGET_REACHED_BIT | DRIVE_FOLLOWS_BIT)
         method = node.objects[0x6098, 0]
         self._target = self._position()
         if method in (INDEX_NEGATIVE, INDEX_POSITIVE):
             # The index pulse occurs at whole turns of the encoder, wherever the zero of the
             # position is.
             turn = node.counts
-            raw = self._position() - node.offset / TURN * turn
+            raw = self._position() - node.offset / TURN_RAD * turn
             edge = math.floor(raw / turn) if method == INDEX_NEGATIVE else math.ceil(raw / turn)
             self._target += edge * turn - raw
         self._demand.jump(self._position())
@@ -186,7 +186,7 @@ class MotionModes:
         """Finish homing: shift the zero until the present position has the value of 0x607C."""
         node = self._node
         home = node.objects[0x607C, 0]
-        node.offset += (home - self._position()) / node.counts * TURN
+        node.offset += (home - self._position()) / node.counts * TURN_RAD
         self._demand.jump(home)
         self._target = float(home)
         self._attained = True
@@ -199,7 +199,7 @@ class MotionModes:
         step_s = (t_ns - self._updated_ns) * 1e-9
         self._updated_ns = t_ns
         node.motion_due_ns = t_ns + PERIOD_NS
-        self._bits &= ~LIMITED
+        self._bits &= ~INTERNAL_LIMIT_BIT
         if step_s:
             self._generate(step_s)
         if self._watch_error(t_ns):
@@ -214,7 +214,7 @@ class MotionModes:
             self._demand.jump(self._position(), self._rate_of(0x60FF) + self._rate_of(0x60B1))
         elif self._mode == CYCLIC_POSITION:
             self._interpolate(step_s)
-        elif self._mode == HOMING:
+        elif self._mode == HOMING_MODE:
             self._approach(step_s, 0x6099, 2, 0x609A, 0x609A)
             if self._homing and not self._attained and self._is_reached():
                 self._finish_homing()
@@ -229,7 +229,7 @@ class MotionModes:
         Return True at the target.
         """
         slope = max(1.0, self._counts(self._node.objects[fall, 0]))
-        if self._control & HALT:
+        if self._control & HALT_BIT:
             self._demand.ramp(0.0, slope, slope, step_s)
             return False
         fastest = self._counts(min(self._node.objects[speed, sub], self._node.objects[0x6080, 0]))
@@ -251,7 +251,7 @@ class MotionModes:
         objects = self._node.objects
         inside = min(float(objects[0x607D, 2]), max(float(objects[0x607D, 1]), target))
         if inside != target:
-            self._bits |= LIMITED
+            self._bits |= INTERNAL_LIMIT_BIT
         return inside
 
     def _watch_error(self, t_ns: int) -> bool:
@@ -262,9 +262,9 @@ class MotionModes:
         window = node.objects[0x6065, 0]
         if self._mode == CYCLIC_VELOCITY or window == NO_WINDOW or abs(error) <= window:
             self._late_ns = t_ns
-            self._bits &= ~DEVIATES
+            self._bits &= ~FOLLOWING_ERROR_BIT
         else:
-            self._bits |= DEVIATES
+            self._bits |= FOLLOWING_ERROR_BIT
         if t_ns - self._late_ns < node.objects[0x6066, 0] * 1_000_000 or t_ns == self._late_ns:
             return False
         node.trip(FOLLOWING_ERROR)
@@ -279,30 +279,30 @@ class MotionModes:
     def _status_bits(self) -> int:
         """Return the bits that the active mode sets in the status word."""
         if self._mode in (CYCLIC_POSITION, CYCLIC_VELOCITY):
-            return self._bits | FOLLOWS
-        if self._control & HALT:
+            return self._bits | DRIVE_FOLLOWS_BIT
+        if self._control & HALT_BIT:
             stopped = self._demand.velocity == 0.0
-            self._bits = self._bits | REACHED if stopped else self._bits & ~REACHED
+            self._bits = self._bits | TARGET_REACHED_BIT if stopped else self._bits & ~TARGET_REACHED_BIT
             return self._bits
-        reached = self._attained if self._mode == HOMING else self._is_reached()
-        self._bits = self._bits | REACHED if reached else self._bits & ~REACHED
+        reached = self._attained if self._mode == HOMING_MODE else self._is_reached()
+        self._bits = self._bits | TARGET_REACHED_BIT if reached else self._bits & ~TARGET_REACHED_BIT
         # In profile position, the set-point is acknowledged until the host clears the bit and the
         # buffer is free.
-        self._acknowledged = self._next is not None or (self._acknowledged and bool(self._control & NEW_SETPOINT))
-        follows = self._attained if self._mode == HOMING else self._acknowledged
-        self._bits = self._bits | FOLLOWS if follows else self._bits & ~FOLLOWS
+        self._acknowledged = self._next is not None or (self._acknowledged and bool(self._control & NEW_SETPOINT_BIT))
+        follows = self._attained if self._mode == HOMING_MODE else self._acknowledged
+        self._bits = self._bits | DRIVE_FOLLOWS_BIT if follows else self._bits & ~DRIVE_FOLLOWS_BIT
         return self._bits
 
     def _regulate(self, step_s: float) -> None:
         """Set the servo to the demand, converted from counts at the shaft to radians at the spool."""
         node = self._node
         objects = node.objects
-        scale = node.direction * TURN / node.counts / node.gear
-        angle = node.direction * (self._demand.position / node.counts * TURN - node.offset) / node.gear
+        scale = node.direction * TURN_RAD / node.counts / node.gear
+        angle = node.direction * (self._demand.position / node.counts * TURN_RAD - node.offset) / node.gear
         self._at_spool.jump(angle, self._demand.velocity * scale)
-        speed = objects[0x6080, 0] * TURN / 60.0 / node.gear
+        speed = objects[0x6080, 0] * TURN_RAD / 60.0 / node.gear
         if abs(self._at_spool.velocity) > speed:
-            self._bits |= LIMITED
+            self._bits |= INTERNAL_LIMIT_BIT
         thousandth = node.gear * node.rated / 1000.0
         limit = min(node.peak, objects[0x6072, 0] * thousandth)
         gains = assumed_gains(node.motor.inertia, 0.0 if self._mode == CYCLIC_VELOCITY else POSITION_GAIN)
@@ -312,12 +312,12 @@ class MotionModes:
     def _position(self) -> float:
         """Return the measured position at the shaft [count]."""
         node = self._node
-        return float((node.direction * node.gear * node.motor.encoder() + node.offset) / TURN * node.counts)
+        return float((node.direction * node.gear * node.motor.encoder() + node.offset) / TURN_RAD * node.counts)
 
     def _velocity(self) -> float:
         """Return the measured velocity at the shaft [count/s]."""
         node = self._node
-        return float(node.direction * node.gear * node.motor.velocity / TURN * node.counts)
+        return float(node.direction * node.gear * node.motor.velocity / TURN_RAD * node.counts)
 
     def _counts(self, per_minute: float) -> float:
         """Convert a speed from 1/min to count/s, or an acceleration from 1/min/s to count/s2."""

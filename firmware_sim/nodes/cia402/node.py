@@ -34,14 +34,14 @@ from firmware_sim.nodes.cia402.dictionary import (
     CLIENT_ABORTS,
     UNKNOWN_COMMAND,
     WRONG_STATE,
-    Abort,
-    Dictionary,
-    Key,
+    ObjectDictionary,
+    ObjectKey,
+    SdoAbort,
     sdo_reply,
 )
 from firmware_sim.nodes.cia402.kernels import (
-    CST,
-    OPERATIONAL,
+    CYCLIC_TORQUE_MODE,
+    OPERATIONAL_STATE,
     THERMAL_PERIOD_NS,
     Cia402Struct,
     apply_torque,
@@ -51,15 +51,15 @@ from firmware_sim.nodes.cia402.kernels import (
     schedule,
     watchdog_expired,
 )
-from firmware_sim.nodes.cia402.motion import MODES, MotionModes, check_write
-from firmware_sim.nodes.cia402.pdo import Pdos
-from firmware_sim.nodes.cia402.power import ENABLED, FAULT, OFF, Power, PowerStruct
-from firmware_sim.nodes.thermal import Thermal
+from firmware_sim.nodes.cia402.motion import MOTION_MODES, MotionModes, check_write
+from firmware_sim.nodes.cia402.pdo import NodePdos
+from firmware_sim.nodes.cia402.power import ENABLED_STATE, FAULT_STATE, OFF_STATE, PowerStage, PowerStruct
+from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 PRE_OPERATIONAL = 0x7F
 """NMT state: pre-operational."""
-STOPPED = 0x04
+STOPPED_STATE = 0x04
 """NMT state: stopped."""
 HEARTBEAT_LOST = 0x8130
 """Emergency code: the master's heartbeat is lost."""
@@ -71,7 +71,7 @@ RPDO_SHORT = 0x8210
 """Emergency code: an RPDO is too short."""
 HOT_C = 120.0
 """Winding temperature at which the drive trips [degC]."""
-_UNITS = {"mN_m": 1e3, "uN_m": 1e6}
+_UNITS_PER_N_M = {"mN_m": 1e3, "uN_m": 1e6}
 """Value of object 0x6076 for a torque of 1 N m, by its unit."""
 
 
@@ -93,8 +93,8 @@ class Cia402Node:
         syncs: number of SYNC frames since the last reset.
         sync_id: identifier of the SYNC frame.
         master_id: identifier of the master's heartbeat.
-        rpdo_id: identifier of the standard RPDO, see ``pdo.Pdos``.
-        tpdo_id: identifier of the standard TPDO, see ``pdo.Pdos``.
+        rpdo_id: identifier of the standard RPDO, see ``pdo.NodePdos``.
+        tpdo_id: identifier of the standard TPDO, see ``pdo.NodePdos``.
         tpdo_kind: transmission type of the standard TPDO.
         accepted_ids: identifiers that the node may answer.
         values: values of the object dictionary.
@@ -121,7 +121,7 @@ class Cia402Node:
         self.gear = float(spec.options.get("gear_ratio", 1.0))
         self.rated = float(spec.options.get("rated_torque_N_m", spec.torque_max / self.gear))
         self.counts = int(spec.options.get("counts_per_turn", 1 << 16))
-        self.thermal = Thermal(spec.torque_constant)
+        self.thermal = DriveTemperatures(spec.torque_constant)
         self.ids: frozenset[int] | None = None
         self.malformed = 0
         self.wake_ns = 0
@@ -132,7 +132,7 @@ class Cia402Node:
         self.mode_bits = -1
         self.motion = MotionModes(self)
         self._unsolicited: list[Frame] = []
-        self._stored: dict[Key, int] = {}
+        self._stored: dict[ObjectKey, int] = {}
         self._segments: list[bytes] = []
         self._reset(announce=True)
 
@@ -148,21 +148,23 @@ class Cia402Node:
         self.objects[0x608F, 1] = int(self.counts)
         for key, value in self._stored.items():
             self.objects[key] = value
-        self.objects[0x6076, 0] = round(self.rated * _UNITS[self._spec.options.get("rated_torque_unit", "mN_m")])
+        self.objects[0x6076, 0] = round(
+            self.rated * _UNITS_PER_N_M[self._spec.options.get("rated_torque_unit", "mN_m")]
+        )
         if self._spec.serial is not None:
             self.objects[0x1018, 4] = self._spec.serial
-        self.pdos = Pdos(self.objects)
+        self.pdos = NodePdos(self.objects)
         self.syncs = 0
         self.heartbeat_ns = self.watchdog_fed_ns = -1
         self._update_derived()
         if announce:
             self._unsolicited.append(Frame(0x700 + self.node_id, b"\0"))
 
-    def _initial_objects(self) -> tuple[Dictionary, Power]:
+    def _initial_objects(self) -> tuple[ObjectDictionary, PowerStage]:
         """Return the dictionary and the power stage after power-up."""
-        objects = Dictionary(self.node_id)
+        objects = ObjectDictionary(self.node_id)
         self.values = objects.values
-        return objects, Power()
+        return objects, PowerStage()
 
     def _update_derived(self) -> None:
         """Update the attributes that are derived from communication objects."""
@@ -195,7 +197,7 @@ class Cia402Node:
         elif can_id == self.sync_id:
             handled = self._synchronise()
         elif can_id == 0x600 + self.node_id:
-            handled = self.nmt != STOPPED
+            handled = self.nmt != STOPPED_STATE
             if handled:
                 self._sdo(data)
         elif can_id == self.master_id:
@@ -217,12 +219,12 @@ class Cia402Node:
         if command in (0x81, 0x82):
             self._reset(announce=True)
             return
-        state = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PRE_OPERATIONAL}.get(command, self.nmt)
-        left = self.nmt == OPERATIONAL != state
+        state = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(command, self.nmt)
+        left = self.nmt == OPERATIONAL_STATE != state
         self.nmt = state
-        if left and self.power.state == ENABLED:
+        if left and self.power.state == ENABLED_STATE:
             self._connection_lost(STOPPED_WHILE_ENABLED)
-        elif state == OPERATIONAL:
+        elif state == OPERATIONAL_STATE:
             self._send_event_pdos()
 
     def _connection_lost(self, code: int) -> None:
@@ -231,7 +233,7 @@ class Cia402Node:
         if option == 1:
             self.trip(code)
         elif option:
-            self.power.state = OFF
+            self.power.state = OFF_STATE
             self._apply_torque()
 
     def trip(self, code: int) -> None:
@@ -245,7 +247,7 @@ class Cia402Node:
 
     def lose_settings(self) -> None:
         """Restore the defaults of torque limit and supervision of the master, but keep the state of the drive."""
-        initial = Dictionary(self.node_id)
+        initial = ObjectDictionary(self.node_id)
         for key in ((0x6072, 0), (0x6007, 0), (0x1016, 1)):
             self.objects[key] = initial[key]
         self.watchdog_fed_ns = -1
@@ -254,7 +256,7 @@ class Cia402Node:
 
     def _emergency(self, code: int) -> None:
         """Send an emergency message, unless the node is in the NMT state stopped."""
-        if self.nmt != STOPPED:
+        if self.nmt != STOPPED_STATE:
             data = code.to_bytes(2, "little") + bytes((self.objects[0x1001, 0],)) + bytes(5)
             self._unsolicited.append(Frame(0x80 + self.node_id, data))
 
@@ -289,7 +291,7 @@ class Cia402Node:
             return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
         # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
         if specifier >> 5 != 1 or not specifier & 2:
-            raise Abort(UNKNOWN_COMMAND)
+            raise SdoAbort(UNKNOWN_COMMAND)
         # Bit 0 tells whether the request gives a size, by the number of unused bytes in bits 3..2.
         # Otherwise the size of the object counts.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
@@ -311,7 +313,7 @@ class Cia402Node:
             Abort: no upload of a text is in progress.
         """
         if not self._segments:
-            raise Abort(UNKNOWN_COMMAND)
+            raise SdoAbort(UNKNOWN_COMMAND)
         segment = self._segments.pop(0)
         # Bit 4 is the toggle bit. Bits 3..1 are the number of unused bytes. Bit 0 marks the last
         # segment.
@@ -324,7 +326,7 @@ class Cia402Node:
         # (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
             if self.nmt != PRE_OPERATIONAL:
-                raise Abort(WRONG_STATE)
+                raise SdoAbort(WRONG_STATE)
             self.pdos.write(key, raw)
         else:
             check_write(key[0], int.from_bytes(raw, "little", signed=True))
@@ -347,7 +349,7 @@ class Cia402Node:
             self._control(self.objects[key])
         elif key == (0x6060, 0):
             mode = self.objects[key]
-            self.objects[0x6061, 0] = mode if mode in (CST, *MODES) else 0
+            self.objects[0x6061, 0] = mode if mode in (CYCLIC_TORQUE_MODE, *MOTION_MODES) else 0
         self.motion.take(key[0])
         self._apply_torque()
 
@@ -355,7 +357,7 @@ class Cia402Node:
         """Apply a control word to the power stage."""
         before = self.power.state
         self.power.command(word)
-        if before == FAULT != self.power.state:
+        if before == FAULT_STATE != self.power.state:
             self.objects[0x603F, 0] = self.objects[0x1001, 0] = 0
             self._emergency(0)
         if self.power.state != before:
@@ -363,7 +365,7 @@ class Cia402Node:
 
     def _send_event_pdos(self) -> None:
         """Send the TPDOs whose transmission type is *on a change*."""
-        if self.nmt == OPERATIONAL:
+        if self.nmt == OPERATIONAL_STATE:
             self._measure()
             self._unsolicited += self.pdos.on_event()
 
@@ -375,7 +377,7 @@ class Cia402Node:
         """
         if not self.pdos.receives(can_id):
             return False
-        if self.nmt != OPERATIONAL:
+        if self.nmt != OPERATIONAL_STATE:
             return True
         keys = self.pdos.unpack(can_id, data)
         if keys is None:
@@ -391,7 +393,7 @@ class Cia402Node:
         Returns:
             True if the node is operational.
         """
-        if self.nmt != OPERATIONAL:
+        if self.nmt != OPERATIONAL_STATE:
             return False
         for key in self.pdos.synchronise():
             self._apply_object(key)
@@ -407,7 +409,7 @@ class Cia402Node:
     def _apply_torque(self) -> None:
         """Follow the target torque or a motion mode, if the power stage and the mode of operation allow it."""
         mode = self.objects[0x6061, 0]
-        if self.power.state == ENABLED and mode in MODES:
+        if self.power.state == ENABLED_STATE and mode in MOTION_MODES:
             if not self.motion.running:
                 self.motor.servo.release()
             self.motion.start(mode, self._now_ns)
@@ -445,7 +447,7 @@ class Cia402Node:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
         self.thermal_ns = t_ns
-        if self.thermal.winding > HOT_C and self.power.state == ENABLED:
+        if self.thermal.winding > HOT_C and self.power.state == ENABLED_STATE:
             self.trip(MOTOR_HOT)
 
 
@@ -459,7 +461,7 @@ class Cia402NodeRow(Cia402Struct, Cia402Node):
         Cia402Node.__init__(self, spec, motor, offset)
         self.motor_number = motor.number
 
-    def _initial_objects(self) -> tuple[Dictionary, Power]:
+    def _initial_objects(self) -> tuple[ObjectDictionary, PowerStage]:
         power: PowerStruct = self.power_stage
-        Power.__init__(power)
-        return Dictionary(self.node_id, self.values), power
+        PowerStage.__init__(power)
+        return ObjectDictionary(self.node_id, self.values), power

@@ -13,9 +13,9 @@ Objects of PDO i:
 from collections.abc import Iterator
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.cia402.dictionary import OUT_OF_RANGE, Abort, Dictionary, Key
+from firmware_sim.nodes.cia402.dictionary import OUT_OF_RANGE, ObjectDictionary, ObjectKey, SdoAbort
 
-OFF = 1 << 31
+PDO_OFF_BIT = 1 << 31
 """Bit in the identifier object of a PDO: the PDO is off."""
 NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
@@ -25,19 +25,19 @@ STANDARD_RPDO = [((0x6040, 0), 2), ((0x6071, 0), 2)]
 """Mapping of the only RPDO that kernels can handle: mapped objects and their sizes [bytes]."""
 STANDARD_TPDO = [((0x6041, 0), 2), ((0x6064, 0), 4), ((0x6077, 0), 2)]
 """Mapping of the only TPDO that kernels can handle: mapped objects and their sizes [bytes]."""
-SYNCHRONOUS = 240
+MAX_SYNCHRONOUS_TYPE = 240
 """Highest transmission type with which a PDO depends on SYNC."""
 
 
-class Pdos:
+class NodePdos:
     """The received and sent PDOs of one node."""
 
-    def __init__(self, objects: Dictionary) -> None:
+    def __init__(self, objects: ObjectDictionary) -> None:
         """Use the communication and mapping objects of a dictionary."""
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
 
-    def write(self, key: Key, raw: bytes) -> None:
+    def write(self, key: ObjectKey, raw: bytes) -> None:
         """Write a communication or mapping object over SDO.
 
         Raises:
@@ -45,25 +45,25 @@ class Pdos:
         """
         index, sub = key
         if index & 0x200:
-            if not self._objects[index - 0x200, 1] & OFF:
-                raise Abort(0x08000022)
+            if not self._objects[index - 0x200, 1] & PDO_OFF_BIT:
+                raise SdoAbort(0x08000022)
             value = int.from_bytes(raw, "little")
             if sub == 0:
                 self._check(index, value)
             elif self._objects[index, 0]:
-                raise Abort(0x08000022)
+                raise SdoAbort(0x08000022)
             elif value and not self._objects.mappable((value >> 16, value >> 8 & 0xFF)):
-                raise Abort(NOT_MAPPABLE)
+                raise SdoAbort(NOT_MAPPABLE)
         self._objects.write(key, raw)
 
     def _check(self, index: int, count: int) -> None:
         """Check that the number of entries and the length of a mapping are allowed."""
         if count > 4:
-            raise Abort(OUT_OF_RANGE)
+            raise SdoAbort(OUT_OF_RANGE)
         if sum(self._objects[index, i + 1] & 0xFF for i in range(count)) > 64:
-            raise Abort(TOO_LONG)
+            raise SdoAbort(TOO_LONG)
 
-    def _entries(self, mapping: int) -> Iterator[tuple[Key, int]]:
+    def _entries(self, mapping: int) -> Iterator[tuple[ObjectKey, int]]:
         """Iterate over the objects in a mapping, with sizes [bytes]."""
         for i in range(self._objects[mapping, 0]):
             entry = self._objects[mapping, i + 1]
@@ -77,7 +77,7 @@ class Pdos:
         """Return True if an RPDO has this identifier."""
         return self._receiver(can_id) >= 0
 
-    def unpack(self, can_id: int, data: bytes) -> list[Key] | None:
+    def unpack(self, can_id: int, data: bytes) -> list[ObjectKey] | None:
         """Write the objects of an RPDO, or keep the RPDO until SYNC.
 
         Returns:
@@ -86,12 +86,12 @@ class Pdos:
         number = self._receiver(can_id)
         if len(data) < sum(size for _, size in self._entries(0x1600 + number)):
             return None
-        if self._objects[0x1400 + number, 2] <= SYNCHRONOUS:
+        if self._objects[0x1400 + number, 2] <= MAX_SYNCHRONOUS_TYPE:
             self._waiting[number] = data
             return []
         return self._store(number, data)
 
-    def _store(self, number: int, data: bytes) -> list[Key]:
+    def _store(self, number: int, data: bytes) -> list[ObjectKey]:
         """Write the objects of an RPDO and return their keys."""
         keys = []
         offset = 0
@@ -101,7 +101,7 @@ class Pdos:
             offset += size
         return keys
 
-    def synchronise(self) -> list[Key]:
+    def synchronise(self) -> list[ObjectKey]:
         """Write the RPDOs that wait for SYNC.
 
         Returns:
@@ -121,7 +121,7 @@ class Pdos:
         return [
             self._frame(i)
             for i, transmission in transmissions.items()
-            if 1 <= transmission <= SYNCHRONOUS and syncs % transmission == 0
+            if 1 <= transmission <= MAX_SYNCHRONOUS_TYPE and syncs % transmission == 0
         ]
 
     @property
@@ -137,7 +137,7 @@ class Pdos:
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]
             transmission = self._objects[0x1400 + i, 2]
-            if can_id < 0x800 and transmission > SYNCHRONOUS and self._receiver(can_id) == i:
+            if can_id < 0x800 and transmission > MAX_SYNCHRONOUS_TYPE and self._receiver(can_id) == i:
                 return can_id if list(self._entries(0x1600 + i)) == STANDARD_RPDO else -1
         return -1
 
@@ -149,12 +149,14 @@ class Pdos:
         -1.
         """
         active = self._active()
-        waits = any(self._objects[0x1400 + i, 2] <= SYNCHRONOUS for i in range(4) if self.identifiers[i] < OFF)
+        waits = any(
+            self._objects[0x1400 + i, 2] <= MAX_SYNCHRONOUS_TYPE for i in range(4) if self.identifiers[i] < PDO_OFF_BIT
+        )
         if len(active) != 1 or waits or self._waiting:
             return -1, 0
         (i,) = active
         transmission = self._objects[0x1800 + i, 2]
-        standard = 1 <= transmission <= SYNCHRONOUS and list(self._entries(0x1A00 + i)) == STANDARD_TPDO
+        standard = 1 <= transmission <= MAX_SYNCHRONOUS_TYPE and list(self._entries(0x1A00 + i)) == STANDARD_TPDO
         return (self._objects[0x1800 + i, 1] & 0x7FF if standard else -1), transmission
 
     def on_event(self) -> list[Frame]:
@@ -163,7 +165,7 @@ class Pdos:
 
     def _active(self) -> list[int]:
         """List the indices of the TPDOs that are on."""
-        return [i for i in range(4) if not self._objects[0x1800 + i, 1] & OFF]
+        return [i for i in range(4) if not self._objects[0x1800 + i, 1] & PDO_OFF_BIT]
 
     def _frame(self, number: int) -> Frame:
         """Build the frame of a TPDO."""

@@ -23,23 +23,23 @@ import numpy as np
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
 from firmware_sim.description import SensorSpec
-from firmware_sim.nodes.cia402.dictionary import CLIENT_ABORTS, UNKNOWN_COMMAND, WRONG_STATE, Abort, sdo_reply
-from firmware_sim.nodes.cia404.objects import OFF, TPDOS, Objects
-from firmware_sim.nodes.noise import Noise
+from firmware_sim.nodes.cia402.dictionary import CLIENT_ABORTS, UNKNOWN_COMMAND, WRONG_STATE, SdoAbort, sdo_reply
+from firmware_sim.nodes.cia404.objects import PDO_OFF_BIT, TPDO_COUNT, AmplifierObjects
+from firmware_sim.nodes.noise import NormalNoise
 
-OPERATIONAL = 0x05
+OPERATIONAL_STATE = 0x05
 """NMT state: operational."""
-STOPPED = 0x04
+STOPPED_STATE = 0x04
 """NMT state: stopped."""
 PRE_OPERATIONAL = 0x7F
 """NMT state: pre-operational."""
-SYNCHRONOUS = 240
+MAX_SYNCHRONOUS_TYPE = 240
 """Highest transmission type with which a TPDO depends on SYNC."""
 _NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
 
 
-class Amplifiers:
+class LoadCellAmplifiers:
     """The load cells of a hand that are connected to amplifiers, with their noise, bias and faults.
 
     Attributes:
@@ -63,7 +63,7 @@ class Amplifiers:
         self._tensions = tensions
         self.tension_noise = spec.tension_noise
         self.bias_drift = spec.bias_drift
-        self.noise = Noise(f"sensors {seed}")
+        self.noise = NormalNoise(f"sensors {seed}")
         self.bias: Any = np.full(len(spec.tendons), spec.tension_bias)
         self.cell_faults: dict[int, Callable[[float], float]] = {}
         self.joint_faults: dict[int, Callable[[float], float]] = {}
@@ -112,7 +112,9 @@ class AmplifierNode:
         serial: serial number of the amplifier.
     """
 
-    def __init__(self, load_cells: Amplifiers, spec: SensorSpec, node_id: int, cells: range, serial: int) -> None:
+    def __init__(
+        self, load_cells: LoadCellAmplifiers, spec: SensorSpec, node_id: int, cells: range, serial: int
+    ) -> None:
         """Set up the amplifier in the state after power-up."""
         self._load_cells = load_cells
         self._range = spec.full_range
@@ -126,7 +128,7 @@ class AmplifierNode:
 
     def restart(self) -> None:
         """Restart with all objects as delivered, and announce the restart on the bus."""
-        self.objects = Objects(self.node_id, len(self.cells), self._range, self.serial)
+        self.objects = AmplifierObjects(self.node_id, len(self.cells), self._range, self.serial)
         self.nmt = PRE_OPERATIONAL
         self._syncs = 0
         self._update_ids()
@@ -155,7 +157,7 @@ class AmplifierNode:
             self._nmt_command(data[0])
         elif can_id == self._sync_id:
             self._synchronise(data)
-        elif self.nmt != STOPPED:
+        elif self.nmt != STOPPED_STATE:
             self._sdo(data)
         return self._take_out()
 
@@ -184,26 +186,26 @@ class AmplifierNode:
             self.restart()
             return
         before = self.nmt
-        self.nmt = {0x01: OPERATIONAL, 0x02: STOPPED, 0x80: PRE_OPERATIONAL}.get(command, before)
-        if self.nmt == OPERATIONAL != before:
+        self.nmt = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(command, before)
+        if self.nmt == OPERATIONAL_STATE != before:
             self._syncs = 0
-            self._send(lambda kind: kind > SYNCHRONOUS)
+            self._send(lambda kind: kind > MAX_SYNCHRONOUS_TYPE)
 
     def _synchronise(self, data: bytes) -> None:
         """Process a SYNC frame: sample the load cells, and send the TPDOs that are due."""
         if data:
             self.malformed += 1
             return
-        if self.nmt == OPERATIONAL:
+        if self.nmt == OPERATIONAL_STATE:
             self._syncs += 1
-            self._send(lambda kind: 1 <= kind <= SYNCHRONOUS and self._syncs % kind == 0)
+            self._send(lambda kind: 1 <= kind <= MAX_SYNCHRONOUS_TYPE and self._syncs % kind == 0)
 
     def _send(self, is_due: Callable[[int], bool]) -> None:
         """Send the TPDOs for whose transmission type ``is_due`` returns True."""
         self._sample()
-        for i in range(TPDOS):
+        for i in range(TPDO_COUNT):
             can_id = self.objects[0x1800 + i, 1]
-            if not can_id & OFF and is_due(self.objects[0x1800 + i, 2]):
+            if not can_id & PDO_OFF_BIT and is_due(self.objects[0x1800 + i, 2]):
                 self._out.append(Frame(can_id & 0x7FF, self.objects.payload(i)))
 
     def _sample(self) -> None:
@@ -238,9 +240,9 @@ class AmplifierNode:
         # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame),
         # bit 0 if the request gives the size.
         if data[0] >> 5 != 1 or data[0] & 3 != 3:
-            raise Abort(UNKNOWN_COMMAND)
+            raise SdoAbort(UNKNOWN_COMMAND)
         if 0x1000 <= key[0] < 0x1C00 and self.nmt != PRE_OPERATIONAL and key != (0x1017, 0):
-            raise Abort(WRONG_STATE)
+            raise SdoAbort(WRONG_STATE)
         self.objects.write(key, data[4 : 8 - (data[0] >> 2 & 3)])
         if key[0] < 0x1C00:
             self._update_ids()

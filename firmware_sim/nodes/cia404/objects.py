@@ -26,17 +26,17 @@ from firmware_sim.nodes.cia402.dictionary import (
     READ_ONLY,
     WRONG_STATE,
     WRONG_TYPE,
-    Abort,
-    Key,
+    ObjectKey,
+    SdoAbort,
 )
 
-OFF = 1 << 31
+PDO_OFF_BIT = 1 << 31
 """Bit in the identifier object of a TPDO: the TPDO is off."""
-NEWTON = 0x0021_0000
+NEWTON_UNIT = 0x0021_0000
 """Number of the unit newton in object 0x6131. Source: CiA 303-2."""
 AS_DELIVERED = 0x00FD_0000
 """Number of the maker's unit in object 0x6131, until a host sets another unit."""
-TPDOS = 4
+TPDO_COUNT = 4
 """Number of TPDOs of an amplifier."""
 NOT_MAPPABLE = 0x06040041
 """SDO abort code: the object cannot be mapped. Source: CiA 301."""
@@ -48,27 +48,27 @@ POSITIVE_OVERLOAD = 2
 """Status bit: the reading is above the range."""
 NEGATIVE_OVERLOAD = 4
 """Status bit: the reading is below the range."""
-OVERLOAD = 1.03125
+OVERLOAD_RATIO = 1.03125
 """Smallest reading that counts as overload, divided by the rated load.
 
 Source: WIKA MH-4-CAN, 3.125 % beyond the range.
 """
-FLOAT = 0x6130
+FLOAT_VALUE_INDEX = 0x6130
 """Index of the process value as a float."""
-SHORT = 0x7130
+INT16_VALUE_INDEX = 0x7130
 """Index of the process value with 16 bits."""
-LONG = 0x9130
+INT32_VALUE_INDEX = 0x9130
 """Index of the process value with 32 bits."""
-_INVALID = {SHORT: -(1 << 15), LONG: -(1 << 31)}
+_OVERLOAD_VALUES = {INT16_VALUE_INDEX: -(1 << 15), INT32_VALUE_INDEX: -(1 << 31)}
 """Integer process values that report an overload.
 
 The float process value is then NaN. Source: WIKA MH-4-CAN.
 """
-_SIZES = {FLOAT: 4, SHORT: 2, LONG: 4, 0x6150: 1}
+_MAPPABLE_SIZES_BYTES = {FLOAT_VALUE_INDEX: 4, INT16_VALUE_INDEX: 2, INT32_VALUE_INDEX: 4, 0x6150: 1}
 """Sizes of the objects that can be mapped [bytes]."""
 
 
-class Objects:
+class AmplifierObjects:
     """The object dictionary of one amplifier: the values of all objects.
 
     Attributes:
@@ -86,16 +86,16 @@ class Objects:
         """
         self.readings = [0.0] * channels
         self._range = full_range
-        self._sizes: dict[Key, int] = {}
-        self._values: dict[Key, int] = {}
-        self._fixed: set[Key] = set()
+        self._sizes: dict[ObjectKey, int] = {}
+        self._values: dict[ObjectKey, int] = {}
+        self._fixed: set[ObjectKey] = set()
         self._add((0x1000, 0), 4, 0x0002_0194, fixed=True)
         self._add((0x1005, 0), 4, 0x080)
         self._add((0x1017, 0), 2, 0)
         self._add((0x1018, 4), 4, serial, fixed=True)
-        for i in range(TPDOS):
-            mapped = [LONG << 16 | c << 8 | 32 for c in (2 * i + 1, 2 * i + 2) if c <= channels]
-            can_id = 0x180 + 0x100 * i + node_id | (0 if mapped else OFF)
+        for i in range(TPDO_COUNT):
+            mapped = [INT32_VALUE_INDEX << 16 | c << 8 | 32 for c in (2 * i + 1, 2 * i + 2) if c <= channels]
+            can_id = 0x180 + 0x100 * i + node_id | (0 if mapped else PDO_OFF_BIT)
             for sub, size, value in ((1, 4, can_id), (2, 1, 254), (3, 2, 0), (5, 2, 0)):
                 self._add((0x1800 + i, sub), size, value)
             self._add((0x1A00 + i, 0), 1, len(mapped))
@@ -106,64 +106,64 @@ class Objects:
             self._add((0x6131, channel), 4, AS_DELIVERED)
             self._add((0x6132, channel), 1, 2)
 
-    def _add(self, key: Key, size: int, value: int, fixed: bool = False) -> None:
+    def _add(self, key: ObjectKey, size: int, value: int, fixed: bool = False) -> None:
         """Add an object to the dictionary. A fixed object is read-only for hosts."""
         self._sizes[key] = size
         self._values[key] = value
         if fixed:
             self._fixed.add(key)
 
-    def __getitem__(self, key: Key) -> int:
+    def __getitem__(self, key: ObjectKey) -> int:
         """Return the stored value of an object."""
         return self._values[key]
 
-    def __setitem__(self, key: Key, value: int) -> None:
+    def __setitem__(self, key: ObjectKey, value: int) -> None:
         """Set an object from inside the amplifier."""
         self._values[key] = value
 
-    def read(self, key: Key) -> bytes:
+    def read(self, key: ObjectKey) -> bytes:
         """Return the value of an object as bytes.
 
         Raises:
             Abort: the object does not exist.
         """
-        if key[0] in _SIZES:
+        if key[0] in _MAPPABLE_SIZES_BYTES:
             if not 1 <= key[1] <= len(self.readings):
-                raise Abort(NO_SUB)
+                raise SdoAbort(NO_SUB)
             return self._measured(*key)
         if key not in self._sizes:
-            raise Abort(NO_SUB if any(index == key[0] for index, _ in self._sizes) else NO_OBJECT)
+            raise SdoAbort(NO_SUB if any(index == key[0] for index, _ in self._sizes) else NO_OBJECT)
         return self._values[key].to_bytes(self._sizes[key], "little")
 
-    def write(self, key: Key, raw: bytes) -> None:
+    def write(self, key: ObjectKey, raw: bytes) -> None:
         """Write the bytes of a received frame to an object.
 
         Raises:
             Abort: the object does not exist, is read-only or has another length, or the mapping is not possible.
         """
         self.read(key)
-        if key[0] in _SIZES or key in self._fixed:
-            raise Abort(READ_ONLY)
+        if key[0] in _MAPPABLE_SIZES_BYTES or key in self._fixed:
+            raise SdoAbort(READ_ONLY)
         if len(raw) != self._sizes[key]:
-            raise Abort(WRONG_TYPE)
+            raise SdoAbort(WRONG_TYPE)
         value = int.from_bytes(raw, "little")
-        if 0x1A00 <= key[0] < 0x1A00 + TPDOS:
+        if 0x1A00 <= key[0] < 0x1A00 + TPDO_COUNT:
             self._check_mapping(key, value)
         self._values[key] = value
 
-    def _check_mapping(self, key: Key, value: int) -> None:
+    def _check_mapping(self, key: ObjectKey, value: int) -> None:
         """Check that a new mapping value is possible, and that the TPDO of the mapping is off."""
         index, sub = key
-        if not self[index - 0x200, 1] & OFF:
-            raise Abort(WRONG_STATE)
+        if not self[index - 0x200, 1] & PDO_OFF_BIT:
+            raise SdoAbort(WRONG_STATE)
         if sub and self[index, 0]:
-            raise Abort(WRONG_STATE)
-        if sub and (value >> 16 not in _SIZES or not 1 <= value >> 8 & 0xFF <= len(self.readings)):
-            raise Abort(NOT_MAPPABLE)
+            raise SdoAbort(WRONG_STATE)
+        if sub and (value >> 16 not in _MAPPABLE_SIZES_BYTES or not 1 <= value >> 8 & 0xFF <= len(self.readings)):
+            raise SdoAbort(NOT_MAPPABLE)
         if not sub and value > 8:
-            raise Abort(OUT_OF_RANGE)
+            raise SdoAbort(OUT_OF_RANGE)
         if not sub and sum(self[index, i + 1] & 0xFF for i in range(value)) > 64:
-            raise Abort(TOO_LONG)
+            raise SdoAbort(TOO_LONG)
 
     def payload(self, tpdo: int) -> bytes:
         """Return the payload of a TPDO with the present readings."""
@@ -173,7 +173,7 @@ class Objects:
     def _status(self, channel: int) -> int:
         """Return the status of a channel."""
         reading = self.readings[channel - 1]
-        if abs(reading) < OVERLOAD * self._range:
+        if abs(reading) < OVERLOAD_RATIO * self._range:
             return 0
         return NOT_VALID | (POSITIVE_OVERLOAD if reading > 0 else NEGATIVE_OVERLOAD)
 
@@ -184,11 +184,11 @@ class Objects:
             return bytes((status,))
         # The maker's unit is assumed to be 1/100 N, so a host that does not set the unit reads
         # wrong tensions.
-        unit = 1.0 if self[0x6131, channel] == NEWTON else 100.0
+        unit = 1.0 if self[0x6131, channel] == NEWTON_UNIT else 100.0
         value = math.nan if status else self.readings[channel - 1] * unit
-        if index == FLOAT:
+        if index == FLOAT_VALUE_INDEX:
             return struct.pack("<f", value)
-        size = _SIZES[index]
-        count = _INVALID[index] if status else round(value * 10 ** self[0x6132, channel])
+        size = _MAPPABLE_SIZES_BYTES[index]
+        count = _OVERLOAD_VALUES[index] if status else round(value * 10 ** self[0x6132, channel])
         top = (1 << 8 * size - 1) - 1
         return min(top, max(-top - 1, count)).to_bytes(size, "little", signed=True)

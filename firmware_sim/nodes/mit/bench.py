@@ -7,11 +7,11 @@ import math
 from typing import NamedTuple
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.mit.codec import WORD, apply_command
+from firmware_sim.nodes.mit.codec import PAYLOAD_WORD_STRUCT, apply_command
 from firmware_sim.nodes.mit.node import REGISTER_ID, MitNode, MitNodeRow
-from firmware_sim.nodes.protocol_spec import MIT, ProtocolSpec, Shaft
+from firmware_sim.nodes.protocol_spec import MIT_KIND, ProtocolSpec, ShaftSpec
 
-TYPES = {
+MOTOR_TYPE_RANGES = {
     "dm3507": (12.566, 50.0, 5.0),
     "dm4310": (12.5, 30.0, 10.0),
     "dm4310-48v": (12.5, 50.0, 10.0),
@@ -35,7 +35,7 @@ from openarm_can.
 """
 
 
-class Rating(NamedTuple):
+class MotorRating(NamedTuple):
     """Rated values of a motor type at the output shaft, and supply voltage.
 
     Attributes:
@@ -65,18 +65,18 @@ class Rating(NamedTuple):
         return self.torque_constant * self.supply / math.sqrt(3.0) / self.resistance
 
 
-RATINGS = {
-    "dm3507": Rating(3.0, 460.0, 0.5439, 0.8),
-    "dm4310": Rating(7.0, 200.0, 0.945, 0.85),
-    "dm4310-48v": Rating(7.0, 400.0, 0.945, 0.85, 48.0),
-    "dm4310v": Rating(7.0, 200.0, 0.945, 0.85),
-    "dm4340": Rating(27.0, 52.5, 4.074, 0.88),
-    "dm4340-48v": Rating(27.0, 100.0, 4.074, 0.88, 48.0),
-    "dm6006": Rating(11.0, 226.0, 0.7308, 0.435),
-    "dm8006": Rating(20.0, 194.2, 1.0206, 0.4),
-    "dm8009": Rating(40.0, 168.0, 1.261575, 0.145),
-    "dm10010l": Rating(120.0, 100.0, 2.00025, 0.11),
-    "dm10010": Rating(150.0, 75.0, 2.59875, 0.125),
+MOTOR_RATINGS = {
+    "dm3507": MotorRating(3.0, 460.0, 0.5439, 0.8),
+    "dm4310": MotorRating(7.0, 200.0, 0.945, 0.85),
+    "dm4310-48v": MotorRating(7.0, 400.0, 0.945, 0.85, 48.0),
+    "dm4310v": MotorRating(7.0, 200.0, 0.945, 0.85),
+    "dm4340": MotorRating(27.0, 52.5, 4.074, 0.88),
+    "dm4340-48v": MotorRating(27.0, 100.0, 4.074, 0.88, 48.0),
+    "dm6006": MotorRating(11.0, 226.0, 0.7308, 0.435),
+    "dm8006": MotorRating(20.0, 194.2, 1.0206, 0.4),
+    "dm8009": MotorRating(40.0, 168.0, 1.261575, 0.145),
+    "dm10010l": MotorRating(120.0, 100.0, 2.00025, 0.11),
+    "dm10010": MotorRating(150.0, 75.0, 2.59875, 0.125),
 }
 """Published ratings by motor type. Source: wiki of Seeed Studio, table in "Damiao Series"."""
 STALL_FACTOR = 2.0
@@ -95,21 +95,21 @@ A DM-J4310 (10 N m) has 2e-3 kg m2.
 """
 
 
-def shaft(kind: str, **options: object) -> Shaft:
+def shaft_of_mit_motor(kind: str, **options: object) -> ShaftSpec:
     """Build the shaft of a motor type.
 
     Args:
-        kind: key of ``TYPES``.
+        kind: key of ``MOTOR_TYPE_RANGES``.
         options: options of the motor, as in a hand file.
     """
-    position, velocity, peak = TYPES[kind]
+    position, velocity, peak = MOTOR_TYPE_RANGES[kind]
     inertia = INERTIA_PER_TORQUE * peak
-    if kind not in RATINGS:
+    if kind not in MOTOR_RATINGS:
         limits = peak, velocity, STALL_FACTOR * peak
     else:
-        rating = RATINGS[kind]
+        rating = MOTOR_RATINGS[kind]
         limits = rating.peak, rating.top_speed, rating.stall_torque
-    return Shaft(peak, inertia, 1.0, position, velocity, dict(options), *limits)
+    return ShaftSpec(peak, inertia, 1.0, position, velocity, dict(options), *limits)
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
@@ -140,11 +140,12 @@ def _corrupt_reply(frame: Frame) -> Frame:
 def _force_command(node: MitNode, frame: Frame) -> None:
     """Apply an MIT command in any state of the motor."""
     if frame.can_id == node.node_id and len(frame.data) == 8 and frame.data[:7] != b"\xff" * 7:
-        apply_command(node, node.motor.servo, WORD.unpack(frame.data)[0])
+        apply_command(node, node.motor.servo, PAYLOAD_WORD_STRUCT.unpack(frame.data)[0])
 
 
-SPEC = ProtocolSpec(
-    MitNode, range(1, 0x7F0), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command, _corrupt_reply, MitNodeRow,
-    MIT, _force_command,
+MIT_SPEC = ProtocolSpec(
+    MitNode, range(1, 0x7F0), shaft_of_mit_motor(DEFAULT_TYPE), _host_frame, _corrupt_command, _corrupt_reply,
+    MitNodeRow,
+    MIT_KIND, _force_command,
 )  # fmt: skip
 """Specification of the MIT protocol with Damiao motors."""

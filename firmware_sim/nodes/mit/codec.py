@@ -27,22 +27,22 @@ import ctypes
 import struct
 from typing import Any, NamedTuple
 
-from firmware_sim.compiled import compiled, inner
+from firmware_sim.compiled import compiled, kernel_helper
 from firmware_sim.nodes.thermal import ThermalStruct
 
-WORD = struct.Struct(">q")
+PAYLOAD_WORD_STRUCT = struct.Struct(">q")
 """Conversion between the eight bytes of a payload and a 64-bit integer."""
 KP_MAX = 500.0
 """Maximum of kp in a command [N m/rad]."""
 KD_MAX = 5.0
 """Maximum of kd in a command [N m s/rad]."""
-ENABLED = 0x1
+ENABLED_STATE = 0x1
 """State nibble in the feedback of an enabled drive."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the drive's temperatures [ns]."""
 
 
-class Ranges(NamedTuple):
+class FrameRanges(NamedTuple):
     """Symmetric ranges of the values in frames, from registers 21, 22 and 23.
 
     Attributes:
@@ -71,7 +71,7 @@ class MitStruct(ctypes.Structure):
     ]
 
 
-class Command(NamedTuple):
+class MitCommand(NamedTuple):
     """An MIT command at the output shaft.
 
     Attributes:
@@ -117,7 +117,7 @@ def read_command(word: int, position: float, velocity: float, torque: float) -> 
         torque: torque range [N m].
 
     Returns:
-        The fields of ``Command``.
+        The fields of ``MitCommand``.
     """
     return (
         from_code(word >> 48 & 0xFFFF, position, 16),
@@ -162,7 +162,7 @@ def write_feedback(
     return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
 
 
-@inner
+@kernel_helper
 def apply_command(node: Any, servo: Any, word: int) -> None:
     """Apply an MIT command to the servo of an enabled drive.
 
@@ -180,7 +180,7 @@ def apply_command(node: Any, servo: Any, word: int) -> None:
     servo.torque = node.direction * torque
 
 
-@inner
+@kernel_helper
 def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: float) -> int:
     """Encode the present feedback of a drive.
 
@@ -203,21 +203,21 @@ def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: f
     return write_feedback(head, p, v, t, *ranges, mosfet, winding)
 
 
-@inner
+@kernel_helper
 def schedule(node: Any) -> None:
     """Schedule the next wake of a drive: at the update of temperatures, or earlier if the watchdog must be checked."""
     node.wake_ns = node.thermal_ns + THERMAL_PERIOD_NS
-    if node.timeout_ns != 0 and node.state == ENABLED:
+    if node.timeout_ns != 0 and node.state == ENABLED_STATE:
         node.wake_ns = min(node.wake_ns, node.watchdog_fed_ns + node.timeout_ns)
 
 
-def decode_command(data: bytes, ranges: Ranges) -> Command:
+def decode_command(data: bytes, ranges: FrameRanges) -> MitCommand:
     """Decode an MIT command of 8 bytes."""
-    return Command(*read_command(WORD.unpack(data)[0], *ranges))
+    return MitCommand(*read_command(PAYLOAD_WORD_STRUCT.unpack(data)[0], *ranges))
 
 
 def encode_feedback(
-    state: int, node_id: int, motion: tuple[float, float, float], ranges: Ranges, temperatures: tuple[float, float]
+    state: int, node_id: int, motion: tuple[float, float, float], ranges: FrameRanges, temperatures: tuple[float, float]
 ) -> bytes:
     """Encode feedback into 8 bytes. See ``write_feedback``."""
-    return WORD.pack(write_feedback(state << 4 | node_id & 0xF, *motion, *ranges, *temperatures))
+    return PAYLOAD_WORD_STRUCT.pack(write_feedback(state << 4 | node_id & 0xF, *motion, *ranges, *temperatures))

@@ -16,7 +16,7 @@ import math
 from typing import Any
 
 from firmware_sim.nodes.mit import registers as reg
-from firmware_sim.nodes.motion import PERIOD_NS, Cascade, LoopGains, Setpoint, assumed_gains
+from firmware_sim.nodes.motion import PERIOD_NS, CascadeController, LoopGains, MotionSetpoint, assumed_gains
 
 NEVER_NS = (1 << 63) - 1
 """Time of the next update of a motor without a setpoint: never [ns]."""
@@ -32,8 +32,8 @@ class MotionModes:
     def __init__(self, node: Any) -> None:
         """Use the registers and the rotor of a motor (``node.MitNode``)."""
         self._node = node
-        self._setpoint = Setpoint()
-        self._cascade = Cascade(node.motor)
+        self._setpoint = MotionSetpoint()
+        self._cascade = CascadeController(node.motor)
         self._running = False
         self._target = self._speed = 0.0
         self._fraction = 1.0

@@ -6,7 +6,7 @@ Choices where the fact sheet has only an assumption:
 
 - Commands to ESC_ID feed the watchdog, but register requests do not. The manual only says "no CAN
   commands within the interval". Therefore the option ``watchdog`` can select another behaviour of
-  ``WATCHDOGS``.
+  ``WATCHDOG_BEHAVIOURS``.
 - The special command FE (set zero) acts only while the motor is disabled.
 - A command for another mode than that in CTRL_MODE is answered, but has no effect.
 - Position and velocity modes use cascaded controllers with fixed gains, see ``motion``.
@@ -31,43 +31,50 @@ import struct
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
 from firmware_sim.nodes.mit import registers as reg
-from firmware_sim.nodes.mit.codec import THERMAL_PERIOD_NS, WORD, MitStruct, apply_command, feedback_word, schedule
+from firmware_sim.nodes.mit.codec import (
+    PAYLOAD_WORD_STRUCT,
+    THERMAL_PERIOD_NS,
+    MitStruct,
+    apply_command,
+    feedback_word,
+    schedule,
+)
 from firmware_sim.nodes.mit.motion import MotionModes
-from firmware_sim.nodes.thermal import Thermal, ThermalStruct
+from firmware_sim.nodes.thermal import DriveTemperatures, ThermalStruct
 from firmware_sim.plant.motor import Motor
 
 REGISTER_ID = 0x7FF
 """Identifier of register requests, the same for all motors."""
 WATCHDOG_UNIT_NS = 50_000
 """Unit of the register TIMEOUT [ns]."""
-_SPECIAL = b"\xff" * 7
-_MOTION = {1: struct.Struct("<ff"), 2: struct.Struct("<f"), 3: struct.Struct("<fHH")}
+_SPECIAL_COMMAND_START = b"\xff" * 7
+_MOTION_STRUCTS = {1: struct.Struct("<ff"), 2: struct.Struct("<f"), 3: struct.Struct("<fHH")}
 """Layouts of the commands to 0x100 + ESC_ID, 0x200 + ESC_ID and 0x300 + ESC_ID."""
-FULL_CODE = 10_000
+MAX_FORCE_POSITION_CODE = 10_000
 """Largest code in force-position mode, for a speed of 100 rad/s or the largest current.
 """
-_ENABLE = 0xFC
-_DISABLE = 0xFD
-_ZERO = 0xFE
-_CLEAR = 0xFB
-_READ = 0x33
-_WRITE = 0x55
-_SAVE = 0xAA
-_REFRESH = 0xCC
+_ENABLE_COMMAND = 0xFC
+_DISABLE_COMMAND = 0xFD
+_ZERO_COMMAND = 0xFE
+_CLEAR_COMMAND = 0xFB
+_READ_REQUEST = 0x33
+_WRITE_REQUEST = 0x55
+_SAVE_REQUEST = 0xAA
+_REFRESH_REQUEST = 0xCC
 
 
-COMMANDS, FRAMES, ALWAYS = "commands", "frames", "always"
-WATCHDOGS = {
-    COMMANDS: "commands feed it, and it fires while the motor is enabled",
-    FRAMES: "register requests feed it too",
-    ALWAYS: "commands feed it, and it also fires while the motor is disabled",
+FED_BY_COMMANDS, FED_BY_FRAMES, FIRES_ALWAYS = "commands", "frames", "always"
+WATCHDOG_BEHAVIOURS = {
+    FED_BY_COMMANDS: "commands feed it, and it fires while the motor is enabled",
+    FED_BY_FRAMES: "register requests feed it too",
+    FIRES_ALWAYS: "commands feed it, and it also fires while the motor is disabled",
 }
 """Possible behaviours of the watchdog, by the value of the option ``watchdog``."""
-EACH, IN_ERROR, NEVER = "each", "error", "never"
+EACH_CLEAR_ANSWERED, ERROR_CLEAR_ANSWERED, NO_CLEAR_ANSWERED = "each", "error", "never"
 CLEAR_ANSWERS = {
-    EACH: "each clear command is answered",
-    IN_ERROR: "only one that clears an error",
-    NEVER: "none is answered",
+    EACH_CLEAR_ANSWERED: "each clear command is answered",
+    ERROR_CLEAR_ANSWERED: "only one that clears an error",
+    NO_CLEAR_ANSWERED: "none is answered",
 }
 """Possible answers to the command *clear error*, which the manual does not document."""
 
@@ -135,16 +142,16 @@ class MitNode:
         self.direction = spec.direction
         self.mode = reg.MODE_MIT
         self.torque_peak = spec.torque_peak
-        self._clear_answers = str(spec.options.get("clear_answers", EACH))
-        self._watchdog = str(spec.options.get("watchdog", COMMANDS))
+        self._clear_answers = str(spec.options.get("clear_answers", EACH_CLEAR_ANSWERED))
+        self._watchdog = str(spec.options.get("watchdog", FED_BY_COMMANDS))
         self.watchdog_fed_ns = 0
         self.thermal_ns = -1
         self._motion_modes = MotionModes(self)
         self._update_derived()
 
-    def _temperatures(self, torque_constant: float) -> Thermal:
+    def _temperatures(self, torque_constant: float) -> DriveTemperatures:
         """Create the temperatures of a drive, all at ambient temperature."""
-        return Thermal(torque_constant)
+        return DriveTemperatures(torque_constant)
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
@@ -182,13 +189,13 @@ class MitNode:
             if len(data) < 4 or int.from_bytes(data[:2], "little") != self.node_id:
                 return None
             self.wake(t_ns)
-            if self._watchdog == FRAMES:
+            if self._watchdog == FED_BY_FRAMES:
                 self.watchdog_fed_ns = t_ns
             answer = self._register(data)
         elif can_id in self._mode_ids:
             self.wake(t_ns)
             # Some hosts send the special commands FD and FE to the identifier of a motion mode.
-            is_special = data[:7] == _SPECIAL and len(data) == 8
+            is_special = data[:7] == _SPECIAL_COMMAND_START and len(data) == 8
             answer = self._special(data, t_ns) if is_special else self._motion(can_id - self.node_id >> 8, data, t_ns)
         else:
             return None
@@ -205,11 +212,11 @@ class MitNode:
             return None
         # The last byte is compared first. It differs in most commands, so the comparison of seven
         # bytes is rarely made.
-        if data[7] >= _CLEAR and data[7] != 0xFF and data[:7] == _SPECIAL:
+        if data[7] >= _CLEAR_COMMAND and data[7] != 0xFF and data[:7] == _SPECIAL_COMMAND_START:
             return self._special(data, t_ns)
         self.watchdog_fed_ns = t_ns
         if self.state == _ENABLED and self.mode == reg.MODE_MIT:
-            apply_command(self, self.motor.servo, WORD.unpack(data)[0])
+            apply_command(self, self.motor.servo, PAYLOAD_WORD_STRUCT.unpack(data)[0])
         return self.feedback()
 
     def _motion(self, kind: int, data: bytes, t_ns: int) -> bytes | None:
@@ -218,7 +225,7 @@ class MitNode:
         Returns:
             Payload of the feedback, None if the command is malformed.
         """
-        layout = _MOTION[kind]
+        layout = _MOTION_STRUCTS[kind]
         if len(data) < layout.size:
             return None
         self.watchdog_fed_ns = t_ns
@@ -233,29 +240,31 @@ class MitNode:
             self._motion_modes.follow_position(values[0], abs(values[1]))
         else:
             speed, current = values[1:]
-            if speed > FULL_CODE or current > FULL_CODE:
+            if speed > MAX_FORCE_POSITION_CODE or current > MAX_FORCE_POSITION_CODE:
                 return None
-            self._motion_modes.follow_force_position(values[0], speed / 100.0, current / FULL_CODE)
+            self._motion_modes.follow_force_position(values[0], speed / 100.0, current / MAX_FORCE_POSITION_CODE)
         self._motion_modes.start(t_ns)
         return self.feedback()
 
     def _special(self, data: bytes, t_ns: int) -> bytes | None:
         """Execute a special command and return the payload of the answer, None if the command is malformed."""
-        if len(data) != 8 or data[:7] != _SPECIAL:
+        if len(data) != 8 or data[:7] != _SPECIAL_COMMAND_START:
             return None
         self.watchdog_fed_ns = t_ns
         code = data[7]
-        if code == _ENABLE:
+        if code == _ENABLE_COMMAND:
             self._enable()
-        elif code == _DISABLE:
+        elif code == _DISABLE_COMMAND:
             self._disable()
-        elif code == _ZERO:
+        elif code == _ZERO_COMMAND:
             if self.state != FeedbackState.ENABLED:
                 self.offset = -self.direction * self.motor.encoder()
-        elif code == _CLEAR:
+        elif code == _CLEAR_COMMAND:
             had_error = self.state > FeedbackState.ENABLED
             self._clear()
-            if self._clear_answers == NEVER or (self._clear_answers == IN_ERROR and not had_error):
+            if self._clear_answers == NO_CLEAR_ANSWERED or (
+                self._clear_answers == ERROR_CLEAR_ANSWERED and not had_error
+            ):
                 return b""
         else:
             return None
@@ -292,21 +301,21 @@ class MitNode:
         """Return the payload of the present feedback."""
         motor = self.motor
         thermal = self.thermal
-        return WORD.pack(feedback_word(self, motor, motor.encoder(), thermal.mosfet, thermal.winding))
+        return PAYLOAD_WORD_STRUCT.pack(feedback_word(self, motor, motor.encoder(), thermal.mosfet, thermal.winding))
 
     def _register(self, data: bytes) -> bytes | None:
         """Execute a register request and return the payload of the reply, None if the request is malformed."""
         operation = data[2]
         register = data[3]
-        if operation == _REFRESH:
+        if operation == _REFRESH_REQUEST:
             return self.feedback()
         head = data[:3]
-        if operation == _SAVE and self.state != FeedbackState.ENABLED:
+        if operation == _SAVE_REQUEST and self.state != FeedbackState.ENABLED:
             self.registers.save()
             return head + b"\x01\0\0\0\0"
-        if operation not in (_READ, _WRITE) or register not in self.registers:
+        if operation not in (_READ_REQUEST, _WRITE_REQUEST) or register not in self.registers:
             return None
-        if operation == _WRITE:
+        if operation == _WRITE_REQUEST:
             if len(data) != 8:
                 return None
             self.registers.write(register, data[4:])
@@ -344,7 +353,7 @@ class MitNode:
         """Do the work that is due: temperatures, watchdog and motion mode."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_thermal(t_ns)
-        watched = (FeedbackState.ENABLED, *[FeedbackState.DISABLED] * (self._watchdog == ALWAYS))
+        watched = (FeedbackState.ENABLED, *[FeedbackState.DISABLED] * (self._watchdog == FIRES_ALWAYS))
         silence_ns = t_ns - self.watchdog_fed_ns
         if self.state in watched and self.timeout_ns and silence_ns >= self.timeout_ns:
             self.trip(FeedbackState.COMMUNICATION_LOST)
@@ -379,7 +388,7 @@ class MitNodeRow(MitStruct, MitNode):
         MitNode.__init__(self, spec, motor, offset)
         self.motor_number = motor.number
 
-    def _temperatures(self, torque_constant: float) -> Thermal:
+    def _temperatures(self, torque_constant: float) -> DriveTemperatures:
         thermal: ThermalStruct = self.temperatures
-        Thermal.__init__(thermal, torque_constant)
+        DriveTemperatures.__init__(thermal, torque_constant)
         return thermal

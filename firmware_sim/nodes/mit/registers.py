@@ -62,7 +62,7 @@ class Registers:
 
     def __init__(self, spec: MotorSpec) -> None:
         """Initialize the registers as in a commissioned motor with the watchdog (register TIMEOUT) off."""
-        self._values: dict[int, float] = _factory(spec)
+        self._values: dict[int, float] = _factory_values(spec)
         self._flash = self._values.copy()
 
     def __contains__(self, register: int) -> bool:
@@ -88,7 +88,7 @@ class Registers:
         Read-only registers and impossible values are ignored.
         """
         value = float(struct.unpack("<I" if register in _UINT_REGISTERS else "<f", raw)[0])
-        if register not in _READ_ONLY_REGISTERS and _possible(register, value):
+        if register not in _READ_ONLY_REGISTERS and _is_value_possible(register, value):
             self._values[register] = value
 
     def save(self) -> None:
@@ -100,7 +100,7 @@ class Registers:
         self._values = self._flash.copy()
 
 
-def _possible(register: int, value: float) -> bool:
+def _is_value_possible(register: int, value: float) -> bool:
     """Check whether a value may be written to a register."""
     if register == CTRL_MODE:
         return MODE_MIT <= value <= MODE_FORCE
@@ -114,7 +114,7 @@ def _possible(register: int, value: float) -> bool:
     return math.isfinite(value) and (value > 0 or register not in _POSITIVE_REGISTERS)
 
 
-def _factory(spec: MotorSpec) -> dict[int, float]:
+def _factory_values(spec: MotorSpec) -> dict[int, float]:
     """Return the register values of a commissioned motor."""
     # The default serial number is the ASCII text "SIM" and the node number.
     serial = 0x5349_4D00 + spec.node_id if spec.serial is None else spec.serial

@@ -5,11 +5,11 @@ The data of motor and free shaft are assumptions, for a motor like mj5208.
 
 from firmware_sim.bus.frame import EXTENDED, FDF, Frame
 from firmware_sim.nodes.moteus.node import MoteusNode
-from firmware_sim.nodes.protocol_spec import ProtocolSpec, Shaft
+from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
 
 TORQUE_LIMIT_HEAD = b"\x2d\x25"
 """First bytes of the reply with the torque limit: one float from register 0x25."""
-STOP = b"\x01\x00\x00"
+STOP_PAYLOAD = b"\x01\x00\x00"
 """Subframe that writes the mode 0 (stopped)."""
 
 
@@ -20,7 +20,7 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace the command of mode 0 by mode 13 without bounds, which makes no torque but keeps the power stage on."""
-    return frame._replace(data=b"\x01\x00\x0d" + frame.data[3:]) if frame.data[:3] == STOP else frame
+    return frame._replace(data=b"\x01\x00\x0d" + frame.data[3:]) if frame.data[:3] == STOP_PAYLOAD else frame
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
@@ -32,5 +32,7 @@ def _is_limit(frame: Frame) -> bool:
     return bool(frame.flags & FDF) and frame.data[:2] == TORQUE_LIMIT_HEAD
 
 
-SPEC = ProtocolSpec(MoteusNode, range(1, 0x7F), Shaft(1.7, 5e-5, 0.045), _host_frame, _corrupt_command, _corrupt_reply)
+MOTEUS_SPEC = ProtocolSpec(
+    MoteusNode, range(1, 0x7F), ShaftSpec(1.7, 5e-5, 0.045), _host_frame, _corrupt_command, _corrupt_reply
+)
 """Specification of the moteus protocol for simulated drives."""

@@ -17,13 +17,13 @@ import struct
 
 INT8, INT16, INT32, FLOAT = range(4)
 """Numbers of the types of register values."""
-STRUCTS = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
+REGISTER_STRUCTS = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
 """Encoding of a register value, by type."""
 MAX_COUNTS = (127, 32767, 2147483647)
 """Largest integer of each integer type. The most negative integer means NaN."""
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """Payload lengths in CAN FD [bytes]."""
-PADDING = b"\x50"
+PADDING_SUBFRAME = b"\x50"
 """Subframe *no operation*, which fills a payload up to a length of CAN FD."""
 
 # Value of one integer step as int8, int16 and int32, for each kind of quantity.
@@ -40,11 +40,11 @@ ACCELERATION = (0.05, 0.001, 0.00001)
 FRACTION = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
 
 
-class Malformed(Exception):  # noqa: N818 - never leaves the node
+class MalformedPayload(Exception):  # noqa: N818 - never leaves the node
     """An error: a payload ends within a subframe, or has an unknown subframe."""
 
 
-class Reader:
+class PayloadReader:
     """Reader of a payload, from the first byte to the last byte."""
 
     def __init__(self, data: bytes) -> None:
@@ -65,7 +65,7 @@ class Reader:
         """
         part = self._data[self._at : self._at + length]
         if len(part) != length:
-            raise Malformed
+            raise MalformedPayload
         self._at += length
         return part
 
@@ -81,43 +81,43 @@ class Reader:
             value += (byte & 127) << 7 * i
             if byte < 128:
                 return value
-        raise Malformed
+        raise MalformedPayload
 
 
-def varuint(value: int) -> bytes:
+def encode_varuint(value: int) -> bytes:
     """Return a number as the bytes of a varuint."""
     if value < 128:
         return bytes([value])
-    return bytes([128 | value & 127]) + varuint(value >> 7)
+    return bytes([128 | value & 127]) + encode_varuint(value >> 7)
 
 
-def decode(raw: bytes, kind: int, steps: tuple[float, float, float]) -> float:
+def decode_register(raw: bytes, kind: int, steps: tuple[float, float, float]) -> float:
     """Decode the bytes of a register value. The most negative integer means NaN."""
-    (number,) = STRUCTS[kind].unpack(raw)
+    (number,) = REGISTER_STRUCTS[kind].unpack(raw)
     if kind == FLOAT:
         return float(number)
     return math.nan if number < -MAX_COUNTS[kind] else float(number * steps[kind])
 
 
-def encode(value: float, kind: int, steps: tuple[float, float, float]) -> bytes:
+def encode_register(value: float, kind: int, steps: tuple[float, float, float]) -> bytes:
     """Encode a register value, limited to the range of its type and truncated towards 0."""
     if kind == FLOAT:
-        return STRUCTS[FLOAT].pack(value)
+        return REGISTER_STRUCTS[FLOAT].pack(value)
     if not math.isfinite(value):
-        return STRUCTS[kind].pack(-MAX_COUNTS[kind] - 1)
+        return REGISTER_STRUCTS[kind].pack(-MAX_COUNTS[kind] - 1)
     # The quotient is rounded to float32 as in the drive. In float64, 0.00003 / 1e-5 would be just
     # below 3.
     count = struct.unpack("<f", struct.pack("<f", value / steps[kind]))[0]
-    return STRUCTS[kind].pack(int(max(-MAX_COUNTS[kind], min(MAX_COUNTS[kind], count))))
+    return REGISTER_STRUCTS[kind].pack(int(max(-MAX_COUNTS[kind], min(MAX_COUNTS[kind], count))))
 
 
-def head(base: int, kind: int, count: int, first: int) -> bytes:
+def subframe_head(base: int, kind: int, count: int, first: int) -> bytes:
     """Return the first bytes of a register subframe, in front of the values."""
     subframe = base | kind << 2
-    start = bytes([subframe | count]) if 0 < count < 4 else bytes([subframe]) + varuint(count)
-    return start + varuint(first)
+    start = bytes([subframe | count]) if 0 < count < 4 else bytes([subframe]) + encode_varuint(count)
+    return start + encode_varuint(first)
 
 
-def padded(data: bytes) -> bytes:
+def padded_payload(data: bytes) -> bytes:
     """Return a payload, filled up to the next length of CAN FD."""
-    return data + PADDING * (min(length for length in FD_LENGTHS if length >= len(data)) - len(data))
+    return data + PADDING_SUBFRAME * (min(length for length in FD_LENGTHS if length >= len(data)) - len(data))

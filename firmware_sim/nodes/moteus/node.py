@@ -27,14 +27,14 @@ from firmware_sim.description import MotorSpec
 from firmware_sim.nodes.moteus import multiplex as mp
 from firmware_sim.nodes.moteus import registers as reg
 from firmware_sim.nodes.moteus.text import TextChannel
-from firmware_sim.nodes.thermal import Thermal
+from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 STOPPED, FAULT, ENABLING, CALIBRATING, CALIBRATED = range(5)
-POSITION, TIMEOUT, ZERO_VELOCITY, WITHIN = range(10, 14)
+POSITION, TIMEOUT, ZERO_VELOCITY, STAY_WITHIN_MODE = range(10, 14)
 BRAKE = 15
 """Numbers of the modes, as in the mode register."""
-COMMANDABLE = {STOPPED, POSITION, ZERO_VELOCITY, WITHIN, BRAKE}
+COMMANDABLE_MODES = {STOPPED, POSITION, ZERO_VELOCITY, STAY_WITHIN_MODE, BRAKE}
 """Modes available to hosts in this simulation."""
 LAST_MODE = 16
 """Largest number of a mode."""
@@ -46,7 +46,7 @@ UNDER_VOLTAGE = 40
 """Fault code: the supply voltage is too low."""
 MAX_TORQUE_LIMITS = 102
 """Fault code in an active mode: the commanded torque limit acts."""
-BROADCAST = 0x7F
+BROADCAST_NUMBER = 0x7F
 """Destination number of frames to all drives."""
 ENABLING_NS = 10_000_000
 """Duration of the preparation of the power stage [ns]. An assumption."""
@@ -54,13 +54,13 @@ THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the temperatures [ns]."""
 BRAKE_DAMPING = 0.05
 """Damping of a motor whose phases are shorted (mode brake) [N m s/rad]. An assumption."""
-SERIAL = 0x6D6F7465_75730000_00000000
+FIRST_SERIAL_NUMBER = 0x6D6F7465_75730000_00000000
 """Serial number of node 0. Other nodes add their node number."""
 FIRMWARE_VERSION = 0x00010001
 """Firmware version 1.0.1, with one byte for each of the three numbers."""
-TURN = 2.0 * math.pi
+TURN_RAD = 2.0 * math.pi
 """A full turn [rad]."""
-INTEGERS = frozenset((0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x150, 0x151, 0x152, 0x153, 0x158))
+INT32_ONLY_REGISTERS = frozenset((0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x150, 0x151, 0x152, 0x153, 0x158))
 """Registers that can only be read as int32."""
 
 
@@ -92,10 +92,10 @@ class MoteusNode:
         self.offset = offset
         self.ids: frozenset[int] | None = None
         self.node_id = spec.node_id
-        self.thermal = Thermal(spec.torque_constant)
+        self.thermal = DriveTemperatures(spec.torque_constant)
         self.mode = STOPPED
         self.fault = 0
-        self.command = dict(reg.DEFAULTS)
+        self.command = dict(reg.REGISTER_DEFAULTS)
         self.channel = TextChannel(lambda: self._stop())
         self.malformed = 0
         self.wake_ns = 0
@@ -103,7 +103,7 @@ class MoteusNode:
         self._direction = spec.direction
         self._peak = spec.torque_peak
         self._torque_constant = spec.torque_constant
-        self._serial = SERIAL + spec.node_id if spec.serial is None else spec.serial
+        self._serial = FIRST_SERIAL_NUMBER + spec.node_id if spec.serial is None else spec.serial
         self._next_mode = STOPPED
         self._pending: int | None = None
         self._has_target = False
@@ -118,7 +118,7 @@ class MoteusNode:
             The answers, None if the frame is not for this controller.
         """
         number = frame.can_id & ~EXTENDED
-        if frame.can_id & REMOTE or number >> 16 or number & 0xFF not in (self.node_id, BROADCAST):
+        if frame.can_id & REMOTE or number >> 16 or number & 0xFF not in (self.node_id, BROADCAST_NUMBER):
             return None
         self._t_ns = t_ns
         self._pending = None
@@ -138,16 +138,16 @@ class MoteusNode:
         can_id = number | EXTENDED if number >= 0x800 else number
         classical = not frame.flags & FDF and len(data) <= 8
         flags = 0 if classical else FDF | frame.flags & BRS
-        return Frame(can_id, data if classical else mp.padded(data), flags, frame.bus, self._t_ns)
+        return Frame(can_id, data if classical else mp.padded_payload(data), flags, frame.bus, self._t_ns)
 
     def _execute(self, data: bytes) -> bytes:
         """Execute the subframes of a payload and return the reply."""
-        reader = mp.Reader(data)
+        reader = mp.PayloadReader(data)
         out = b""
         try:
             while reader.more:
                 (kind,) = reader.take(1)
-                if kind == mp.PADDING[0]:
+                if kind == mp.PADDING_SUBFRAME[0]:
                     continue
                 if kind < 0x20:
                     part = self._registers(kind, reader)
@@ -157,12 +157,12 @@ class MoteusNode:
                 elif kind in (0x40, 0x42):
                     out += self._text(kind, reader)
                 else:
-                    raise mp.Malformed
-        except mp.Malformed:
+                    raise mp.MalformedPayload
+        except mp.MalformedPayload:
             self.malformed += 1
         return out
 
-    def _registers(self, subframe: int, reader: mp.Reader) -> bytes | None:
+    def _registers(self, subframe: int, reader: mp.PayloadReader) -> bytes | None:
         """Execute a subframe that writes or reads registers.
 
         Returns:
@@ -175,14 +175,14 @@ class MoteusNode:
         if subframe >= 0x10:
             return self._read_all(kind, count, first)
         for number in range(first, first + count):
-            raw = reader.take(mp.STRUCTS[kind].size)
+            raw = reader.take(mp.REGISTER_STRUCTS[kind].size)
             if reg.UUID_MASK <= number < reg.UUID_MASK + 4:
                 expected = struct.pack("<I", self._uuid(number - reg.UUID_MASK))
                 if kind != mp.INT32 or raw != expected:
                     return None
                 continue
             if error := self._write(number, kind, raw):
-                out += b"\x30" + mp.varuint(number) + mp.varuint(error)
+                out += b"\x30" + mp.encode_varuint(number) + mp.encode_varuint(error)
         return out
 
     def _read_all(self, kind: int, count: int, first: int) -> bytes:
@@ -195,49 +195,49 @@ class MoteusNode:
         for number in range(first, first + min(count, 64)):
             raw = self._read(number, kind)
             if raw is None:
-                error = b"\x31" + mp.varuint(number) + mp.varuint(reg.UNKNOWN)
+                error = b"\x31" + mp.encode_varuint(number) + mp.encode_varuint(reg.UNKNOWN_REGISTER_ERROR)
                 break
             values.append(raw)
-        return (mp.head(0x20, kind, len(values), first) + b"".join(values) if values else b"") + error
+        return (mp.subframe_head(0x20, kind, len(values), first) + b"".join(values) if values else b"") + error
 
     def _write(self, number: int, kind: int, raw: bytes) -> int:
         """Write a register and return an error number, 0 for no error."""
-        number = reg.SHADOWS.get(number, number)
+        number = reg.SHADOW_REGISTERS.get(number, number)
         if number == reg.MODE:
-            mode = mp.decode(raw, kind, mp.PLAIN)
-            if mode not in COMMANDABLE:
-                return reg.INVALID
+            mode = mp.decode_register(raw, kind, mp.PLAIN)
+            if mode not in COMMANDABLE_MODES:
+                return reg.INVALID_VALUE_ERROR
             self._pending = int(mode)
-            self.command = dict(reg.DEFAULTS)
-        elif number in reg.COMMANDS:
-            self.command[number] = mp.decode(raw, kind, reg.COMMANDS[number])
+            self.command = dict(reg.REGISTER_DEFAULTS)
+        elif number in reg.COMMAND_REGISTER_STEPS:
+            self.command[number] = mp.decode_register(raw, kind, reg.COMMAND_REGISTER_STEPS[number])
         elif number in (reg.SET_NEAREST, reg.SET_EXACT):
-            self._set_position(mp.decode(raw, kind, mp.POSITION), number == reg.SET_NEAREST)
+            self._set_position(mp.decode_register(raw, kind, mp.POSITION), number == reg.SET_NEAREST)
         elif number == reg.RECAPTURE:
             self._apply(self.mode, self._t_ns)
-        elif number in reg.MEASURED or number in INTEGERS:
-            return reg.NOT_WRITEABLE
+        elif number in reg.MEASURED_REGISTER_STEPS or number in INT32_ONLY_REGISTERS:
+            return reg.NOT_WRITEABLE_ERROR
         else:
-            return reg.UNKNOWN
+            return reg.UNKNOWN_REGISTER_ERROR
         return 0
 
     def _set_position(self, turns: float, nearest: bool) -> None:
         """Shift the reported position to a value, or by whole turns as near as possible to the value."""
         if math.isfinite(turns):
             shift = turns - self._position
-            self.offset += TURN * (round(shift) if nearest else shift)
+            self.offset += TURN_RAD * (round(shift) if nearest else shift)
 
     def _read(self, number: int, kind: int) -> bytes | None:
         """Return the bytes of a register, None if the register is unknown or cannot have the type."""
-        number = reg.SHADOWS.get(number, number)
-        if number in INTEGERS:
+        number = reg.SHADOW_REGISTERS.get(number, number)
+        if number in INT32_ONLY_REGISTERS:
             return struct.pack("<I", self._integer(number)) if kind == mp.INT32 else None
         if number == reg.MODE:
-            return mp.encode(self.mode, kind, mp.PLAIN)
-        if number in reg.COMMANDS:
-            return mp.encode(self.command[number], kind, reg.COMMANDS[number])
-        steps = reg.MEASURED.get(number)
-        return None if steps is None else mp.encode(self._measured(number), kind, steps)
+            return mp.encode_register(self.mode, kind, mp.PLAIN)
+        if number in reg.COMMAND_REGISTER_STEPS:
+            return mp.encode_register(self.command[number], kind, reg.COMMAND_REGISTER_STEPS[number])
+        steps = reg.MEASURED_REGISTER_STEPS.get(number)
+        return None if steps is None else mp.encode_register(self._measured(number), kind, steps)
 
     def _integer(self, number: int) -> int:
         """Return the value of a register that exists only as int32."""
@@ -257,19 +257,19 @@ class MoteusNode:
     @property
     def _position(self) -> float:
         """Return the position as frames report it [turn]."""
-        return (self._direction * self.motor.encoder() + self.offset) / TURN
+        return (self._direction * self.motor.encoder() + self.offset) / TURN_RAD
 
     @property
     def _target(self) -> float:
         """Return the position that the drive approaches, on the wire [turn]."""
-        return (self._direction * self.motor.servo.position + self.offset) / TURN
+        return (self._direction * self.motor.servo.position + self.offset) / TURN_RAD
 
     @property
     def _code(self) -> int:
         """Return the fault code, or in position mode the code of a limit that acts on the loop's torque."""
         motor = self.motor
         servo = motor.servo
-        if self.fault or self.mode not in (POSITION, WITHIN):
+        if self.fault or self.mode not in (POSITION, STAY_WITHIN_MODE):
             return self.fault
         torque = servo.kp * (servo.position - motor.encoder()) + servo.kd * (servo.velocity - motor.velocity)
         return MAX_TORQUE_LIMITS if abs(torque + servo.torque) > servo.limit else 0
@@ -279,19 +279,19 @@ class MoteusNode:
         motor = self.motor
         sign = self._direction
         torque = sign * motor.torque
-        velocity = sign * motor.velocity / TURN
+        velocity = sign * motor.velocity / TURN_RAD
         commanded = sign * motor.servo.torque
         values: dict[int, float] = {
             0x001: self._position, 0x002: velocity, 0x003: torque, 0x004: torque / self._torque_constant,
             0x006: self._position, 0x007: motor.torque * motor.velocity, 0x00A: self.thermal.winding, 0x00B: 1.0,
             0x00C: 1.0, 0x00D: 24.0, 0x00E: self.thermal.mosfet, 0x00F: self._code, 0x033: commanded,
-            0x034: commanded, 0x038: self._target, 0x039: sign * motor.servo.velocity / TURN, 0x03A: commanded,
+            0x034: commanded, 0x038: self._target, 0x039: sign * motor.servo.velocity / TURN_RAD, 0x03A: commanded,
             0x03D: torque - commanded, 0x050: self._position, 0x051: velocity,
             0x070: self._t_ns // 1_000_000 % 8388608,
         }  # fmt: skip
         return values.get(number, 0.0)
 
-    def _text(self, kind: int, reader: mp.Reader) -> bytes:
+    def _text(self, kind: int, reader: mp.PayloadReader) -> bytes:
         """Execute a subframe of the text channel.
 
         Return as much of the channel's answers as fits into the reply.
@@ -303,7 +303,7 @@ class MoteusNode:
             return b""
         self.channel.write(data)
         part = self.channel.read(min(length, 61)) if kind == 0x42 else b""
-        return b"\x41" + mp.varuint(channel) + mp.varuint(len(part)) + part
+        return b"\x41" + mp.encode_varuint(channel) + mp.encode_varuint(len(part)) + part
 
     def _apply(self, mode: int, t_ns: int) -> None:
         """Execute the commanded mode. Only a stop command ends the modes fault and timeout."""
@@ -337,15 +337,15 @@ class MoteusNode:
     def _follow(self) -> None:
         """Set the servo as the present mode and command registers demand."""
         command = self.command
-        kp = self._item("servo.pid_position.kp") / TURN
-        kd = self._item("servo.pid_position.kd") / TURN
+        kp = self._item("servo.pid_position.kp") / TURN_RAD
+        kd = self._item("servo.pid_position.kd") / TURN_RAD
         limit = command[reg.MAX_TORQUE]
         if self.mode == BRAKE:
             self._servo(0.0, BRAKE_DAMPING, 0.0, 0.0, 0.0, math.nan)
         elif self.mode == ZERO_VELOCITY:
             timeout_limit = self._item("servo.timeout_max_torque_Nm")
             self._servo(0.0, kd * command[reg.KD_SCALE], 0.0, 0.0, 0.0, timeout_limit)
-        elif self.mode == WITHIN:
+        elif self.mode == STAY_WITHIN_MODE:
             target = self._violated_bound()
             scale = 0.0 if target is None else 1.0
             kp *= scale * command[reg.KP_SCALE]
@@ -388,8 +388,8 @@ class MoteusNode:
         self.fault = MAX_TORQUE_LIMITS if abs(finite) > largest else 0
         servo.kp = kp
         servo.kd = kd
-        servo.position = sign * (position * TURN - self.offset)
-        servo.velocity = servo.target_speed = sign * velocity * TURN
+        servo.position = sign * (position * TURN_RAD - self.offset)
+        servo.velocity = servo.target_speed = sign * velocity * TURN_RAD
         servo.torque = sign * max(-largest, min(largest, finite))
         servo.limit = largest
 
@@ -407,7 +407,7 @@ class MoteusNode:
     def power_cycle(self) -> None:
         """Restart in the mode stopped, with the stored configuration."""
         self._stop()
-        self.command = dict(reg.DEFAULTS)
+        self.command = dict(reg.REGISTER_DEFAULTS)
         self.channel.forget()
 
     def lose_settings(self) -> None:
@@ -427,7 +427,7 @@ class MoteusNode:
         due = [self._thermal_ns + THERMAL_PERIOD_NS]
         if self.mode in (ENABLING, CALIBRATING, CALIBRATED):
             due.append(self._enabling_ns + ENABLING_NS)
-        if self.mode in (POSITION, WITHIN) and self._timeout_ns:
+        if self.mode in (POSITION, STAY_WITHIN_MODE) and self._timeout_ns:
             due.append(self.watchdog_fed_ns + self._timeout_ns + 1)
         self.wake_ns = min(due)
 
@@ -437,7 +437,7 @@ class MoteusNode:
         if self.mode == ENABLING and t_ns - self._enabling_ns >= ENABLING_NS:
             self._start()
         timeout_ns = self._timeout_ns
-        if self.mode in (POSITION, WITHIN) and timeout_ns and t_ns - self.watchdog_fed_ns > timeout_ns:
+        if self.mode in (POSITION, STAY_WITHIN_MODE) and timeout_ns and t_ns - self.watchdog_fed_ns > timeout_ns:
             self._time_out()
         if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
             self._update_thermal(t_ns)

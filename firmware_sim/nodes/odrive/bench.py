@@ -5,9 +5,9 @@ from typing import Any
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.nodes.odrive.node import OdriveNode, OdriveNodeRow
-from firmware_sim.nodes.protocol_spec import ODRIVE, UNADDRESSED, ProtocolSpec, Shaft
+from firmware_sim.nodes.protocol_spec import ODRIVE_KIND, UNADDRESSED_FRAME, ProtocolSpec, ShaftSpec
 
-ENDPOINTS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202, "endpoint_torque_max": 203,
+ENDPOINT_NUMBERS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202, "endpoint_torque_max": 203,
              "endpoint_torque_min": 204}  # fmt: skip
 """Assumed endpoint numbers of an ODrive's settings.
 
@@ -20,14 +20,14 @@ TOP_SPEED = 24.0 / TORQUE_CONSTANT
 
 In SI units, voltage constant and torque constant are equal.
 """
-FIRMWARES: dict[str, dict[str, Any]] = {"0.6": dict(ENDPOINTS), "0.5": {"firmware": "0.5"}}
+FIRMWARE_OPTIONS: dict[str, dict[str, Any]] = {"0.6": dict(ENDPOINT_NUMBERS), "0.5": {"firmware": "0.5"}}
 """Options that a hand file needs for each firmware version."""
 
 
-def shaft(firmware: str) -> Shaft:
+def shaft_of_firmware(firmware: str) -> ShaftSpec:
     """Build the shaft of an ODrive with firmware 0.6 or 0.5."""
     limits = {"top_speed": TOP_SPEED, "stall_torque": 8.0}
-    return Shaft(2.0, 1e-4, TORQUE_CONSTANT, options=FIRMWARES[firmware], **limits)
+    return ShaftSpec(2.0, 1e-4, TORQUE_CONSTANT, options=FIRMWARE_OPTIONS[firmware], **limits)
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
@@ -39,7 +39,7 @@ def _corrupt_command(frame: Frame) -> Frame:
     """Replace the commands Estop and Set_Axis_State(IDLE) by a frame for no node."""
     command = frame.can_id & 0x1F
     releases = command == 0x02 or (command == 0x07 and frame.data[:1] == b"\1")
-    return UNADDRESSED if releases else frame
+    return UNADDRESSED_FRAME if releases else frame
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
@@ -56,8 +56,9 @@ def _force_command(node: OdriveNode, frame: Frame) -> None:
         servo.torque = node.direction * node.gear * struct.unpack_from("<f", frame.data)[0]
 
 
-SPEC = ProtocolSpec(
-    OdriveNode, range(0x3F), shaft("0.6"), _host_frame, _corrupt_command, _corrupt_reply, OdriveNodeRow, ODRIVE,
+ODRIVE_SPEC = ProtocolSpec(
+    OdriveNode, range(0x3F), shaft_of_firmware("0.6"), _host_frame, _corrupt_command, _corrupt_reply, OdriveNodeRow,
+    ODRIVE_KIND,
     _force_command,
 )  # fmt: skip
 """Specification of the ODrive protocol for simulated drives."""

@@ -7,21 +7,21 @@ import ctypes
 import math
 from typing import Any
 
-from firmware_sim.compiled import inner
+from firmware_sim.compiled import kernel_helper
 
-IDLE = 1
+IDLE_STATE = 1
 """Axis state: idle. The motor has no torque."""
 CLOSED_LOOP = 8
 """Axis state: closed-loop control."""
 TORQUE_CONTROL = 1
 """Control mode: torque control."""
-PASSTHROUGH = 1
+PASSTHROUGH_MODE = 1
 """Input mode: the drive follows the setpoint as received."""
 TORQUE_RAMP = 6
 """Input mode: the torque follows the setpoint with a ramp."""
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the drive's temperatures [ns]."""
-TURN = 2.0 * math.pi
+TURN_RAD = 2.0 * math.pi
 """A full turn [rad]."""
 
 
@@ -50,7 +50,7 @@ class OdriveStruct(ctypes.Structure):
     ]
 
 
-@inner
+@kernel_helper
 def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
     """Set a torque setpoint [N m at the shaft], and follow it at once in torque control without a ramp.
 
@@ -59,12 +59,12 @@ def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
     # Every other mode follows the setpoint at the next update of the mode, see ``motion``.
-    if node.state != CLOSED_LOOP or node.control_mode != TORQUE_CONTROL or node.input_mode != PASSTHROUGH:
+    if node.state != CLOSED_LOOP or node.control_mode != TORQUE_CONTROL or node.input_mode != PASSTHROUGH_MODE:
         return
     follow_torque(node, servo, torque)
 
 
-@inner
+@kernel_helper
 def follow_torque(node: Any, servo: Any, torque: float) -> None:
     """Follow a torque setpoint [N m at the shaft] within the limits of the drive."""
     limit = node.current_limit * node.torque_constant
@@ -77,7 +77,7 @@ def follow_torque(node: Any, servo: Any, torque: float) -> None:
     limit_speed(node, servo)
 
 
-@inner
+@kernel_helper
 def limit_speed(node: Any, servo: Any) -> None:
     """Set the speed limit of the servo with the gain. Both act in every control mode of an ODrive.
 
@@ -85,29 +85,29 @@ def limit_speed(node: Any, servo: Any) -> None:
     default). In velocity control, the drive limits the setpoint. The torque of both is gain (limit
     - velocity). Source: ODrive firmware 0.5.6, ``controller.cpp``, limitVel.
     """
-    servo.speed_limit = node.velocity_limit * TURN / node.gear
-    servo.speed_gain = node.velocity_gain / TURN * node.gear * node.gear
+    servo.speed_limit = node.velocity_limit * TURN_RAD / node.gear
+    servo.speed_gain = node.velocity_gain / TURN_RAD * node.gear * node.gear
 
 
-@inner
+@kernel_helper
 def turns(node: Any, angle: float) -> float:
     """Convert the spool angle of the encoder [rad] to the position that the drive reports [turn]."""
-    return float((node.direction * node.gear * angle + node.offset) / TURN)
+    return float((node.direction * node.gear * angle + node.offset) / TURN_RAD)
 
 
-@inner
+@kernel_helper
 def turns_per_s(node: Any, velocity: float) -> float:
     """Convert the angular velocity of the spool [rad/s] to the velocity that the drive reports [turn/s]."""
-    return float(node.direction * node.gear * velocity / TURN)
+    return float(node.direction * node.gear * velocity / TURN_RAD)
 
 
-@inner
+@kernel_helper
 def watchdog_expired(node: Any, t_ns: int) -> bool:
     """Return True if the drive's watchdog fires now."""
     return bool(node.state == CLOSED_LOOP and node.timeout_ns > 0 and t_ns >= node.watchdog_fed_ns + node.timeout_ns)
 
 
-@inner
+@kernel_helper
 def schedule(node: Any) -> None:
     """Schedule the next wake of a drive, for temperatures, cyclic messages, watchdog, calibration or motion."""
     wake_ns = min(node.thermal_ns + THERMAL_PERIOD_NS, node.heartbeat_due_ns, node.encoder_due_ns)
@@ -120,7 +120,7 @@ def schedule(node: Any) -> None:
     node.wake_ns = wake_ns
 
 
-@inner
+@kernel_helper
 def next_due(due_ns: int, t_ns: int, period_ns: int) -> int:
     """Return the next due time of a cyclic message after it was sent [ns].
 

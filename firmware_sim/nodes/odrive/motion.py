@@ -17,13 +17,13 @@ are refused by the firmware, and ignored here.
 import math
 from typing import Any, NamedTuple
 
-from firmware_sim.nodes.motion import PERIOD_NS, Cascade, LoopGains, Setpoint
+from firmware_sim.nodes.motion import PERIOD_NS, CascadeController, LoopGains, MotionSetpoint
 from firmware_sim.nodes.odrive.kernels import (
     CLOSED_LOOP,
-    PASSTHROUGH,
+    PASSTHROUGH_MODE,
     TORQUE_CONTROL,
     TORQUE_RAMP,
-    TURN,
+    TURN_RAD,
     follow_torque,
     turns,
 )
@@ -45,7 +45,7 @@ MOTION_ENDPOINTS = {
 }
 """Name and vendor's default of settings that no message can set, by endpoint number [turn/s2], [N m/s], [1/s].
 
-The endpoint numbers are assumed, like those in ``bench.ENDPOINTS``. Source of the defaults: ODrive
+The endpoint numbers are assumed, like those in ``bench.ENDPOINT_NUMBERS``. Source of the defaults: ODrive
 firmware 0.5.6.
 """
 VELOCITY_RAMP_RATE, TORQUE_RAMP_RATE, FILTER_BANDWIDTH = MOTION_ENDPOINTS
@@ -103,10 +103,10 @@ class MotionModes:
         self.settings = MotionSettings()
         self.input_position = self.input_velocity = 0.0
         self.done = False
-        self._setpoint = Setpoint()
-        self._at_spool = Setpoint()
+        self._setpoint = MotionSetpoint()
+        self._at_spool = MotionSetpoint()
         self._torque = 0.0
-        self._cascade = Cascade(node.motor)
+        self._cascade = CascadeController(node.motor)
         self._updated_ns = 0
 
     def set(self, command: int, values: tuple[float, ...]) -> None:
@@ -140,7 +140,7 @@ class MotionModes:
         self._cascade.integral = 0.0
         self.done = False
         self._updated_ns = t_ns
-        plain = node.control_mode == TORQUE_CONTROL and node.input_mode == PASSTHROUGH
+        plain = node.control_mode == TORQUE_CONTROL and node.input_mode == PASSTHROUGH_MODE
         node.motion_due_ns = 0 if plain else max(1, t_ns)
         self.advance(t_ns)
 
@@ -161,7 +161,7 @@ class MotionModes:
             self._ramp_torque(step_s)
             follow_torque(node, node.motor.servo, self._torque)
             return
-        if step_s or node.input_mode == PASSTHROUGH:
+        if step_s or node.input_mode == PASSTHROUGH_MODE:
             self._generate(step_s)
         self._regulate(step_s)
 
@@ -178,7 +178,7 @@ class MotionModes:
         setpoint = self._setpoint
         settings = self.settings
         mode = node.input_mode
-        if mode == PASSTHROUGH:
+        if mode == PASSTHROUGH_MODE:
             setpoint.jump(self.input_position, self.input_velocity)
             self._torque = node.setpoint
         elif mode == VELOCITY_RAMP:
@@ -199,18 +199,18 @@ class MotionModes:
         """Set the servo to the setpoint, converted from turns at the shaft to radians at the spool."""
         node = self._node
         settings = self.settings
-        scale = node.direction * TURN / node.gear
+        scale = node.direction * TURN_RAD / node.gear
         self._at_spool.jump(
-            node.direction * (self._setpoint.position * TURN - node.offset) / node.gear,
+            node.direction * (self._setpoint.position * TURN_RAD - node.offset) / node.gear,
             self._setpoint.velocity * scale,
         )
         position_gain = settings.position_gain if node.control_mode == POSITION_CONTROL else 0.0
-        to_spool = node.gear**2 / TURN
+        to_spool = node.gear**2 / TURN_RAD
         gains = LoopGains(position_gain, settings.velocity_gain * to_spool, settings.integral_gain * to_spool)
         # The drive has a torque limit for each direction. The servo has one limit for both, so the
         # smaller limit is used.
         torque_limit = max(0.0, min(node.torque_max, -node.torque_min)) * node.gear
         limit = min(node.peak, node.current_limit * node.torque_constant, torque_limit)
-        speed = node.velocity_limit * TURN / node.gear
+        speed = node.velocity_limit * TURN_RAD / node.gear
         torque = node.direction * node.gear * self._torque
         self._cascade.regulate(self._at_spool, gains, speed, limit, step_s, torque)

@@ -50,10 +50,10 @@ from firmware_sim.bus.frame import FDF, REMOTE, Frame
 from firmware_sim.description import MotorSpec
 from firmware_sim.nodes.odrive.kernels import (
     CLOSED_LOOP,
-    IDLE,
-    PASSTHROUGH,
+    IDLE_STATE,
+    PASSTHROUGH_MODE,
     THERMAL_PERIOD_NS,
-    TURN,
+    TURN_RAD,
     OdriveStruct,
     next_due,
     schedule,
@@ -63,24 +63,24 @@ from firmware_sim.nodes.odrive.kernels import (
     watchdog_expired,
 )
 from firmware_sim.nodes.odrive.motion import MOTION_ENDPOINTS, POSITION_CONTROL, MotionModes, MotionSettings
-from firmware_sim.nodes.thermal import Thermal
+from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 MISSING_INPUT = 1 << 6
 """Error bit: a setpoint is not finite."""
 MOTOR_HOT = 1 << 13
 """Error bit: over-temperature of the motor."""
-WATCHDOG = 1 << 24
+WATCHDOG_ERROR = 1 << 24
 """Error bit: the watchdog has fired."""
-ESTOP = 1 << 25
+ESTOP_ERROR = 1 << 25
 """Error bit: the host has requested an emergency stop."""
-SUCCESS = 0
+SUCCESS_RESULT = 0
 """Procedure result: the last procedure has succeeded."""
-DISARMED = 3
+DISARMED_RESULT = 3
 """Procedure result: an error has disarmed the axis."""
-BUSY = 1
+BUSY_RESULT = 1
 """Procedure result: a procedure still runs."""
-CANCELLED = 2
+CANCELLED_RESULT = 2
 """Procedure result: the host has ended a procedure."""
 INVALID_STATE = 13
 """Procedure result: the requested state is not possible."""
@@ -93,24 +93,24 @@ An assumption.
 """
 COUNTS_PER_TURN = 8192
 """Encoder counts of one turn: the vendor's default of firmware 0.5."""
-BROADCAST = 0x3F
+BROADCAST_NUMBER = 0x3F
 """Node number of messages to all nodes."""
 HEARTBEAT_MS = 100
 """Vendor's default period of the heartbeat [ms]."""
 ENCODER_MS = 10
 """Vendor's default period of the encoder estimates [ms]."""
-SERIAL = 0x0D_5A_11_00_00_00
+FIRST_SERIAL_NUMBER = 0x0D_5A_11_00_00_00
 """Serial number of node 0. Other nodes add their node number."""
 HOT_C = 120.0
 """Winding temperature at which the axis disarms [degC]."""
-_SIZES = {
+_MIN_PAYLOAD_BYTES = {
     0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x11: 4, 0x12: 8,
     0x13: 4, 0x16: 0, 0x18: 0, 0x19: 4, 0x1A: 4, 0x1B: 8,
 }  # fmt: skip
 """Minimum length of the payload of each accepted message, by command number [bytes]."""
 _LEGACY_ANSWERS = {0x09, 0x14, 0x17}
 """Command numbers of the Get messages that firmware 0.5.x answers."""
-_LEGACY_ERRORS = {MISSING_INPUT: 1 << 0, MOTOR_HOT: 1 << 6, WATCHDOG: 1 << 11, ESTOP: 1 << 14}
+_LEGACY_ERRORS = {MISSING_INPUT: 1 << 0, MOTOR_HOT: 1 << 6, WATCHDOG_ERROR: 1 << 11, ESTOP_ERROR: 1 << 14}
 """Axis error bits of firmware 0.5.x, by the error bits of firmware 0.6.x."""
 
 
@@ -160,19 +160,19 @@ class OdriveNode:
         self.ids: frozenset[int] | None = None
         self.node_id = spec.node_id
         options = spec.options
-        own_ids = [node << 5 | command for node in (spec.node_id, BROADCAST) for command in range(0x20)]
+        own_ids = [node << 5 | command for node in (spec.node_id, BROADCAST_NUMBER) for command in range(0x20)]
         self.accepted_ids = frozenset((*own_ids, *(can_id | REMOTE for can_id in own_ids)))
-        self._serial = SERIAL + spec.node_id if spec.serial is None else spec.serial
+        self._serial = FIRST_SERIAL_NUMBER + spec.node_id if spec.serial is None else spec.serial
         self.gear = float(options.get("gear_ratio", 1.0))
         self.direction = spec.direction
         self.torque_constant = spec.torque_constant
         self.peak = spec.torque_peak
-        self.thermal = Thermal(spec.torque_constant)
-        self.state = IDLE
+        self.thermal = DriveTemperatures(spec.torque_constant)
+        self.state = IDLE_STATE
         self.active_errors = 0
         self.disarm_reason = 0
-        self.result = SUCCESS
-        self._set_modes(POSITION_CONTROL, PASSTHROUGH)
+        self.result = SUCCESS_RESULT
+        self._set_modes(POSITION_CONTROL, PASSTHROUGH_MODE)
         self.velocity_gain = MotionSettings().velocity_gain
         self.motion_due_ns = 0
         self.motion = MotionModes(self)
@@ -242,13 +242,13 @@ class OdriveNode:
         can_id = frame.can_id & ~REMOTE
         node = can_id >> 5
         command = can_id & 0x1F
-        if node not in (self.node_id, BROADCAST) or frame.flags & FDF:
+        if node not in (self.node_id, BROADCAST_NUMBER) or frame.flags & FDF:
             return None
-        if frame.can_id & REMOTE or (not frame.data and command not in _SIZES):
+        if frame.can_id & REMOTE or (not frame.data and command not in _MIN_PAYLOAD_BYTES):
             return self._answer_remote(node, command)
-        if command not in _SIZES:
+        if command not in _MIN_PAYLOAD_BYTES:
             return [] if node == self.node_id else None
-        if len(frame.data) < _SIZES[command]:
+        if len(frame.data) < _MIN_PAYLOAD_BYTES[command]:
             self.malformed += 1
             return []
         return self._execute(command, frame.data, t_ns)
@@ -258,7 +258,7 @@ class OdriveNode:
 
         A host may broadcast only the request for Get_Address.
         """
-        if node == BROADCAST and command != 0x06:
+        if node == BROADCAST_NUMBER and command != 0x06:
             return []
         answer = self._get_payload(command)
         return [Frame(self.node_id << 5 | command, answer)] if answer else []
@@ -290,7 +290,7 @@ class OdriveNode:
     def _execute(self, command: int, data: bytes, t_ns: int) -> list[Frame]:
         """Execute a message from the host."""
         if command == 0x02:
-            self.disarm(ESTOP)
+            self.disarm(ESTOP_ERROR)
         elif command == 0x04:
             return self._sdo(data)
         elif command == 0x07:
@@ -311,36 +311,36 @@ class OdriveNode:
             self._set_position(data)
         elif command == 0x18:
             self.active_errors = self.disarm_reason = 0
-            self.result = SUCCESS
+            self.result = SUCCESS_RESULT
         schedule(self)
         return []
 
     def _set_state(self, state: int, t_ns: int) -> None:
         """Set the axis state as the host requests. With an error, the axis refuses closed loop."""
-        if state == IDLE:
-            self._release(CANCELLED if self.busy_until_ns else SUCCESS)
+        if state == IDLE_STATE:
+            self._release(CANCELLED_RESULT if self.busy_until_ns else SUCCESS_RESULT)
         elif self._can_calibrate(state):
             self.state = state
-            self.result = BUSY
+            self.result = BUSY_RESULT
             self.busy_until_ns = t_ns + CALIBRATION_NS[state]
         elif state == CLOSED_LOOP and not self.calibrated:
             self.result = NOT_CALIBRATED
         elif state != CLOSED_LOOP or self.active_errors or self.disarm_reason:
-            self.result = INVALID_STATE if self.state == IDLE else self.result
+            self.result = INVALID_STATE if self.state == IDLE_STATE else self.result
         elif self.state != CLOSED_LOOP:
             self.state = CLOSED_LOOP
-            self.result = SUCCESS
+            self.result = SUCCESS_RESULT
             self.watchdog_fed_ns = t_ns
             self.motion.start(t_ns)
 
     def _can_calibrate(self, state: int) -> bool:
         """Return True if an axis state is a calibration that may start now."""
         has_error = self.active_errors or self.disarm_reason
-        return state in CALIBRATION_NS and self.state == IDLE and not has_error
+        return state in CALIBRATION_NS and self.state == IDLE_STATE and not has_error
 
     def _set_mode(self, control: int, input_mode: int) -> None:
         """Set the control mode and the input mode, but only while the axis is idle."""
-        if self.state == IDLE:
+        if self.state == IDLE_STATE:
             self._set_modes(control, input_mode)
 
     def _set_motion(self, command: int, data: bytes) -> None:
@@ -414,7 +414,7 @@ class OdriveNode:
         (value,) = struct.unpack_from("<i" if self.legacy else "<f", data)
         position = value / COUNTS_PER_TURN if self.legacy else value
         if math.isfinite(position):
-            self.offset = position * TURN - self.direction * self.gear * self.motor.encoder()
+            self.offset = position * TURN_RAD - self.direction * self.gear * self.motor.encoder()
 
     def _settings(self) -> dict[str, Any]:
         """Return the settings that Reboot(save) stores."""
@@ -433,7 +433,7 @@ class OdriveNode:
         Action 1 saves the present settings first, and action 2 erases them.
         """
         self._saved = {1: self._settings(), 2: self._factory}.get(action, self._saved)
-        self._release(SUCCESS)
+        self._release(SUCCESS_RESULT)
         self.active_errors = self.disarm_reason = 0
         self._set_modes(*self._saved["modes"])
         self.lose_settings()
@@ -453,7 +453,7 @@ class OdriveNode:
         """Enter the axis state idle with a procedure result. The motor turns freely."""
         self.motor.servo.release()
         self.motion_due_ns = 0
-        self.state = IDLE
+        self.state = IDLE_STATE
         self.busy_until_ns = 0
         self.result = result
         self.setpoint = 0.0
@@ -461,7 +461,7 @@ class OdriveNode:
     def disarm(self, error: int) -> None:
         """Enter the axis state idle because of an error. The motor turns freely."""
         self.disarm_reason |= error
-        self._release(DISARMED)
+        self._release(DISARMED_RESULT)
 
     def wake(self, t_ns: int) -> list[Frame]:
         """Do the work that is due: temperatures, watchdog, calibration, motion and cyclic messages.
@@ -472,10 +472,10 @@ class OdriveNode:
         if self.thermal_ns < 0 or t_ns - self.thermal_ns >= THERMAL_PERIOD_NS:
             self._update_thermal(t_ns)
         if watchdog_expired(self, t_ns):
-            self.disarm(WATCHDOG)
+            self.disarm(WATCHDOG_ERROR)
         if 0 < self.busy_until_ns <= t_ns:
             self.calibrated = True
-            self._release(SUCCESS)
+            self._release(SUCCESS_RESULT)
         self.motion.advance(t_ns)
         frames = []
         if t_ns >= self.heartbeat_due_ns:

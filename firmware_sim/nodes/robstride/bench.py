@@ -4,17 +4,17 @@ The free shaft is an assumption. Source of the ranges: docs/facts/robstride.md.
 """
 
 from firmware_sim.bus.frame import EXTENDED, Frame
-from firmware_sim.nodes.protocol_spec import ProtocolSpec, Shaft
+from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
 from firmware_sim.nodes.robstride.node import DEFAULT_TYPE, FULL_SCALE, POSITION_RANGE, RobstrideNode
 
 INERTIA_PER_TORQUE = 2e-4
 """Inertia at the output divided by the torque at full scale [kg m2/N m], as for other geared motors."""
 
 
-def shaft(motor_type: str) -> Shaft:
+def shaft_of_robstride_motor(motor_type: str) -> ShaftSpec:
     """Build the shaft of a motor model."""
     velocity, peak, _, _ = FULL_SCALE[motor_type]
-    return Shaft(peak, INERTIA_PER_TORQUE * peak, 1.0, POSITION_RANGE, velocity, {"motor_type": motor_type})
+    return ShaftSpec(peak, INERTIA_PER_TORQUE * peak, 1.0, POSITION_RANGE, velocity, {"motor_type": motor_type})
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:
@@ -44,8 +44,9 @@ def _force_command(node: RobstrideNode, frame: Frame) -> None:
         node.follow(number >> 8 & 0xFFFF, frame.data)
 
 
-SPEC = ProtocolSpec(
-    RobstrideNode, range(1, 0x80), shaft(DEFAULT_TYPE), _host_frame, _corrupt_command, _corrupt_reply,
+ROBSTRIDE_SPEC = ProtocolSpec(
+    RobstrideNode, range(1, 0x80), shaft_of_robstride_motor(DEFAULT_TYPE), _host_frame, _corrupt_command,
+    _corrupt_reply,
     force_command=_force_command,
 )  # fmt: skip
 """Specification of RobStride's private protocol for simulated drives."""

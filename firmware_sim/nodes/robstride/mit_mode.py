@@ -31,14 +31,14 @@ import struct
 
 from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, Ranges, decode_command, to_code
+from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, FrameRanges, decode_command, to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
 from firmware_sim.nodes.robstride import bench
 from firmware_sim.nodes.robstride.node import (
     DEFAULT_TYPE,
+    FAULT_REPORT_BITS,
     REPORT_SHIFT,
-    REPORTED,
-    RUN,
+    RUN_MODE,
     RobstrideNode,
 )
 from firmware_sim.plant.motor import Motor
@@ -49,7 +49,7 @@ FACTORY_HOST = 0
 """Number of the host in a motor as delivered."""
 HOST_OFFSET = 0x10
 """The host's number minus the motor's number, if the hand file does not give ``host_id``."""
-_SPECIAL = b"\xff" * 6
+_SPECIAL_COMMAND_START = b"\xff" * 6
 """First six bytes of a special command."""
 
 
@@ -75,7 +75,7 @@ class RobstrideMitNode(RobstrideNode):
         counts = int(spec.options.get("can_timeout", 0))
         self._saved[0x7028] = struct.pack("<I", counts)
         self.parameters = dict(self._saved)
-        self._ranges = Ranges(POSITION_RANGE, self._velocity, self._torque)
+        self._ranges = FrameRanges(POSITION_RANGE, self._velocity, self._torque)
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Execute and answer a frame.
@@ -92,10 +92,10 @@ class RobstrideMitNode(RobstrideNode):
             return []
         if frame.can_id >> 8:
             return [self._answer(frame)]
-        if data[:6] == _SPECIAL and data[6:] != b"\xff\xff":
+        if data[:6] == _SPECIAL_COMMAND_START and data[6:] != b"\xff\xff":
             return self._special(data[6], data[7], frame, t_ns)
         self.watchdog_fed_ns = t_ns
-        if self.mode == RUN:
+        if self.mode == RUN_MODE:
             self.follow_command(data)
         self._schedule()
         return [self._answer(frame)]
@@ -125,7 +125,7 @@ class RobstrideMitNode(RobstrideNode):
 
     def _set_run_mode(self, mode: int) -> None:
         """Set the mode of operation, unless the motor is in run mode."""
-        if self.mode != RUN:
+        if self.mode != RUN_MODE:
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
     def _set_up(self, area: int, code: int) -> list[Frame]:
@@ -148,7 +148,10 @@ class RobstrideMitNode(RobstrideNode):
     @property
     def _fault_word(self) -> int:
         """Return the present faults, coded as in a fault report."""
-        return sum(reported for bit, reported in REPORTED.items() if self.fault & bit) | self.fault >> REPORT_SHIFT
+        return (
+            sum(reported for bit, reported in FAULT_REPORT_BITS.items() if self.fault & bit)
+            | self.fault >> REPORT_SHIFT
+        )
 
     def follow_command(self, data: bytes) -> None:
         """Set the servo from the payload of a control command."""
@@ -197,12 +200,12 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 def _force_command(node: RobstrideMitNode, frame: Frame) -> None:
     """Follow a control command in any mode of the motor."""
-    if frame.can_id == node.node_id and len(frame.data) == 8 and frame.data[:6] != _SPECIAL:
+    if frame.can_id == node.node_id and len(frame.data) == 8 and frame.data[:6] != _SPECIAL_COMMAND_START:
         node.follow_command(frame.data)
 
 
-_DEFAULT_SHAFT = bench.shaft(DEFAULT_TYPE)
-SPEC = ProtocolSpec(
+_DEFAULT_SHAFT = bench.shaft_of_robstride_motor(DEFAULT_TYPE)
+ROBSTRIDE_MIT_SPEC = ProtocolSpec(
     RobstrideMitNode, range(1, 0x80),
     _DEFAULT_SHAFT._replace(position=POSITION_RANGE, options={**_DEFAULT_SHAFT.options, "host_id": FACTORY_HOST}),
     _host_frame, _corrupt_command, force_command=_force_command,

@@ -30,7 +30,7 @@ import struct
 
 from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.thermal import Thermal
+from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 FULL_SCALE = {
@@ -46,18 +46,19 @@ DEFAULT_TYPE = "rs05"
 """Motor model if the hand file gives none."""
 POSITION_RANGE = 4.0 * math.pi
 """Largest position in frames, for all motor models [rad]."""
-RESET = 0
-RUN = 2
+RESET_MODE = 0
+RUN_MODE = 2
 """Modes of the motor, as in the identifier of the feedback."""
 UNDER_VOLTAGE = 1 << 0
 OVER_CURRENT = 1 << 1
-HOT = 1 << 2
-ENCODER = 1 << 3
-OVERLOAD = 1 << 4
-UNCALIBRATED = 1 << 5
+HOT_FAULT = 1 << 2
+ENCODER_FAULT = 1 << 3
+OVERLOAD_FAULT = 1 << 4
+UNCALIBRATED_FAULT = 1 << 5
 """Bits of the faults in the identifier of the feedback."""
-REPORTED = {
-    UNDER_VOLTAGE: 1 << 2, OVER_CURRENT: 1 << 4, HOT: 1 << 0, ENCODER: 1 << 9, OVERLOAD: 1 << 14, UNCALIBRATED: 1 << 7,
+FAULT_REPORT_BITS = {
+    UNDER_VOLTAGE: 1 << 2, OVER_CURRENT: 1 << 4, HOT_FAULT: 1 << 0, ENCODER_FAULT: 1 << 9, OVERLOAD_FAULT: 1 << 14,
+    UNCALIBRATED_FAULT: 1 << 7,
 }  # fmt: skip
 """Bits of the faults in the fault report, by the bit of the fault in the feedback."""
 FEEDBACK_FAULTS = 0x3F
@@ -73,13 +74,22 @@ THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the temperatures [ns]."""
 TIMEOUT_UNIT_NS = 50_000
 """One count of the watchdog's timeout [ns]: 20000 counts are a second."""
-SERIAL = 0x5253_0500_0000_0000
+FIRST_SERIAL_NUMBER = 0x5253_0500_0000_0000
 """Identity (64 bits) of motor 0. Other motors add their number."""
 FACTORY_HOST = 0xFD
 """Number of the host that gets feedback before any host has sent a request."""
-PARAMETERS = {0x7005: "B", 0x700B: "f", 0x7017: "f", 0x7018: "f", 0x7026: "H", 0x7028: "I", 0x7029: "B", 0x702B: "f"}
+WRITABLE_PARAMETERS = {
+    0x7005: "B",
+    0x700B: "f",
+    0x7017: "f",
+    0x7018: "f",
+    0x7026: "H",
+    0x7028: "I",
+    0x7029: "B",
+    0x702B: "f",
+}
 """Parameters that can be written, with their format characters of ``struct``."""
-MEASURED = (0x7019, 0x701A, 0x701B, 0x701C)
+READ_ONLY_PARAMETERS = (0x7019, 0x701A, 0x701B, 0x701C)
 """Parameters that can only be read: position, current, velocity and voltage."""
 
 
@@ -123,8 +133,8 @@ class RobstrideNode:
         self.offset = offset
         self.ids: frozenset[int] | None = None
         self.node_id = spec.node_id
-        self.thermal = Thermal(spec.torque_constant)
-        self.mode = RESET
+        self.thermal = DriveTemperatures(spec.torque_constant)
+        self.mode = RESET_MODE
         self.fault = 0
         self.malformed = 0
         self.wake_ns = 0
@@ -134,8 +144,8 @@ class RobstrideNode:
         self._direction = spec.direction
         self._peak = spec.torque_peak
         self._torque_constant = spec.torque_constant
-        self._serial = SERIAL + spec.node_id if spec.serial is None else spec.serial
-        self._saved = {number: bytes(4) for number in PARAMETERS}
+        self._serial = FIRST_SERIAL_NUMBER + spec.node_id if spec.serial is None else spec.serial
+        self._saved = {number: bytes(4) for number in WRITABLE_PARAMETERS}
         self._saved[0x700B] = struct.pack("<f", self._torque)
         self._saved[0x7017] = struct.pack("<f", 2.0)
         self._saved[0x7018] = struct.pack("<f", self._torque / 0.5)
@@ -207,9 +217,9 @@ class RobstrideNode:
         if self.fault or self.run_mode != 0:
             return
         self.watchdog_fed_ns = t_ns
-        if self.mode != RUN:
+        if self.mode != RUN_MODE:
             self.motor.servo.release()
-            self.mode = RUN
+            self.mode = RUN_MODE
         self._schedule()
 
     def _stop_on_request(self, data: bytes, _t_ns: int) -> None:
@@ -229,7 +239,7 @@ class RobstrideNode:
     def _stop(self, clear: bool) -> None:
         """Enter reset mode, and clear the faults if ``clear`` is True."""
         self.motor.servo.release()
-        self.mode = RESET
+        self.mode = RESET_MODE
         if clear:
             self.fault = 0
         self._schedule()
@@ -237,7 +247,7 @@ class RobstrideNode:
     def _control(self, torque: int, data: bytes, t_ns: int) -> None:
         """Follow a control command in run mode."""
         self.watchdog_fed_ns = t_ns
-        if self.mode == RUN:
+        if self.mode == RUN_MODE:
             self.follow(torque, data)
         self._schedule()
 
@@ -259,7 +269,7 @@ class RobstrideNode:
         """Return the reply to a request that reads a parameter."""
         number = int.from_bytes(data[:2], "little")
         value = self.parameters.get(number)
-        if value is None and number in MEASURED:
+        if value is None and number in READ_ONLY_PARAMETERS:
             value = struct.pack("<f", self._measured(number))
         head = EXTENDED | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
         return Frame(head, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
@@ -278,11 +288,11 @@ class RobstrideNode:
     def _write(self, data: bytes, _t_ns: int) -> None:
         """Write a parameter. Unknown parameters and values out of range are ignored."""
         number = int.from_bytes(data[:2], "little")
-        coding = PARAMETERS.get(number)
+        coding = WRITABLE_PARAMETERS.get(number)
         if coding is None:
             return
         (value,) = struct.unpack_from(f"<{coding}", data, 4)
-        if number == 0x7005 and (value not in (0, 1, 2, 3, 5) or self.mode == RUN):
+        if number == 0x7005 and (value not in (0, 1, 2, 3, 5) or self.mode == RUN_MODE):
             return
         if number == 0x700B and not 0.0 <= value <= self._torque:
             return
@@ -305,7 +315,7 @@ class RobstrideNode:
         The value 0 stands for the watchdog, which sets no fault.
         """
         self.motor.servo.release()
-        self.mode = RESET
+        self.mode = RESET_MODE
         self.fault |= fault
         if fault:
             self._reports.append(fault)
@@ -324,7 +334,7 @@ class RobstrideNode:
     def _schedule(self) -> None:
         """Set the time of the next call of ``wake``."""
         self.wake_ns = self._thermal_ns + THERMAL_PERIOD_NS
-        if self.mode == RUN and self.timeout_ns:
+        if self.mode == RUN_MODE and self.timeout_ns:
             self.wake_ns = min(self.wake_ns, self.watchdog_fed_ns + self.timeout_ns + 1)
         if self._reports:
             self.wake_ns = 0
@@ -335,15 +345,15 @@ class RobstrideNode:
         Returns:
             The fault reports.
         """
-        if self.mode == RUN and self.timeout_ns and t_ns - self.watchdog_fed_ns > self.timeout_ns:
+        if self.mode == RUN_MODE and self.timeout_ns and t_ns - self.watchdog_fed_ns > self.timeout_ns:
             self.trip(0)
         if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
             if self._thermal_ns >= 0:
                 self.thermal.advance((t_ns - self._thermal_ns) * 1e-9, self.motor.heat)
             self.motor.heat = 0.0
             self._thermal_ns = t_ns
-            if self.thermal.winding > HOT_C and not self.fault & HOT:
-                self.trip(HOT)
+            if self.thermal.winding > HOT_C and not self.fault & HOT_FAULT:
+                self.trip(HOT_FAULT)
         reports = [self._report(fault) for fault in self._reports]
         self._reports.clear()
         self._schedule()
@@ -351,6 +361,6 @@ class RobstrideNode:
 
     def _report(self, fault: int) -> Frame:
         """Return the frame that reports faults."""
-        bits = sum(reported for bit, reported in REPORTED.items() if fault & bit) | fault >> REPORT_SHIFT
+        bits = sum(reported for bit, reported in FAULT_REPORT_BITS.items() if fault & bit) | fault >> REPORT_SHIFT
         warning = int(self.thermal.winding > HOT_C)
         return Frame(EXTENDED | 0x15 << 24 | self.node_id << 8 | self._host, struct.pack("<II", bits, warning))

@@ -6,12 +6,12 @@ from functools import partial
 from typing import Any
 
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
-from handctl.campaign.scenarios import Scenario, fault_pairs, scenarios
+from handctl.campaign.scenarios import FaultScenario, fault_pairs, scenarios_of_hand
 from handctl.campaign.stage import hand_with_protocol, homed_run, run_experiments
-from handctl.core.types import Event, Mode
+from handctl.core.types import Mode, TickEvent
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
-from handctl.session.simulate import Simulation
+from handctl.session.simulate import SimulatedRun
 
 QUICK_EVERY = 7
 """Interval between two scenarios that a quick campaign runs.
@@ -29,7 +29,7 @@ LAST_PHASE = "hold"
 
 
 @dataclass
-class Report:
+class ReportFunction:
     """Results of a campaign.
 
     Attributes:
@@ -82,14 +82,14 @@ def campaign_scenarios(
     quick: bool,
     row_ids: Sequence[str] = (),
     seed: int = 0,
-) -> list[Scenario]:
+) -> list[FaultScenario]:
     """Return the scenarios that a campaign runs: all, every seventh, or those of some rows of the fault matrix.
 
     A quick campaign runs a sample of the scenarios. The seed determines the first scenario of this
     sample. So the next seed selects other scenarios.
     """
     period_ms = 1e3 / rate_hz
-    selected = scenarios(hand, protocol, period_ms)
+    selected = scenarios_of_hand(hand, protocol, period_ms)
     if row_ids:
         return [scenario for scenario in selected if scenario.row.id in row_ids]
     selected += fault_pairs(hand, protocol, period_ms)
@@ -105,11 +105,11 @@ def run_campaign(
     quick: bool,
     fault_free_s: float,
     on_progress: ProgressCallback,
-    on_failure: Callable[[Simulation, ScenarioResult], None],
+    on_failure: Callable[[SimulatedRun, ScenarioResult], None],
     row_ids: Sequence[str] = (),
     fault_free_only: bool = False,
     seed: int = 1,
-) -> Report:
+) -> ReportFunction:
     """Run a campaign, and return the report.
 
     Args:
@@ -126,7 +126,7 @@ def run_campaign(
         seed: seed of the scenarios and of the first run without faults. Each later run without
             faults has the next seed.
     """
-    report = Report(name)
+    report = ReportFunction(name)
     for protocol in protocols:
         hand = hand_with_protocol(name, protocol)
         rate = report.rates[protocol] = rate_of(hand)
@@ -181,7 +181,7 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
     return alarms
 
 
-def _is_hold_or_more(event: Event) -> bool:
+def _is_hold_or_more(event: TickEvent) -> bool:
     """Return True if the reaction to a fault is HOLD or a more severe one.
 
     The text of the fault event ends with the reaction.

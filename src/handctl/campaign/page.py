@@ -5,13 +5,13 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-from handctl.campaign.campaign import Report
+from handctl.campaign.campaign import ReportFunction
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.campaign.scenarios import UNTESTED_ROWS
 from handctl.output import write_text_atomically
-from handctl.safety.faults.table import CATALOGUE
+from handctl.safety.faults.table import FAULT_CATALOGUE
 
-STYLE = """
+PAGE_STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1300px; margin: 2em auto;
        padding: 0 1em; }
 h1 { font-size: 1.5em; } h2 { font-size: 1.1em; margin-top: 2em; border-bottom: 1px solid #ccc; }
@@ -35,11 +35,11 @@ TABLE_HEAD = (
     "",
 )
 """Titles of the columns in the table of scenarios."""
-TITLES = {entry.id: entry.title for entry in CATALOGUE}
+FAULT_TITLES = {entry.id: entry.title for entry in FAULT_CATALOGUE}
 """Title of each fault in the catalogue, by fault id."""
 
 
-def write_page(path: Path, report: Report) -> None:
+def write_page(path: Path, report: ReportFunction) -> None:
     """Write the report of a campaign as an HTML page."""
     figures = report.plain()
     title = f"Fault campaign: {html.escape(report.hand)}"
@@ -67,7 +67,7 @@ def write_page(path: Path, report: Report) -> None:
             parts.append(f"<h2 class=bad>{protocol}: failed</h2>{_html_table(bad, rate, number)}")
     rows = "".join(f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>" for id_, reason in UNTESTED_ROWS.items())
     parts.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
-    page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
+    page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
     write_text_atomically(path, page + "\n".join(parts) + "</html>\n")
 
 
@@ -102,7 +102,7 @@ def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
     scenario = result.scenario.removeprefix(result.id).strip()
     took = f"{result.ticks * 1e3 / rate:g} ms" if result.ticks >= 0 else "never"
     cells = [
-        f"<td>{result.id}</td><td>{html.escape(TITLES[result.id])}</td><td class=n>{number}</td>",
+        f"<td>{result.id}</td><td>{html.escape(FAULT_TITLES[result.id])}</td><td class=n>{number}</td>",
         f"<td>{html.escape(scenario)}</td><td>{html.escape(result.detected_by or 'requested')}</td>",
         f"<td class=n>{took}</td><td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
         f'<td><span class="bar{bad}" style="width:{width:.2f}em"></span></td>',
@@ -112,7 +112,7 @@ def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
     return f"<tr>{''.join(cells)}</tr>"
 
 
-def summary_lines(report: Report) -> list[str]:
+def summary_lines(report: ReportFunction) -> list[str]:
     """Return the summary of a campaign's report as lines for a terminal."""
     figures = report.plain()
     summary = [

@@ -10,17 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.scenarios import GRASP, HOST_PREFIX, MatrixRow, Scenario
+from handctl.campaign.scenarios import GRASP_STAGE, HOST_PREFIX, FaultScenario, MatrixRow
 from handctl.core.model import HandModel
 from handctl.core.types import IoEvent, Mode, TickOut
 from handctl.errors import REMOVE_POWER
-from handctl.runtime.mailbox import CUT
+from handctl.runtime.mailbox import CUT_REQUEST
 from handctl.safety.action import Action
-from handctl.session.simulate import Simulation
+from handctl.session.simulate import SimulatedRun
 
-OBSERVE_S = 1.3
+OBSERVATION_TIME_S = 1.3
 """Time for which a run is observed after the largest allowed reaction time, to see the torque disappear [s]."""
-RUNAWAY = "runaway"
+RUNAWAY_FAULT = "runaway"
 """Name of the fault of a drive that ignores all commands and pulls with the largest torque."""
 SHUT_DOWN_MODES = (Mode.DISARM, Mode.DONE)
 """Modes in which the hand shuts down."""
@@ -80,7 +80,7 @@ class ScenarioResult:
         return {keys.get(name, name): value for name, value in asdict(self).items()}
 
 
-def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> ScenarioResult:
+def run_scenario(simulation: SimulatedRun, scenario: FaultScenario, protocol: str) -> ScenarioResult:
     """Run a scenario to the end, and return the result.
 
     Args:
@@ -95,12 +95,14 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
     start_ns = simulation.k * simulation.period_ns
     start_tension = simulation.peer.truth()["tension"]
     speed = _tendon_speeds(simulation)
-    host = Host(scenario.fault.removeprefix(HOST_PREFIX)) if scenario.fault.startswith(HOST_PREFIX) else None
+    host = HostFault(scenario.fault.removeprefix(HOST_PREFIX)) if scenario.fault.startswith(HOST_PREFIX) else None
     if host is None:
         simulation.peer.inject(scenario.fault)
-    second_host = Host(scenario.second.removeprefix(HOST_PREFIX)) if scenario.second.startswith(HOST_PREFIX) else None
-    for i in range(bound + PAIR_DELAY_TICKS + round(OBSERVE_S * 1e9 / simulation.period_ns)):
-        inputs: dict[str, Any] = {"requests": (CUT,)} if i == 1 and row.id == "N16" else {}
+    second_host = (
+        HostFault(scenario.second.removeprefix(HOST_PREFIX)) if scenario.second.startswith(HOST_PREFIX) else None
+    )
+    for i in range(bound + PAIR_DELAY_TICKS + round(OBSERVATION_TIME_S * 1e9 / simulation.period_ns)):
+        inputs: dict[str, Any] = {"requests": (CUT_REQUEST,)} if i == 1 and row.id == "N16" else {}
         inputs |= host.at(i, simulation) if host else {}
         if i == PAIR_DELAY_TICKS and second_host:
             inputs |= second_host.at(0, simulation)
@@ -125,7 +127,7 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
     return _judge_result(result, row)
 
 
-def _tendon_speeds(simulation: Simulation) -> list[float]:
+def _tendon_speeds(simulation: SimulatedRun) -> list[float]:
     """Return the measured speed of each tendon, without sign [m/s].
 
     The speed is zero before the first tick.
@@ -137,8 +139,8 @@ def _tendon_speeds(simulation: Simulation) -> list[float]:
 
 
 def tension_bound(
-    simulation: Simulation,
-    scenario: Scenario,
+    simulation: SimulatedRun,
+    scenario: FaultScenario,
     start_tension: list[float],
     speed: list[float],
     seconds: float,
@@ -156,13 +158,13 @@ def tension_bound(
         speed: speed of each tendon when the fault was injected [m/s].
         seconds: time from the fault until all torques are zero [s].
     """
-    if RUNAWAY not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
+    if RUNAWAY_FAULT not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
         return max(*simulation.controller.limits.tension_trip, *start_tension)
     return runaway_tension(
         simulation.controller.model,
         start_tension,
         speed,
-        0.0 if scenario.stage == GRASP else seconds,
+        0.0 if scenario.stage == GRASP_STAGE else seconds,
     )
 
 
@@ -190,7 +192,7 @@ def runaway_tension(model: HandModel, start_tension: Sequence[float], speed: Seq
     return float(max(bounds))
 
 
-def _first_effect_ns(simulation: Simulation, host: "Host | None", start_ns: int) -> int:
+def _first_effect_ns(simulation: SimulatedRun, host: "HostFault | None", start_ns: int) -> int:
     """Return the time at which the fault first took effect [ns].
 
     The time is -1 if the fault has had no effect yet.
@@ -202,8 +204,8 @@ def _first_effect_ns(simulation: Simulation, host: "Host | None", start_ns: int)
 
 def _observe_tick(
     result: ScenarioResult,
-    simulation: Simulation,
-    scenario: Scenario,
+    simulation: SimulatedRun,
+    scenario: FaultScenario,
     out: TickOut,
     first_effect_ns: int,
     t_ns: int,
@@ -255,7 +257,7 @@ def _judge_result(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
     return result
 
 
-class Host:
+class HostFault:
     """Fault of the host computer, or request to the controller.
 
     The text of a fault has one of the forms `io KIND [WHERE] [lasting]`, `skip N`, `late FRACTION`
@@ -266,7 +268,7 @@ class Host:
         """Parse the text of a host fault."""
         self.verb, *self.words = text.split()
 
-    def at(self, i: int, simulation: Simulation) -> dict[str, Any]:
+    def at(self, i: int, simulation: SimulatedRun) -> dict[str, Any]:
         """Return the arguments with which the simulation executes the i-th tick after the start of the fault."""
         first = i == 0
         if self.verb == "io":

@@ -9,23 +9,23 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.drives.sensors.node import TENSION_RAIL_N
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
 
-ARMING = "arming"
-FREE = "free motion"
-GRASP = "grasp"
+ARMING_STAGE = "arming"
+FREE_STAGE = "free motion"
+GRASP_STAGE = "grasp"
 MIT = "mit"
 ODRIVE = "odrive"
 CIA402 = "cia402"
 MOTEUS = "moteus"
 ROBSTRIDE = "robstride"
-ALL_PROTOCOLS = GUARDED
+ALL_PROTOCOLS = GUARDED_PROTOCOLS
 """Drive protocols that the fault matrix covers."""
-ALL_STAGES = (ARMING, FREE, GRASP)
-MOVING_STAGES = (FREE, GRASP)
+ALL_STAGES = (ARMING_STAGE, FREE_STAGE, GRASP_STAGE)
+MOVING_STAGES = (FREE_STAGE, GRASP_STAGE)
 """Stages of a run in which the program moves the hand."""
 REPORT_DELAY_MS = {ODRIVE: 100.0}
 """Longest delay until a drive reports a change of state, by protocol [ms]."""
@@ -89,7 +89,7 @@ class MatrixRow(NamedTuple):
         return self.ticks + extra + math.ceil((self.ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
 
 
-class Scenario(NamedTuple):
+class FaultScenario(NamedTuple):
     """Row of the fault matrix, for one instance of the fault and one stage of the run.
 
     Attributes:
@@ -119,33 +119,33 @@ WARN = Action.WARN
 HOLD = Action.HOLD
 RELAX = Action.RELAX
 CUT = Action.CUT
-ONE_ANSWER = (MIT, CIA402, MOTEUS, ROBSTRIDE)
+ONE_ANSWER_PROTOCOLS = (MIT, CIA402, MOTEUS, ROBSTRIDE)
 """Protocols whose drives send exactly one answer to each command."""
-CONFIRMING = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
+CONFIRMING_PROTOCOLS = (MIT, ODRIVE, MOTEUS, ROBSTRIDE)
 """Protocols with which the host can read the temperature of a drive, and detect that a drive receives no commands."""
-SHORT_IDS = (MIT, ODRIVE, CIA402)
+SHORT_ID_PROTOCOLS = (MIT, ODRIVE, CIA402)
 """Protocols whose drives answer with 11-bit identifiers."""
 
-_EXCHANGED = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
+_EXCHANGED_DRIVE_FAULTS = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
 """Faults that may be detected earlier than N17 if two drives are exchanged, in motion or at unequal tensions."""
 
-MATRIX: tuple[MatrixRow, ...] = (
+FAULT_MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B01", "drop node={node} for=2500us", WARN, 2, rows=("B01", "N02"), stages=ALL_STAGES),
     MatrixRow("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), ALL_STAGES),
     MatrixRow("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02"),
-        protocols=ONE_ANSWER),
+        protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"),
         protocols=(ODRIVE,)),
     MatrixRow("B03", "replay node=sensors size=16", RELAX, 102, 0.0, ("B03", "N02", "B04")),
     MatrixRow("B04", "delay node=sensors size={late} for=20ms", WARN, 4, rows=("B04",)),
-    MatrixRow("B05", "duplicate node={node}", WARN, 2, rows=("B05", "N13", "B06"), protocols=ONE_ANSWER),
+    MatrixRow("B05", "duplicate node={node}", WARN, 2, rows=("B05", "N13", "B06"), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("B05", "duplicate node=sensors", WARN, 2, rows=("B05",)),
-    MatrixRow("B06", "twin node={node}", RELAX, 2, rows=("B06",), protocols=ONE_ANSWER),
+    MatrixRow("B06", "twin node={node}", RELAX, 2, rows=("B06",), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("B06", "twin node=sensors", RELAX, 2, rows=("B06",)),
     MatrixRow("B07", "reorder node=sensors", WARN, 2, rows=("B07",)),
     MatrixRow("B08", "shorten node={node}", RELAX, 4, rows=("B08", "B17")),
     MatrixRow("B09", "shorten node={node} for=3ms", WARN, 2, rows=("B09",)),
-    MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, rows=("B09",), protocols=SHORT_IDS),
+    MatrixRow("B09", "extend node={node} for=3ms", WARN, 2, rows=("B09",), protocols=SHORT_ID_PROTOCOLS),
     MatrixRow("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), ALL_STAGES),
     MatrixRow("B11", "flood bus={bus} size=100", RELAX, 3, rows=("B11",)),
     MatrixRow("B11", "flood bus={bus} size=101", CUT, 11, rows=("B11b", "B11a")),
@@ -156,18 +156,18 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("B15", HOST_PREFIX + "io enobufs lasting", RELAX, 3, rows=("B15",)),
     MatrixRow("B16", HOST_PREFIX + "io enodev", CUT, 1, rows=("B16",), stages=ALL_STAGES),
     MatrixRow("B17", "deaf node={node}", RELAX, 4, rows=("B17", "N08", "B02", "B03"),
-        protocols=CONFIRMING,
+        protocols=CONFIRMING_PROTOCOLS,
         extra_ms={ODRIVE: 160.0}),
     MatrixRow("B17", "drop node={node}", RELAX, 4, rows=("B17",)),
     MatrixRow("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"),
         extra_ms=REPORT_DELAY_MS, extra_ticks=RESTART_TICKS),
-    MatrixRow("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"), stages=(ARMING,),
+    MatrixRow("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"), stages=(ARMING_STAGE,),
         protocols=(MIT, CIA402, ROBSTRIDE),
         extra_ticks=RESTART_TICKS),
     MatrixRow("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), ALL_STAGES),
     MatrixRow("N02", "off node={node}", RELAX, 5, rows=("B17", "B02", "N01"), stages=ALL_STAGES),
-    MatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06"), (FREE,)),
-    MatrixRow("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE,)),
+    MatrixRow("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06"), (FREE_STAGE,)),
+    MatrixRow("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE_STAGE,)),
     MatrixRow("N05", "offset encoder={node} size={jump}", RELAX, 3, rows=("N05",)),
     MatrixRow("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
     MatrixRow("N07", "noise encoder={node} size={rough}", HOLD, 4, 60.0, ("N07", "N05")),
@@ -176,9 +176,9 @@ MATRIX: tuple[MatrixRow, ...] = (
         extra_ms=REPORT_DELAY_MS),
     MatrixRow("N08", "watchdog node={node}", RELAX, 2, rows=("N08", "N01"), stages=ALL_STAGES,
         protocols=(ROBSTRIDE,)),
-    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, rows=("N09b",), protocols=CONFIRMING,
+    MatrixRow("N09", "hot node={node} size=95", RELAX, 22, rows=("N09b",), protocols=CONFIRMING_PROTOCOLS,
         extra_ms={ODRIVE: 200.0}),
-    MatrixRow("N09", "hot node={node} size=80", WARN, 22, rows=("N09a",), protocols=CONFIRMING,
+    MatrixRow("N09", "hot node={node} size=80", WARN, 22, rows=("N09a",), protocols=CONFIRMING_PROTOCOLS,
         extra_ms={ODRIVE: 200.0}),
     MatrixRow("N10", "voltage node={node}", RELAX, 2, rows=("N10",), stages=ALL_STAGES,
         extra_ms=REPORT_DELAY_MS),
@@ -196,36 +196,39 @@ MATRIX: tuple[MatrixRow, ...] = (
     MatrixRow("N12", "forget node={node}", RELAX, 4, 1000.0, ("N12", "N14"), protocols=(MOTEUS,)),
     # A restart before the first answer to the enable command looks like a lost command. The lost
     # settings reveal it.
-    MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING,), (MOTEUS,)),
-    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, rows=("B06", "N13"), protocols=ONE_ANSWER),
-    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONE_ANSWER),
+    MatrixRow("N12", "reset node={node}", RELAX, 4, 1000.0, ("N12", "N01", "N14"), (ARMING_STAGE,), (MOTEUS,)),
+    MatrixRow("N13", "twin node={node} seed=1", RELAX, 2, rows=("B06", "N13"), protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N14", "disobey node={node} size=0", RELAX, 22, rows=("N14", "T02", "T04"),
-        stages=(GRASP,), protocols=ONE_ANSWER),
+        stages=(GRASP_STAGE,), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N14", "runaway node={node}", RELAX, 10, rows=("N14", "T03", "N05", "T04")),
     MatrixRow("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0,
-        ("N14b", "T03", "N07", "T01"), (GRASP,)),
-    MatrixRow("N15", "slow node={node} size=2", WARN, 22, rows=("N15",), protocols=ONE_ANSWER),
+        ("N14b", "T03", "N07", "T01"), (GRASP_STAGE,)),
+    MatrixRow("N15", "slow node={node} size=2", WARN, 22, rows=("N15",), protocols=ONE_ANSWER_PROTOCOLS),
     MatrixRow("N15", "slow node={node} size=4", WARN, 4, rows=("B01",), protocols=(ODRIVE,)),
-    MatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP,)),
-    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED),
-        protocols=ONE_ANSWER),
-    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED),
-        protocols=ONE_ANSWER),
-    MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED), protocols=ONE_ANSWER),
+    MatrixRow("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP_STAGE,)),
+    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        protocols=ONE_ANSWER_PROTOCOLS),
+    MatrixRow("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        protocols=ONE_ANSWER_PROTOCOLS),
     # In a grasp at rest, the velocity limit of ODrive drives hides that two of them are exchanged.
-    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED), (FREE,), (ODRIVE,)),
-    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED), (FREE,), (ODRIVE,)),
-    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, rows=("T01",), stages=(GRASP,)),
-    MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04"), (FREE,)),
-    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, rows=("T02", "T01"), stages=(GRASP,)),
-    MatrixRow("T03", "offset cell={tendon} size={trip}", RELAX, 2, rows=("T03",), stages=(GRASP,)),
-    MatrixRow("T03", "offset cell={tendon} size={limit}", CUT, 2, rows=("T03b",), stages=(GRASP,)),
+    MatrixRow("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        (FREE_STAGE,), (ODRIVE,)),
+    MatrixRow("N17", "cross node={node} with={other}", RELAX, 2, 2000.0, ("N17", *_EXCHANGED_DRIVE_FAULTS),
+        (FREE_STAGE,), (ODRIVE,)),
+    MatrixRow("T01", "snap tendon={tendon}", RELAX, 10, rows=("T01",), stages=(GRASP_STAGE,)),
+    MatrixRow("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04"), (FREE_STAGE,)),
+    MatrixRow("T02", "slack tendon={tendon} size=30", WARN, 10, rows=("T02", "T01"), stages=(GRASP_STAGE,)),
+    MatrixRow("T03", "offset cell={tendon} size={trip}", RELAX, 2, rows=("T03",), stages=(GRASP_STAGE,)),
+    MatrixRow("T03", "offset cell={tendon} size={limit}", CUT, 2, rows=("T03b",), stages=(GRASP_STAGE,)),
     MatrixRow("T03", "runaway node={node} size=1 seed=1", RELAX, 10, rows=("T03", "N14", "T06"),
-        stages=(GRASP,)),
+        stages=(GRASP_STAGE,)),
     MatrixRow("T04", "drift cell={tendon} size=60", RELAX, 2, 500.0, ("T04", "T03", "N14", "T02"),
-        (GRASP,)),
-    MatrixRow("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP,)),
-    MatrixRow("T05", "stuck cell={tendon}", RELAX, 42, 300.0, ("T05", "T04"), (GRASP,)),
+        (GRASP_STAGE,)),
+    MatrixRow("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP_STAGE,)),
+    MatrixRow("T05", "stuck cell={tendon}", RELAX, 42, 300.0, ("T05", "T04"), (GRASP_STAGE,)),
     MatrixRow("T05", "old cell={tendon} size=16", RELAX, 20, rows=("T05b",)),
     MatrixRow("T05", "old cell={tendon} size=50", RELAX, 20, rows=("T05b",)),
     MatrixRow("T06", "saturate cell={tendon} size=1", RELAX, 4, rows=("T06",), stages=ALL_STAGES),
@@ -261,7 +264,7 @@ UNTESTED_ROWS = {
 """Faults in sections 2.1 to 2.4 of the fault catalogue that the matrix lacks, with the place where each is tested."""
 
 
-def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
+def scenarios_of_hand(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
     """Return the scenarios of every row of the matrix: on the first and the last instance, in all stages of the row.
 
     Args:
@@ -270,22 +273,22 @@ def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
         period_ms: control period [ms].
     """
     selected = []
-    for row in MATRIX:
+    for row in FAULT_MATRIX:
         if protocol in row.protocols:
             fault_texts = texts_of_fault(hand, row.fault, period_ms)
             ends = dict.fromkeys(fault_texts[:1] + fault_texts[-1:])
-            selected += [Scenario(row, text, stage) for stage in row.stages for text in ends]
+            selected += [FaultScenario(row, text, stage) for stage in row.stages for text in ends]
     return selected
 
 
-def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
+def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenario]:
     """Return a scenario in a grasp for every pair of the faults in `PAIRED_ROWS`.
 
     The fault with the more severe reaction comes first. The other fault starts a few ticks later,
     on another instance. If the hand has no instance for a fault, such as a load cell, there are no
     pairs with this fault. `period_ms` is the control period [ms].
     """
-    rows = [next(row for row in MATRIX if row.id == id_ and protocol in row.protocols) for id_ in PAIRED_ROWS]
+    rows = [next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols) for id_ in PAIRED_ROWS]
     selected = []
     for i, first in enumerate(rows):
         for second in rows[i + 1 :]:
@@ -294,7 +297,7 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
             texts = texts_of_fault(hand, main.fault, period_ms)
             second_texts = texts_of_fault(hand, other.fault, period_ms)
             if texts and second_texts:
-                selected.append(Scenario(main, texts[0], GRASP, second_texts[-1]))
+                selected.append(FaultScenario(main, texts[0], GRASP_STAGE, second_texts[-1]))
     return selected
 
 

@@ -22,15 +22,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handctl.campaign.scenario_run import RUNAWAY, Host, ScenarioResult, runaway_tension
-from handctl.campaign.scenarios import HOST_PREFIX, MATRIX, texts_of_fault
-from handctl.campaign.stage import STAGES, run_experiments
+from handctl.campaign.scenario_run import RUNAWAY_FAULT, HostFault, ScenarioResult, runaway_tension
+from handctl.campaign.scenarios import FAULT_MATRIX, HOST_PREFIX, texts_of_fault
+from handctl.campaign.stage import RUN_STAGES, run_experiments
 from handctl.controller.state import State
 from handctl.core.types import Mode
 from handctl.errors import REMOVE_POWER
 from handctl.hand.description import Hand
-from handctl.runtime.mailbox import CLEAR, STOP
-from handctl.session.simulate import Simulation
+from handctl.runtime.mailbox import CLEAR_REQUEST, STOP_REQUEST
+from handctl.session.simulate import SimulatedRun
 
 SEQUENCE_TICKS = 200
 """Length of a sequence, after which the hand is stopped [ticks]."""
@@ -71,14 +71,14 @@ class FaultStep(NamedTuple):
 
     Attributes:
         tick: tick of the fault or request, counted from the start of the sequence.
-        fault: text of the fault for the simulator, or text for `Host`.
+        fault: text of the fault for the simulator, or text for `HostFault`.
     """
 
     tick: int
     fault: str
 
 
-class Sequence(NamedTuple):
+class FaultSequence(NamedTuple):
     """Random sequence of faults.
 
     Attributes:
@@ -105,14 +105,14 @@ class Sequence(NamedTuple):
         return f"seed {self.seed}, {self.stage}: " + "; ".join(f"{step.tick}: {step.fault}" for step in self.steps)
 
 
-def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Sequence:
+def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> FaultSequence:
     """Draw the random sequence that belongs to a seed.
 
     The result depends only on the seed, the hand, the protocol and the control period [ms].
     """
     chance = random.Random(f"sequence {seed}")
     # Every row of the matrix has the same probability, no matter how many instances it has.
-    rows = [row for row in MATRIX if protocol in row.protocols]
+    rows = [row for row in FAULT_MATRIX if protocol in row.protocols]
     count = chance.randint(MIN_FAULTS, MAX_FAULTS)
     steps = []
     for tick in sorted(chance.sample(range(SEQUENCE_TICKS), count)):
@@ -126,7 +126,7 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Seq
             and chance.random() < BRIEF_FRACTION
         )
         steps.append(FaultStep(tick, f"{fault} for={chance.randint(*BRIEF_MS)}ms" if brief else fault))
-    return Sequence(seed, STAGES[seed % len(STAGES)], tuple(steps))
+    return FaultSequence(seed, RUN_STAGES[seed % len(RUN_STAGES)], tuple(steps))
 
 
 def run_sequences(
@@ -137,7 +137,7 @@ def run_sequences(
     *,
     jobs: int,
     on_progress: Callable[[int], None],
-    on_failure: Callable[[Simulation, ScenarioResult], None],
+    on_failure: Callable[[SimulatedRun, ScenarioResult], None],
 ) -> list[ScenarioResult]:
     """Run sequences and return their results. Each runs in a copy of a run that has reached the sequence's stage.
 
@@ -162,7 +162,7 @@ def run_sequences(
     return results
 
 
-def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
+def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioResult:
     """Run a sequence, stop the hand, and return the result with the violated rules.
 
     Args:
@@ -178,7 +178,7 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
         before = simulation.state
         simulation.tick(**inputs)
         tension = max(tension, *simulation.peer.truth()["tension"])
-        violations += violations_in_tick(before, simulation.state, cleared=CLEAR in inputs["requests"])
+        violations += violations_in_tick(before, simulation.state, cleared=CLEAR_REQUEST in inputs["requests"])
         if simulation.state.mode == Mode.DONE:
             break
     active_faults = sum(int(fault["felt"]) > 0 for fault in simulation.peer.fault_states())
@@ -199,19 +199,19 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
     )
 
 
-def _sequence_ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict[str, Any]]:
+def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterator[dict[str, Any]]:
     """Yield the inputs of each tick, and inject the simulator's faults in the planned ticks.
 
     At the end of the sequence, the inputs have a stop request.
     """
-    host_faults: list[tuple[int, Host]] = []
+    host_faults: list[tuple[int, HostFault]] = []
     for i in range(SEQUENCE_TICKS + round(SHUTDOWN_S * 1e9 / simulation.period_ns)):
         for fault in [step.fault for step in sequence.steps if step.tick == i]:
             if fault.startswith(HOST_PREFIX):
-                host_faults.append((i, Host(fault.removeprefix(HOST_PREFIX))))
+                host_faults.append((i, HostFault(fault.removeprefix(HOST_PREFIX))))
             else:
                 simulation.peer.inject(fault)
-        inputs: dict[str, Any] = {"io": (), "requests": (STOP,) if i == SEQUENCE_TICKS else ()}
+        inputs: dict[str, Any] = {"io": (), "requests": (STOP_REQUEST,) if i == SEQUENCE_TICKS else ()}
         for start_tick, host in host_faults:
             for key, value in host.at(i - start_tick, simulation).items():
                 inputs[key] = inputs[key] + value if key in ("io", "requests") else value
@@ -234,7 +234,7 @@ def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
     return violations
 
 
-def _tension_bound(simulation: Simulation, sequence: Sequence, start_tension: list[float]) -> float:
+def _tension_bound(simulation: SimulatedRun, sequence: FaultSequence, start_tension: list[float]) -> float:
     """Return the largest tension to expect in a sequence [N].
 
     A runaway drive is assumed to start with a slack tendon, and to pull until the watchdog of the
@@ -244,13 +244,13 @@ def _tension_bound(simulation: Simulation, sequence: Sequence, start_tension: li
     # it is larger.
     limits = simulation.controller.limits
     model = simulation.controller.model
-    if not any(step.fault.startswith(RUNAWAY) for step in sequence.steps):
+    if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
         return max(*limits.tension_trip, *start_tension)
     at_rest = [0.0] * model.tendon_count
     return runaway_tension(model, at_rest, at_rest, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9)
 
 
-def violations_at_end(simulation: Simulation) -> list[str]:
+def violations_at_end(simulation: SimulatedRun) -> list[str]:
     """Return a text for each rule that the end of a run violates."""
     state = simulation.state
     names = simulation.controller.model.hand.tendon_names
@@ -260,7 +260,7 @@ def violations_at_end(simulation: Simulation) -> list[str]:
     return [f"torque remains: {', '.join(with_torque)}"] if with_torque and REMOVE_POWER not in state.failure else []
 
 
-def violations_on_replay(simulation: Simulation, state: State, first: int) -> list[str]:
+def violations_on_replay(simulation: SimulatedRun, state: State, first: int) -> list[str]:
     """Execute the inputs again.
 
     Return a text about the first tick whose state, frames or events differ, if there is one.

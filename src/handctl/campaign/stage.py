@@ -12,12 +12,12 @@ from functools import partial
 from typing import Any, Protocol, TypeVar, cast
 
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.campaign.scenarios import ARMING, FREE, GRASP, MIT
+from handctl.campaign.scenarios import ARMING_STAGE, FREE_STAGE, GRASP_STAGE, MIT
 from handctl.controller.bus_load import bus_loads, split_motors_over_buses
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.types import Mode
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
@@ -25,17 +25,17 @@ from handctl.processes import run_in_copy
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.plan import highest_rate_of_buses
-from handctl.session.simulate import Simulation, Simulator
+from handctl.session.simulate import SimulatedRun, SimulatorSettings
 
 FIRST_NODE = 0x10
 """Node id of the first motor in a hand whose drives have been replaced."""
 DATA_BITRATE = 5_000_000
 """Bit rate of the data phase on the buses of a hand whose drives need CAN FD [bit/s]."""
-SLOWEST_HZ = 200.0
+MIN_CONTROL_RATE_HZ = 200.0
 """Lowest control rate at which the controller reacts to every fault within its bound [Hz]."""
-SPLIT_HZ = 250.0
+SPLIT_BUS_RATE_HZ = 250.0
 """Control rate for which motors are distributed over more buses [Hz]."""
-TASK: dict[str, Any] = {
+CAMPAIGN_TASK: dict[str, Any] = {
     "schema": 1,
     "name": "campaign",
     "phase": [
@@ -45,7 +45,7 @@ TASK: dict[str, Any] = {
     ],
 }
 """Task that the hand executes in all runs: a free motion, then a grasp that is held for the rest of the run."""
-STAGES = (ARMING, FREE, GRASP)
+RUN_STAGES = (ARMING_STAGE, FREE_STAGE, GRASP_STAGE)
 """Stages of a run in the order of time."""
 FAULT_DELAY_S = 0.2
 """Time from the start of the free motion to the stage FREE, at which faults are injected [s]."""
@@ -66,10 +66,10 @@ def with_drives(hand: Hand, protocol: str) -> Hand:
 
     The buses use CAN FD if the protocol needs CAN FD.
 
-    If the frames of the new drives would allow less than ``SLOWEST_HZ`` on the only bus of a hand, its
+    If the frames of the new drives would allow less than ``MIN_CONTROL_RATE_HZ`` on the only bus of a hand, its
     motors are distributed over more buses.
     """
-    traits = PROTOCOLS[protocol]
+    traits = PROTOCOL_TRAITS[protocol]
     motors = tuple(
         motor.model_copy(update={"protocol": protocol, "node_id": FIRST_NODE + i, "options": dict(traits.options)})
         for i, motor in enumerate(hand.motor)
@@ -79,17 +79,17 @@ def with_drives(hand: Hand, protocol: str) -> Hand:
         for bus in hand.bus
     )
     replaced = hand.model_copy(update={"motor": motors, "bus": buses})
-    too_slow = len(buses) == 1 and highest_rate_of_buses(bus_loads(replaced)) < SLOWEST_HZ
+    too_slow = len(buses) == 1 and highest_rate_of_buses(bus_loads(replaced)) < MIN_CONTROL_RATE_HZ
     return _with_more_buses(replaced) if too_slow else replaced
 
 
 def _with_more_buses(hand: Hand) -> Hand:
-    """Return a hand whose motors are distributed over as many buses as ``SPLIT_HZ`` needs.
+    """Return a hand whose motors are distributed over as many buses as ``SPLIT_BUS_RATE_HZ`` needs.
 
     The load cells stay on the only bus of the given hand. The hand stays as it is if one motor alone
     needs more than a bus.
     """
-    groups = split_motors_over_buses(hand, SPLIT_HZ)
+    groups = split_motors_over_buses(hand, SPLIT_BUS_RATE_HZ)
     if not groups:
         return hand
     first = hand.bus[0]
@@ -109,8 +109,8 @@ def homed_run(
     rate_hz: float,
     seed: int,
     perturb: dict[str, float] | None = None,
-    task: dict[str, Any] = TASK,
-) -> Iterator[Simulation]:
+    task: dict[str, Any] = CAMPAIGN_TASK,
+) -> Iterator[SimulatedRun]:
     """Yield a simulated run at its start: a homed hand in a scene with a cylinder.
 
     Args:
@@ -125,11 +125,11 @@ def homed_run(
     phases[0]["angle_deg"] = angles
     program = TaskProgram(Task.model_validate_json(json.dumps({**task, "phase": phases})))
     controller = make_controller(hand, packaged_gains(hand.name), rate_hz, program, None, arm_at_once=True)
-    with Simulator(hand, "cylinder", seed, perturb, homed=True).against(controller) as run:
+    with SimulatorSettings(hand, "cylinder", seed, perturb, homed=True).against(controller) as run:
         yield run
 
 
-def advance_to(simulation: Simulation, stage: str) -> None:
+def advance_to(simulation: SimulatedRun, stage: str) -> None:
     """Simulate a run up to a given stage.
 
     Raises:
@@ -139,14 +139,14 @@ def advance_to(simulation: Simulation, stage: str) -> None:
 
     def reached(out: Any) -> bool:
         nonlocal free_ticks
-        if stage == ARMING:
+        if stage == ARMING_STAGE:
             return bool(out.mode == Mode.ARMING)
         # A run has reached the grasp if at least one digit is in contact and a tendon has at least
         # 16 N.
         free_ticks += out.phase == "free"
         free = free_ticks * simulation.period_ns > FAULT_DELAY_S * 1e9
         holds = out.phase == "hold" and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
-        return bool(free if stage == FREE else holds)
+        return bool(free if stage == FREE_STAGE else holds)
 
     if not simulation.until(reached, STAGE_TIMEOUT_S):
         failure = simulation.state.failure or simulation.state.mode.name
@@ -157,7 +157,7 @@ def advance_to(simulation: Simulation, stage: str) -> None:
         )
 
 
-class Experiment(Protocol):
+class StagedRun(Protocol):
     """Scenario of the fault matrix or random sequence that branches off from a run at a stage."""
 
     @property
@@ -179,7 +179,7 @@ class Experiment(Protocol):
         ...
 
 
-T = TypeVar("T", bound=Experiment)
+T = TypeVar("T", bound=StagedRun)
 
 
 def run_experiments(
@@ -187,9 +187,9 @@ def run_experiments(
     rate_hz: float,
     todo: Sequence[T],
     jobs: int,
-    attempt: Callable[[Simulation, T], ScenarioResult],
+    attempt: Callable[[SimulatedRun, T], ScenarioResult],
     on_result: Callable[[ScenarioResult], None],
-    on_failure: Callable[[Simulation, ScenarioResult], None],
+    on_failure: Callable[[SimulatedRun, ScenarioResult], None],
     seed: int = 0,
 ) -> None:
     """Simulate a run up to each stage, and run the experiments that begin at this stage as branches of the run.
@@ -197,7 +197,7 @@ def run_experiments(
     See `run_in_branches` for the arguments.
     """
     with homed_run(hand, rate_hz, seed) as simulation:
-        for stage in STAGES:
+        for stage in RUN_STAGES:
             experiments_at_stage = [experiment for experiment in todo if experiment.stage == stage]
             if experiments_at_stage:
                 advance_to(simulation, stage)
@@ -205,12 +205,12 @@ def run_experiments(
 
 
 def run_in_branches(
-    simulation: Simulation,
+    simulation: SimulatedRun,
     todo: Sequence[T],
     jobs: int,
-    attempt: Callable[[Simulation, T], ScenarioResult],
+    attempt: Callable[[SimulatedRun, T], ScenarioResult],
     on_result: Callable[[ScenarioResult], None],
-    on_failure: Callable[[Simulation, ScenarioResult], None],
+    on_failure: Callable[[SimulatedRun, ScenarioResult], None],
 ) -> None:
     """Run experiments, each in a forked copy of this process.
 
@@ -252,7 +252,7 @@ def _run_one(attempt: Callable[[], ScenarioResult], on_failure: Callable[[Scenar
     return json.dumps(asdict(result))
 
 
-def _read_result(reading: int, experiment: Experiment, status: int) -> ScenarioResult:
+def _read_result(reading: int, experiment: StagedRun, status: int) -> ScenarioResult:
     """Read the result of an experiment from the pipe of the copy that has ended with `status`."""
     with os.fdopen(reading) as pipe:
         text = pipe.read()

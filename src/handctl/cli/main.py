@@ -19,18 +19,18 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from typing import Any, NamedTuple
 
 from handctl.cli.console.streams import discard_output, flush_stdout, open_standard_streams
-from handctl.cli.console.termination import Terminated, install_excepthook, terminate_on_signals
+from handctl.cli.console.termination import TerminationRequested, install_excepthook, terminate_on_signals
 from handctl.cli.console.verbosity import is_verbose, print_detail, use_verbosity
 from handctl.cli.parsing.completion import is_completing, print_completions
 from handctl.cli.parsing.needs import optional_packages
-from handctl.cli.parsing.parser import Parser, check_words, did_you_mean
+from handctl.cli.parsing.parser import VerbParser, check_words, did_you_mean
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
 from handctl.extras import missing_extra, require_extra
 from handctl.printing import escaped_streams, one_line_message, printable_text
 from handctl.session.exit_codes import ExitCode
 
 
-class Group(NamedTuple):
+class VerbGroup(NamedTuple):
     """Verbs of the command line that have a common purpose.
 
     Attributes:
@@ -42,8 +42,8 @@ class Group(NamedTuple):
     verbs: dict[str, str]
 
 
-GROUPS = {
-    "runs": Group(
+VERB_GROUPS = {
+    "runs": VerbGroup(
         "run a hand, real or simulated",
         {
             "demo": "close a simulated hand on an object, and print a summary",
@@ -55,7 +55,7 @@ GROUPS = {
             "sim": "start a simulated hand on a bus",
         },
     ),
-    "logs": Group(
+    "logs": VerbGroup(
         "use the log of a run",
         {
             "view": "show a log in Rerun, or draw a picture of it",
@@ -64,7 +64,7 @@ GROUPS = {
             "report": "write one self-contained HTML page of a run",
         },
     ),
-    "checks": Group(
+    "checks": VerbGroup(
         "check a hand, its buses and this machine",
         {
             "config": "show or check a hand and its files",
@@ -74,7 +74,7 @@ GROUPS = {
             "doctor": "check this machine: priority, buses, viewer, disk space",
         },
     ),
-    "tuning": Group(
+    "tuning": VerbGroup(
         "identify and tune a hand",
         {
             "identify": "measure stiffness, friction, springs and inertia of a hand",
@@ -82,7 +82,7 @@ GROUPS = {
             "tune": "design gains, search them in simulation, verify them on the hand",
         },
     ),
-    "studies": Group(
+    "studies": VerbGroup(
         "inject faults, reproduce the paper",
         {
             "fault": "inject single faults into a simulated hand, or run the whole fault campaign",
@@ -91,16 +91,16 @@ GROUPS = {
     ),
 }
 """Groups of verbs by the folder of their modules."""
-VERBS = {name: text for group in GROUPS.values() for name, text in group.verbs.items()}
+VERB_HELP = {name: text for group in VERB_GROUPS.values() for name, text in group.verbs.items()}
 """One line of help for each verb, by name."""
-FOLDERS = {folder: tuple(group.verbs) for folder, group in GROUPS.items()}
+VERBS_BY_FOLDER = {folder: tuple(group.verbs) for folder, group in VERB_GROUPS.items()}
 """Names of the verbs in each group, by the folder of their modules."""
 RECORDING_VERBS = ("run", "commission", "demo")
 """Verbs that record a run if ``--dry-run`` is not given."""
 VERBOSITY_OPTIONS = {"-v", "--verbose", "-q", "--quiet"}
 """Options that are also allowed before the verb of a command line."""
 
-EPILOG = """exit codes:
+HELP_EPILOG = """exit codes:
   0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power,
   130 interrupted, 143 terminated (where no hand ran)
 help on a verb:
@@ -160,7 +160,7 @@ def _run_and_report_errors(words: list[str]) -> int:
         where = f"{error.filename}: " if error.filename else nameless
         text = f"{where}{error.strerror or error}"
         return _report_error(text, ExitCode.BAD_INPUT if error.errno in FILE_NAME_ERRORS else ExitCode.FAILED)
-    except Terminated as error:
+    except TerminationRequested as error:
         return _report_error(str(error) or "ended by a signal", ExitCode.TERMINATED)
     except KeyboardInterrupt as error:
         return _report_error(str(error) or "interrupted", ExitCode.INTERRUPTED)
@@ -171,19 +171,19 @@ def _run_command_line(words: list[str]) -> int:
 
     Errors of the verb pass through as exceptions.
     """
-    while words[1:] and words[0] in VERBOSITY_OPTIONS and words[1] in VERBS.keys() | VERBOSITY_OPTIONS:
-        words = [words[1], words[0], *words[2:]] if words[1] in VERBS else words[1:]
-    if words and words[0] in VERBS:
+    while words[1:] and words[0] in VERBOSITY_OPTIONS and words[1] in VERB_HELP.keys() | VERBOSITY_OPTIONS:
+        words = [words[1], words[0], *words[2:]] if words[1] in VERB_HELP else words[1:]
+    if words and words[0] in VERB_HELP:
         return _run_verb(words[0], words[1:])
-    parser = Parser(
+    parser = VerbParser(
         prog="handctl",
         usage="handctl VERB ... [--help]",
         description="Controller and data logger for tendon-driven robot hands.",
-        epilog=f"{_verb_table()}{EPILOG}",
+        epilog=f"{_verb_table()}{HELP_EPILOG}",
     )
     parser.add_argument("--version", action="store_true", help="print the version")
     if words and not words[0].startswith("-"):
-        what = f"unknown verb {printable_text(words[0])!r}{did_you_mean(words[0], VERBS)}"
+        what = f"unknown verb {printable_text(words[0])!r}{did_you_mean(words[0], VERB_HELP)}"
         raise ConfigError(what, "the command line", "one that handctl --help lists")
     args = parser.parse_args(words)
     if args.version:
@@ -196,7 +196,7 @@ def _run_command_line(words: list[str]) -> int:
 def _verb_table() -> str:
     """Return the text of the help that lists the verbs in their groups."""
     lines: list[str] = []
-    for group in GROUPS.values():
+    for group in VERB_GROUPS.values():
         lines.append(f"{group.title}:")
         lines += [*(f"  {name:<12}{text}" for name, text in group.verbs.items()), ""]
     return "\n".join([*lines, ""])
@@ -211,7 +211,7 @@ def _version_text() -> str:
 
 def _folder_of(name: str) -> str:
     """Return the folder that has the module of a verb."""
-    return next(folder for folder, verbs in FOLDERS.items() if name in verbs)
+    return next(folder for folder, verbs in VERBS_BY_FOLDER.items() if name in verbs)
 
 
 def _import_arguments(name: str) -> Any:
@@ -219,21 +219,21 @@ def _import_arguments(name: str) -> Any:
     return importlib.import_module(f"handctl.cli.{_folder_of(name)}.arguments")
 
 
-def verb_parser(name: str) -> Parser:
+def verb_parser(name: str) -> VerbParser:
     """Return the parser of a verb."""
-    text = VERBS[name]
+    text = VERB_HELP[name]
     example = _import_arguments(name).EXAMPLES[name]
-    parser = Parser(prog=f"handctl {name}", description=f"{text[0].upper()}{text[1:]}.", epilog=example.epilog())
+    parser = VerbParser(prog=f"handctl {name}", description=f"{text[0].upper()}{text[1:]}.", epilog=example.epilog())
     getattr(_import_arguments(name), name)(parser)
     return parser
 
 
-def parser_of_all_verbs() -> Parser:
+def parser_of_all_verbs() -> VerbParser:
     """Return one parser for all verbs, for shell completion."""
-    parser = Parser(prog="handctl")
+    parser = VerbParser(prog="handctl")
     parser.add_argument("--version", action="store_true")
     verbs = parser.add_subparsers()
-    for name, text in VERBS.items():
+    for name, text in VERB_HELP.items():
         getattr(_import_arguments(name), name)(verbs.add_parser(name, help=text))
     return parser
 
@@ -260,9 +260,9 @@ def _run_verb(name: str, words: list[str]) -> int:
 
 def _start_recorder_early() -> AbstractContextManager[None]:
     """Start the recorder process early. Then both processes import modules at the same time."""
-    from handctl.log.write.child import process_ahead  # a verb without a run needs no subprocess
+    from handctl.log.write.child import recorder_process_ahead  # a verb without a run needs no subprocess
 
-    return process_ahead()
+    return recorder_process_ahead()
 
 
 def _import_verb(name: str) -> Any:

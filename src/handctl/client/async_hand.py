@@ -9,7 +9,7 @@ from typing import Any, Literal, Self
 
 from handctl.client.hand import DEFAULT_LEASE_S, HandClient, connect
 from handctl.client.observation import Observation
-from handctl.client.stream import TargetStream, Values
+from handctl.client.stream import TargetStream, TargetValues
 from handctl.hand.description import Hand
 from handctl.programs.streams import StreamStatus
 from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S
@@ -154,7 +154,7 @@ class AsyncTargetStream:
         """Close the stream."""
         await asyncio.shield(self.close())
 
-    def send(self, values: Values) -> None:
+    def send(self, values: TargetValues) -> None:
         """Send a target at once, see ``TargetStream.send``."""
         self.stream.send(values)
 

@@ -17,7 +17,7 @@ from handctl.hand.inverse_kinematics import closest_tip
 from handctl.hand.kinematics import joint_points
 from handctl.runtime.targets import TargetSender
 
-Positions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArray[np.floating[Any]]
+TipPositions = Mapping[str, Sequence[float] | NDArray[np.floating[Any]]] | NDArray[np.floating[Any]]
 """Positions of fingertips in the palm frame [m]: (D, 3) in the order of the digits, or (3,) for each digit by name."""
 
 
@@ -67,7 +67,7 @@ class Fingertips:
             [joint_points(model, [angles_rad[joint] for joint in model.joint_names])[-1] for model in self._models]
         )
 
-    def angles_deg(self, positions: Positions) -> dict[str, float]:
+    def angles_deg(self, positions: TipPositions) -> dict[str, float]:
         """Return the joint angles for positions of fingertips, by name of the joint, e.g. for ``hand.move`` [deg].
 
         Args:
@@ -88,7 +88,7 @@ class Fingertips:
             angles |= dict(zip(model.joint_names, joints, strict=True))
         return angles
 
-    def _targets(self, positions: Positions) -> dict[int, NDArray[np.float64]]:
+    def _targets(self, positions: TipPositions) -> dict[int, NDArray[np.float64]]:
         """Check positions of fingertips, and return them by index of the digit."""
         if isinstance(positions, Mapping):
             if unknown := [str(name) for name in positions if name not in self.digits]:

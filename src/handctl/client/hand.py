@@ -39,9 +39,9 @@ from handctl.programs.requests import (
     OpenStream,
 )
 from handctl.programs.streams import horizon_s
-from handctl.programs.task import Hold
-from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S, follow_until_off, is_off, send_confirmed
-from handctl.runtime.mailbox import MAX_REQUEST_BYTES, Watcher, is_running
+from handctl.programs.task import HoldPhase
+from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S, follow_until_off, is_hand_off, send_with_confirmation
+from handctl.runtime.mailbox import MAX_REQUEST_BYTES, StatusWatcher, is_running
 from handctl.runtime.observations import ObservationReader
 from handctl.runtime.targets import TargetSender, stream_name
 from handctl.session.buses import named_buses, refuse_default_hand
@@ -67,7 +67,7 @@ DEFAULT_LEASE_S = 2.0
 SHUTDOWN_MODE_NAMES = {mode.name for mode in SHUTTING_DOWN}
 """Modes of the hand in which goals have no effect."""
 RUN_OWNER = "a running handctl run"
-_numbers = itertools.count(1)
+_client_numbers = itertools.count(1)
 """Counter that numbers the clients and streams of this process."""
 
 
@@ -172,14 +172,14 @@ class HandClient:
         self._lease_s = lease_s
         self._watchdog_s = watchdog_s
         self._heartbeat: Heartbeat | None = None
-        self.name = f"client-{os.getpid()}-{next(_numbers)}"
+        self.name = f"client-{os.getpid()}-{next(_client_numbers)}"
         self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
         self._live = self._commands = self._closed = self._error_raised = self._off = False
         self._lock = threading.RLock()  # only one call may wait for a status line at a time
         self._observations: ObservationReader | None = None
         self._description: Hand | None = None
-        self._watcher = Watcher(bus)
+        self._watcher = StatusWatcher(bus)
         self._stderr = tempfile.TemporaryFile()  # noqa: SIM115
         self._shown = 0
         self._last_message = ""
@@ -326,7 +326,7 @@ class HandClient:
         tips = Fingertips(hand, names) if space == "fingertip" else None
         if tips is not None:
             names = tips.joints
-        number = next(_numbers)
+        number = next(_client_numbers)
         numbers = {"rate_Hz": rate_Hz, "damping_ratio": damping_ratio}
         if stiffness_N_m_per_rad is not None:
             numbers["stiffness_N_m_per_rad"] = stiffness_N_m_per_rad
@@ -368,7 +368,7 @@ class HandClient:
                 has ended.
         """
         found, _ = find_task(Path(task), self.description)
-        hold = next((phase.name for phase in found.phase if isinstance(phase, Hold)), "live")
+        hold = next((phase.name for phase in found.phase if isinstance(phase, HoldPhase)), "live")
         content = found.model_dump(by_alias=True, exclude_unset=True, mode="json")
         self._set_goal({"do": "grasp", "task": content})
         if not wait:
@@ -569,7 +569,7 @@ class HandClient:
             with self._lock:
                 line = self._watcher.fresh_line(max(0.0, min(POLL_S, end - time.monotonic())))
             if line is not None:
-                self._off |= is_off(line)
+                self._off |= is_hand_off(line)
                 return line
             if time.monotonic() >= end:
                 raise BusError("the controller is silent", f"bus {self.bus}", RUN_OWNER)
@@ -606,7 +606,7 @@ class HandClient:
             PowerError: a drive did not confirm that it is disabled. Remove the power of the drive.
         """
         with self._lock:
-            line, _ = send_confirmed(self._watcher, {"do": "stop"}, repeat=True)
+            line, _ = send_with_confirmation(self._watcher, {"do": "stop"}, repeat=True)
             follow_until_off(self._watcher, "stop", line)
             self._off = True
 
@@ -632,7 +632,7 @@ class HandClient:
             )
         try:
             with self._lock:
-                line, replies = send_confirmed(self._watcher, {**goal, "client": self.name})
+                line, replies = send_with_confirmation(self._watcher, {**goal, "client": self.name})
         except UnconfirmedError:
             self._refuse_ended()
             raise
@@ -702,7 +702,7 @@ class HandClient:
         try:
             if self.child is None and self._commands and is_running(self.bus):
                 with self._lock:
-                    send_confirmed(self._watcher, {"do": "leave", "client": self.name}, repeat=True)
+                    send_with_confirmation(self._watcher, {"do": "leave", "client": self.name}, repeat=True)
         finally:
             if self._observations is not None:
                 self._observations.close()

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from handctl.client.observation import Observation
 from handctl.errors import ConfigError, DriveError
 from handctl.hand.description import Hand
-from handctl.programs.streams import UNITS, StreamStatus
+from handctl.programs.streams import TARGET_UNIT_BY_SPACE, StreamStatus
 from handctl.runtime.targets import TargetSender
 
-Values = Mapping[str, float | Sequence[float] | NDArray[np.floating[Any]]] | Sequence[float] | NDArray[np.floating[Any]]
+TargetValues = (
+    Mapping[str, float | Sequence[float] | NDArray[np.floating[Any]]] | Sequence[float] | NDArray[np.floating[Any]]
+)
 """Values of a target, either in the order of the stream's names or by name.
 
 The last value of an omitted name is kept. A fingertip has three values, and every other name has
@@ -78,7 +80,7 @@ class TargetStream:
         self._hand = hand
         self._sender = sender
         self.space: str = goal["space"]
-        self._factor = 180.0 / np.pi if unit == "rad" and UNITS[self.space] == "deg" else 1.0
+        self._factor = 180.0 / np.pi if unit == "rad" and TARGET_UNIT_BY_SPACE[self.space] == "deg" else 1.0
         self.name: str = goal["stream"]
         self.names: tuple[str, ...] = tuple(goal["names"])
         self.rate_Hz: float = goal["rate_Hz"]
@@ -99,7 +101,7 @@ class TargetStream:
         """Close the stream."""
         self.close()
 
-    def send(self, values: Values) -> None:
+    def send(self, values: TargetValues) -> None:
         """Send a target, without waiting.
 
         Args:
@@ -150,7 +152,7 @@ class TargetStream:
         self._sender.close()
         self._hand.end_stream(self.name)
 
-    def _target(self, values: Values) -> NDArray[np.float64]:
+    def _target(self, values: TargetValues) -> NDArray[np.float64]:
         """Return the values of a target in the order of the stream's names, in the unit that the program uses.
 
         Raises:
@@ -177,7 +179,7 @@ class TargetStream:
         Values left out in the first target start from the present values.
         """
         seen = self._hand.observe()
-        if UNITS[self.space] != "deg":
+        if TARGET_UNIT_BY_SPACE[self.space] != "deg":
             present = seen.named("tension_N" if self.space == "tension" else "tip_force_N")
             return np.array([present[name] for name in self.names])
         angles = dict(zip(self._hand.description.joints, np.degrees(seen.q_rad).tolist(), strict=True))

@@ -11,26 +11,26 @@ from handctl.controller.state import State
 from handctl.controller.streams import apply_target, bring_to_rest, close_stream, open_stream, reference_of
 from handctl.core import block as s
 from handctl.core.model import HandModel
-from handctl.core.types import SHUTTING_DOWN, Event, Mode
+from handctl.core.types import SHUTTING_DOWN, Mode, TickEvent
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram, apply_goal, begin_task, end_task, release_task
 from handctl.programs.program import Program
 from handctl.programs.requests import (
-    Alive,
-    Arm,
-    Clear,
+    AliveRequest,
+    ArmRequest,
+    ClearRequest,
     CloseStream,
     CommandBase,
-    Cut,
-    Grasp,
+    CutRequest,
+    GraspRequest,
     HoldTension,
-    Leave,
+    LeaveRequest,
     MoveDigits,
     OpenStream,
     ReleaseGrasp,
     Request,
     SetGains,
-    Stop,
+    StopRequest,
     describe_request,
     is_routine,
     is_target,
@@ -38,7 +38,7 @@ from handctl.programs.requests import (
     parse_target,
 )
 from handctl.programs.streams import digits_of
-from handctl.safety.faults.table import BY_ID, DEBOUNCE
+from handctl.safety.faults.table import DEBOUNCE_TICKS, FAULT_BY_ID
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 """Modes in which a request to clear faults also clears the errors of the drives."""
@@ -46,7 +46,7 @@ BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 
 def apply_requests(
     model: HandModel, program: Program, state: State, requests: tuple[str, ...]
-) -> tuple[OperatorRequests, tuple[Event, ...]]:
+) -> tuple[OperatorRequests, tuple[TickEvent, ...]]:
     """Apply the requests of one tick, in the order of their arrival.
 
     A text that is not a request causes a warning event.
@@ -61,24 +61,24 @@ def apply_requests(
         Stop and cut requests, and the events of all requests.
     """
     operator = OperatorRequests()
-    events = list[Event]()
+    events = list[TickEvent]()
     for text in requests:
         if is_target(text):
             events += apply_target(model, state, parse_target(text), state.whole(s.T_NS))
             continue
         request = parse_request(text)
         if isinstance(request, str):
-            events.append(Event("warn", "request", "", request))
+            events.append(TickEvent("warn", "request", "", request))
             continue
         if not is_routine(text):
-            events.append(Event("info", "request", "", describe_request(request)))
-        if isinstance(request, Stop):
+            events.append(TickEvent("info", "request", "", describe_request(request)))
+        if isinstance(request, StopRequest):
             operator = replace(operator, stop=True)
-        elif isinstance(request, Cut):
+        elif isinstance(request, CutRequest):
             operator = replace(operator, cut=True)
-        elif isinstance(request, Arm):
+        elif isinstance(request, ArmRequest):
             state.armed = True
-        elif isinstance(request, Clear):
+        elif isinstance(request, ClearRequest):
             clear_latched_faults(state)
             state.clearing = state.mode in BEFORE_READY
         else:
@@ -86,34 +86,34 @@ def apply_requests(
     return operator, tuple(events)
 
 
-def _apply_other(model: HandModel, program: Program, state: State, request: Request) -> tuple[Event, ...]:
+def _apply_other(model: HandModel, program: Program, state: State, request: Request) -> tuple[TickEvent, ...]:
     """Apply a request for gains, a client's sign of life, or a motion command."""
     if isinstance(request, SetGains):
         return _set_gains(model, program, state, request)
-    if isinstance(request, Alive):
+    if isinstance(request, AliveRequest):
         return renew_lease(state, request.client)
     return _apply_command(model, program, state, request) if isinstance(request, CommandBase) else ()
 
 
-def _set_gains(model: HandModel, program: Program, state: State, request: SetGains) -> tuple[Event, ...]:
+def _set_gains(model: HandModel, program: Program, state: State, request: SetGains) -> tuple[TickEvent, ...]:
     """Begin the design of the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
-        return (Event("warn", "request", "", "refused: the hand is being commissioned"),)
+        return (TickEvent("warn", "request", "", "refused: the hand is being commissioned"),)
     pending = state.decisions.pending
     designed, refused = retune.begin_design(pending.gains if pending else model.gains, request.set)
     state.decide(pending=designed or pending)
     return refused
 
 
-def _apply_command(model: HandModel, program: Program, state: State, request: CommandBase) -> tuple[Event, ...]:
+def _apply_command(model: HandModel, program: Program, state: State, request: CommandBase) -> tuple[TickEvent, ...]:
     """Execute a motion command if the run accepts commands from this client."""
-    if refusal := _refusal(program, state, request):
+    if refusal := _refusal_reason(program, state, request):
         return (refusal,)
     if state.decisions.commander not in (None, request.client):
         close_stream(model, state)
     state.decide(commander=request.client)
     begin_lease(state, request)
-    if isinstance(request, Grasp | ReleaseGrasp):
+    if isinstance(request, GraspRequest | ReleaseGrasp):
         return _apply_grasp(model, state, request)
     if state.progress.task is not None and not isinstance(request, CloseStream):
         state.decide(progress=end_task(state.progress))
@@ -127,12 +127,12 @@ def _apply_command(model: HandModel, program: Program, state: State, request: Co
         state.decide(progress=bring_to_rest(model, state))
     elif stream is not None and stream.name == request.stream:
         close_stream(model, state)
-    if isinstance(request, Leave):
+    if isinstance(request, LeaveRequest):
         state.decide(commander=None)
     return ()
 
 
-def _apply_grasp(model: HandModel, state: State, request: Grasp | ReleaseGrasp) -> tuple[Event, ...]:
+def _apply_grasp(model: HandModel, state: State, request: GraspRequest | ReleaseGrasp) -> tuple[TickEvent, ...]:
     """Begin a grasp task, or end the hold of the running grasp task."""
     if isinstance(request, ReleaseGrasp):
         progress, events = release_task(state.progress)
@@ -143,25 +143,25 @@ def _apply_grasp(model: HandModel, state: State, request: Grasp | ReleaseGrasp) 
     return events
 
 
-def _refusal(program: Program, state: State, request: CommandBase) -> Event | None:
+def _refusal_reason(program: Program, state: State, request: CommandBase) -> TickEvent | None:
     """Return an event with the reason to refuse a command, or None to accept the command.
 
     A relaxing or commissioning hand must not pull, and only one client may send commands.
     """
     if state.mode in SHUTTING_DOWN:
-        return Event("info", "request", "", "refused: the hand is letting go")
+        return TickEvent("info", "request", "", "refused: the hand is letting go")
     if not isinstance(program, LiveProgram):
-        return Event("warn", "request", "", "refused: this run has goals of its own")
+        return TickEvent("warn", "request", "", "refused: this run has goals of its own")
     if state.mode != Mode.ACTIVE or state.progress.phase in ("start", "tighten"):
-        return Event("warn", "request", "", "refused: the hand is not ready yet")
+        return TickEvent("warn", "request", "", "refused: the hand is not ready yet")
     commander = state.decisions.commander
     if commander in (None, request.client) or request.take_over:
         return None
     text = f"refused: {commander or 'a client without a name'} commands this hand, expected take_over"
-    return Event("info", "request", "", text)
+    return TickEvent("info", "request", "", text)
 
 
-def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension) -> tuple[Event, ...]:
+def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension) -> tuple[TickEvent, ...]:
     """Set the goal of a request for its digits. A stream that includes one of these digits ends."""
     reference = reference_of(model, state)
     progress, events = apply_goal(model, state.progress, request, state.estimate, state.goal_time, reference)
@@ -180,11 +180,11 @@ def clear_latched_faults(state: State) -> None:
 
     A fault that is still present is detected again in this tick, and latches again.
     """
-    ticks = state.view("fault_ticks")[: len(DEBOUNCE)]
+    ticks = state.view("fault_ticks")[: len(DEBOUNCE_TICKS)]
     # The count of ticks falls to one tick below the debounce. So a fault that is still present
     # becomes active again in this tick, and any other fault is reset.
-    np.minimum(ticks, DEBOUNCE[:, None] - 1, out=ticks)
+    np.minimum(ticks, DEBOUNCE_TICKS[:, None] - 1, out=ticks)
     reported_faults = [
-        one._replace(ticks=min(one.ticks, BY_ID[one.id].debounce - 1)) for one in state.decisions.reported_faults
+        one._replace(ticks=min(one.ticks, FAULT_BY_ID[one.id].debounce - 1)) for one in state.decisions.reported_faults
     ]
     state.decide(latched=(), reported_faults=tuple(reported_faults))

@@ -83,7 +83,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
         ConfigError: if the motor is set to CAN FD and the bus is not.
     """
     kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.exchange]
-    kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background]
+    kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background_frames]
     if bus.data_bitrate is None and any(fd for _, fd, _, _ in kinds):
         raise ConfigError("missing, and a motor on it is set to CAN FD", f"bus[{bus.name}].data_bitrate", "bit/s")
     return tuple(
@@ -93,7 +93,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
             fd,
             tick,
             second,
-            frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, drive.extended),
+            frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, drive.has_extended_ids),
         )
         for size, fd, tick, second in kinds
     )
@@ -106,7 +106,7 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
         return ()
     names = ["SYNC"] + ["tensions"] * node.tension_frames + ["joint angles"] * (len(node.ids) - node.tension_frames)
     kinds = [(name, size, number, 0.0) for name, (size, number) in zip(names, node.exchange, strict=True)]
-    kinds += [("heartbeats", size, 0.0, number) for size, number in node.background]
+    kinds += [("heartbeats", size, 0.0, number) for size, number in node.background_frames]
     return tuple(
         FrameRow(name, size, False, tick, second, frame_time_s(size, False, bus.bitrate))
         for name, size, tick, second in kinds

@@ -7,12 +7,12 @@ targets enter the tick as requests, so that a log is re-executed with the same l
 
 from dataclasses import replace
 
-from handctl.controller.state import Lease, State
+from handctl.controller.state import ClientLease, State
 from handctl.controller.streams import bring_to_rest, close_stream
 from handctl.core import block as s
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Mode
-from handctl.programs.requests import CommandBase, Leave
+from handctl.core.types import Mode, TickEvent
+from handctl.programs.requests import CommandBase, LeaveRequest
 
 RELAX_FACTOR = 2
 """Silence of a client after which the hand relaxes, as a multiple of the duration of its lease."""
@@ -24,12 +24,12 @@ def begin_lease(state: State, request: CommandBase) -> None:
     If the command has no lease, end the present lease.
     """
     lease = None
-    if request.lease_s is not None and not isinstance(request, Leave):
-        lease = Lease(request.client, round(1e9 * request.lease_s), state.whole(s.T_NS))
+    if request.lease_s is not None and not isinstance(request, LeaveRequest):
+        lease = ClientLease(request.client, round(1e9 * request.lease_s), state.whole(s.T_NS))
     state.decide(lease=lease)
 
 
-def renew_lease(state: State, client: str) -> tuple[Event, ...]:
+def renew_lease(state: State, client: str) -> tuple[TickEvent, ...]:
     """Renew the lease after a sign of life of a client.
 
     Returns:
@@ -39,10 +39,10 @@ def renew_lease(state: State, client: str) -> tuple[Event, ...]:
     if lease is None or lease.client != client:
         return ()
     state.decide(lease=lease._replace(renewed_ns=state.whole(s.T_NS), resting=False))
-    return (Event("info", "lease", "", f"{client} answers again"),) if lease.resting else ()
+    return (TickEvent("info", "lease", "", f"{client} answers again"),) if lease.resting else ()
 
 
-def expire_lease(model: HandModel, state: State) -> tuple[Event, ...]:
+def expire_lease(model: HandModel, state: State) -> tuple[TickEvent, ...]:
     """Bring the digits to rest, or end the run, if the commanding client has been silent too long.
 
     A running task, and digits that hold a tension, continue until the run ends. Streamed targets
@@ -69,11 +69,11 @@ def expire_lease(model: HandModel, state: State) -> tuple[Event, ...]:
     text = f"client {lease.client or 'without a name'} has been silent for {silence_ns / 1e9:.2f} s"
     if silence_ns > RELAX_FACTOR * lease.duration_ns:
         state.decide(lease=None, progress=replace(state.progress, finished=True, failure=text))
-        return (Event("error", "lease", "", f"{text}: the hand relaxes"),)
+        return (TickEvent("error", "lease", "", f"{text}: the hand relaxes"),)
     if silence_ns > lease.duration_ns and not lease.resting:
         if state.progress.task is None:
             close_stream(model, state)
             state.decide(progress=bring_to_rest(model, state))
         state.decide(lease=lease._replace(resting=True))
-        return (Event("warn", "lease", "", f"{text}: moving digits come to rest"),)
+        return (TickEvent("warn", "lease", "", f"{text}: moving digits come to rest"),)
     return ()

@@ -13,8 +13,8 @@ from typing import NamedTuple
 from handctl.controller.relaxing import are_commands_relaxed, are_tensions_relaxed, begin_relaxing, update_relax_rate
 from handctl.controller.state import State
 from handctl.core.model import HandModel
-from handctl.core.types import ACTING, BEFORE_ARMING, Event, Mode
-from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
+from handctl.core.types import BEFORE_ARMING, TORQUE_MODES, Mode, TickEvent
+from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
 from handctl.safety.action import Action
@@ -118,7 +118,7 @@ def next_mode(
     foreign: tuple[str, ...],
     t: float,
     identities: tuple[str, ...] = (),
-) -> tuple[Event, ...]:
+) -> tuple[TickEvent, ...]:
     """Determine the next mode and write it into the state.
 
     Args:
@@ -137,7 +137,7 @@ def next_mode(
     inputs = ModeInputs(model, drives, t - state.mode_since, action, operator, foreign, identities)
     before = state.mode
     demanded = None if inputs.no_override else _overriding_mode(state, inputs)
-    mode, failure = demanded or _MODES[before](state, inputs)
+    mode, failure = demanded or _NEXT_MODE_FUNCTIONS[before](state, inputs)
     if mode == before:
         if mode == Mode.RELAX:
             update_relax_rate(state)
@@ -155,12 +155,12 @@ def next_mode(
     state.mode_since = t
     if mode == Mode.RELAX:
         begin_relaxing(model, state)
-    return (Event(level, "mode", "", text),)
+    return (TickEvent(level, "mode", "", text),)
 
 
 def _overriding_mode(state: State, inputs: ModeInputs) -> NextMode | None:
     """Return the mode that the safety monitor or the operator demands, or None."""
-    acting = state.mode in ACTING
+    acting = state.mode in TORQUE_MODES
     if acting and (inputs.operator.cut or inputs.action == Action.CUT):
         return Mode.CUT, _latched_faults(state)
     if state.mode in _MODE_AFTER_STOP and inputs.action == Action.RELAX:
@@ -202,18 +202,18 @@ def _after_silent(state: State, inputs: ModeInputs) -> NextMode:
 
 def _after_inventory(state: State, inputs: ModeInputs) -> NextMode:
     named = tuple(_named_drives(state, inputs))
-    wrong = [f"{name}: {drive.error_text}" for name, drive in named if drive.phase == Phase.FAULT]
+    wrong = [f"{name}: {drive.error_text}" for name, drive in named if drive.phase == DrivePhase.FAULT]
     if wrong_amplifiers := _wrong_amplifiers(state):
         return Mode.DONE, "; ".join(wrong_amplifiers)
     if wrong and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
         return Mode.DONE, "; ".join(wrong) + CLEAR_ADVICE
     groups_missing = not state.view("group_frames").all()
-    if all(drive.phase == Phase.READY for drive in state.drives) and state.started and not groups_missing:
+    if all(drive.phase == DrivePhase.READY for drive in state.drives) and state.started and not groups_missing:
         return Mode.READY, ""
     if inputs.elapsed < INVENTORY_TIMEOUT_S:
         return Mode.INVENTORY, ""
-    behind = [(name, drive) for name, drive in named if drive.phase != Phase.READY]
-    silent = [name for name, drive in behind if drive.phase == Phase.SILENT and not drive.error_text]
+    behind = [(name, drive) for name, drive in named if drive.phase != DrivePhase.READY]
+    silent = [name for name, drive in behind if drive.phase == DrivePhase.SILENT and not drive.error_text]
     silent += _silent_sensors(state) if groups_missing else []
     stuck = [f"{name}: {drive.error_text or 'not configured in time'}" for name, drive in behind if name not in silent]
     silence = [f"no answer from {', '.join(silent)}{LATCHED_ERROR_HINT if state.clearing else ''}"] if silent else []
@@ -222,13 +222,13 @@ def _after_inventory(state: State, inputs: ModeInputs) -> NextMode:
 
 def _wrong_amplifiers(state: State) -> list[str]:
     """Return the amplifiers whose set-up has failed, with the reason."""
-    return [f"{one.name}: {one.error_text}" for one in state.decisions.amplifiers if one.phase == Phase.FAULT]
+    return [f"{one.name}: {one.error_text}" for one in state.decisions.amplifiers if one.phase == DrivePhase.FAULT]
 
 
 def _silent_sensors(state: State) -> list[str]:
     """Return the names of silent sensors: amplifiers without a complete set-up, or else all sensors as one name."""
     amplifiers = state.decisions.amplifiers
-    behind = [one for one in amplifiers if one.phase != Phase.READY]
+    behind = [one for one in amplifiers if one.phase != DrivePhase.READY]
     silent = [one.name + (f" ({one.error_text})" if one.error_text else "") for one in behind]
     return silent or ["the load cells" if amplifiers else "the sensor node"]
 
@@ -236,7 +236,7 @@ def _silent_sensors(state: State) -> list[str]:
 def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
     """Return the missing inputs of the tension filter, when all drives are ready and all sensor frames have arrived."""
     drives = _named_drives(state, inputs)
-    blind = [name for name, drive in drives if drive.phase == Phase.READY and math.isnan(drive.position)]
+    blind = [name for name, drive in drives if drive.phase == DrivePhase.READY and math.isnan(drive.position)]
     return [f"no position from {', '.join(blind)}"] if blind else []
 
 
@@ -261,11 +261,11 @@ def _other_drives(state: State, inputs: ModeInputs) -> str:
 
 
 def _after_arming(state: State, inputs: ModeInputs) -> NextMode:
-    if all(phase == Phase.ENABLED for phase in state.phases):
+    if all(phase == DrivePhase.ENABLED for phase in state.phases):
         return Mode.ACTIVE, ""
     if inputs.elapsed < ARMING_TIMEOUT_S:
         return Mode.ARMING, ""
-    late = [name for name, drive in _named_drives(state, inputs) if drive.phase != Phase.ENABLED]
+    late = [name for name, drive in _named_drives(state, inputs) if drive.phase != DrivePhase.ENABLED]
     return Mode.DISARM, f"not enabled: {', '.join(late)}"
 
 
@@ -300,7 +300,7 @@ def _after_done(state: State, inputs: ModeInputs) -> NextMode:
     return Mode.DONE, ""
 
 
-_MODES: dict[Mode, Callable[[State, ModeInputs], NextMode]] = {
+_NEXT_MODE_FUNCTIONS: dict[Mode, Callable[[State, ModeInputs], NextMode]] = {
     Mode.SILENT: _after_silent,
     Mode.INVENTORY: _after_inventory,
     Mode.READY: _after_ready,
@@ -319,7 +319,7 @@ def _named_drives(state: State, inputs: ModeInputs) -> Iterator[tuple[str, Drive
 
 def _enabled_motors(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of motors whose drives have not confirmed that they are disabled."""
-    disabled = (Phase.READY, Phase.FAULT)
+    disabled = (DrivePhase.READY, DrivePhase.FAULT)
     return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled)
 
 
@@ -337,4 +337,4 @@ def _motors_possibly_on(model: HandModel, state: State, names: tuple[str, ...]) 
     """
     if state.mode not in BEFORE_ARMING:
         return tuple(dict.fromkeys((*_enabled_motors(state, names), *_pulling_motors(model, state, names))))
-    return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase == Phase.ENABLED)
+    return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase == DrivePhase.ENABLED)

@@ -20,11 +20,11 @@ import numpy as np
 
 from handctl.controller.state import State
 from handctl.core import block as s
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
 from handctl.safety.action import RelaxMethod
-from handctl.safety.faults.table import BY_ID
+from handctl.safety.faults.table import FAULT_BY_ID
 
 RELAX_RATE_N_PER_S = 500.0
 OVER_TENSION_RATE_N_PER_S = 2000.0
@@ -51,7 +51,7 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     """
     table = state.tendon
     whole = state.tendon_int
-    in_tension_loop = np.array([state.progress.goals[d].kind == Kind.TENSION for d in model.digit_of])
+    in_tension_loop = np.array([state.progress.goals[d].kind == GoalKind.TENSION for d in model.digit_of])
     # A spool pair may pull in both directions. All values are in the direction of the last command.
     sign = np.where(model.is_pair & (table[s.COMMANDED_FORCE] < 0.0), -1.0, 1.0)
     present = np.maximum(sign * table[s.TENSION], model.relaxed) + SETPOINT_MARGIN_N
@@ -60,7 +60,7 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     setpoint = np.where(in_tension_loop, np.minimum(setpoint, present), setpoint)
     start = np.minimum(setpoint, np.maximum(sign * table[s.FILTER_FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
-        DigitGoal(Kind.TENSION, tension=_relaxed_goal(model, start)[tendons], rate=present_relax_rate(state))
+        DigitGoal(GoalKind.TENSION, tension=_relaxed_goal(model, start)[tendons], rate=present_relax_rate(state))
         for tendons in model.digit_tendons
     )
     state.decide(progress=replace(state.progress, goals=goals))
@@ -72,7 +72,7 @@ def begin_relaxing(model: HandModel, state: State) -> None:
         # goal has no setpoint.
         explained = np.where(in_tension_loop, np.maximum(present, start), present)
     table[s.COMMANDED_FORCE] = _envelope_start(model, state, sign, explained)
-    whole[s.GOAL_KIND] = int(Kind.TENSION)
+    whole[s.GOAL_KIND] = int(GoalKind.TENSION)
 
 
 def _relaxed_goal(model: HandModel, start: Vector) -> Vector:
@@ -131,4 +131,4 @@ def is_open_loop(state: State) -> bool:
 
 def _release_methods(state: State) -> set[RelaxMethod]:
     """Return the methods of relaxing that the latched faults demand."""
-    return {BY_ID[mark.id].relax_method for mark in state.latched}
+    return {FAULT_BY_ID[mark.id].relax_method for mark in state.latched}

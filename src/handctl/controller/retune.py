@@ -14,11 +14,11 @@ from handctl.core.gains.bounds import check_tendon_names, different_values, with
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import design_from_pieces, design_piece, design_piece_count
 from handctl.core.model import HandModel
-from handctl.core.types import GAIN_EVENT, Event, Vector
+from handctl.core.types import GAIN_EVENT, TickEvent, Vector
 from handctl.errors import ConfigError
 from handctl.programs.requests import REFUSED_PREFIX
 
-Controller = TypeVar("Controller")
+ControllerT = TypeVar("ControllerT")
 """Type variable for ``controller.tick.Controller``, or for another dataclass with a ``model``."""
 
 CACHE_SIZE = 8
@@ -34,11 +34,11 @@ class DesignProgress(NamedTuple):
     """
 
     pending: PendingGains | None
-    events: tuple[Event, ...] = ()
+    events: tuple[TickEvent, ...] = ()
 
 
 @dataclass(slots=True)
-class Designs:
+class DesignCache:
     """Cache of controller designs, by gains. A design that was dropped from the cache is computed again.
 
     Attributes:
@@ -61,12 +61,12 @@ class Designs:
             check_tendon_names(pending.gains, model.space.names)
             done = self._design_pieces(model, pending.gains, pending.step + 1)
         except ConfigError as error:
-            return DesignProgress(None, (Event("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),))
+            return DesignProgress(None, (TickEvent("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),))
         if len(done) >= design_piece_count(model.space):
             return None
         return DesignProgress(replace(pending, step=pending.step + 1))
 
-    def controller(self, controller: Controller, gains: Gains) -> Controller:
+    def controller(self, controller: ControllerT, gains: Gains) -> ControllerT:
         """Return a copy of a controller with other gains, and keep the design of these gains in the cache."""
         self.used = gains
         if gains not in self.controllers:
@@ -75,7 +75,7 @@ class Designs:
             designed_pieces = self._design_pieces(model, gains, design_piece_count(model.space))
             designed = replace(model, gains=gains, motion=design_from_pieces(model.space, designed_pieces))
             self.controllers[gains] = replace(old, model=designed)
-        made: Controller = self.controllers[gains]
+        made: ControllerT = self.controllers[gains]
         return made
 
     def _design_pieces(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
@@ -92,7 +92,7 @@ class Designs:
         return designed_pieces
 
 
-def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains | None, tuple[Event, ...]]:
+def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains | None, tuple[TickEvent, ...]]:
     """Begin the controller design for requested gains.
 
     Args:
@@ -105,11 +105,11 @@ def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains
     try:
         return PendingGains(with_values(present, values, "gains", live=True)), ()
     except ConfigError as error:
-        return None, (Event("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
+        return None, (TickEvent("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
 
 
-def gain_change_events(before: Gains, after: Gains) -> tuple[Event, ...]:
+def gain_change_events(before: Gains, after: Gains) -> tuple[TickEvent, ...]:
     """Return an event for each changed gain, then an event for the takeover."""
     different = different_values(before, after)
-    changed = tuple(Event("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items())
-    return *changed, Event("info", "gains", "", f"taken over: {len(changed)} changed")
+    changed = tuple(TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items())
+    return *changed, TickEvent("info", "gains", "", f"taken over: {len(changed)} changed")

@@ -18,7 +18,7 @@ from handctl.drives.cia404.load_cells import Cia404LoadCells
 from handctl.drives.contract import Drive
 from handctl.drives.identifiers import check_identifiers
 from handctl.drives.registry import make_drive
-from handctl.drives.sensors.contract import Sensors
+from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.sensors.node import SensorNode
 from handctl.drives.signals import Quantity
 from handctl.errors import ConfigError
@@ -28,10 +28,10 @@ from handctl.hand.load import hand_from_content, parse_toml
 from handctl.programs.calibration import Calibration
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.excite import ExciteProgram, ExciteStep
-from handctl.programs.exercise import Exercise
+from handctl.programs.exercise import ExerciseProgram
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.live import JogProgram, LiveProgram
-from handctl.programs.playback import PlaybackProgram, Recording
+from handctl.programs.playback import PlaybackProgram, RecordedGoals
 from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.task import Task
@@ -42,7 +42,7 @@ NO_POSITION_LOOP = {
 }
 """Reason why the drives of a protocol close no position loop, as the end of an error message."""
 SETUP_ATTACHMENT = "setup.json"
-"""Name of the log attachment that holds the ``Setup``."""
+"""Name of the log attachment that holds the ``RunSetup``."""
 
 
 class TaskSetup(Document):
@@ -75,7 +75,7 @@ class CommissionSetup(Document):
 class PlaybackSetup(Document):
     """Setup of a program that repeats a recorded run.
 
-    ``rows`` is the recording as text, see ``Recording.text``.
+    ``rows`` is the recording as text, see ``RecordedGoals.text``.
     """
 
     program: Literal["playback"] = "playback"
@@ -101,7 +101,7 @@ AnySetup = TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup | 
 ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
-class Setup(Document):
+class RunSetup(Document):
     """Data from which a controller is constructed, in addition to hand and gains.
 
     Floats are stored without rounding.
@@ -126,9 +126,9 @@ class Setup(Document):
     """(N,) identified torque gains. Empty if all are 1."""
 
     @staticmethod
-    def of(controller: Controller, rate_hz: float) -> "Setup":
+    def of(controller: Controller, rate_hz: float) -> "RunSetup":
         """Return the setup of a controller with control rate ``rate_hz`` [Hz]."""
-        return Setup(
+        return RunSetup(
             rate_hz=rate_hz,
             arm_at_once=controller.arm_at_once,
             tare_N=tuple(controller.tare.tolist()),
@@ -207,7 +207,7 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
             raise ConfigError(f"{value:g}", f"{where}.{given[signal.quantity]}", right)
 
 
-def _with_sync(drives: tuple[Drive, ...], sensors: Sensors) -> tuple[Drive, ...]:
+def _with_sync(drives: tuple[Drive, ...], sensors: SensorInterface) -> tuple[Drive, ...]:
     """Return the drives with the option ``sync`` in the last CiA 402 drive of each bus that has no SYNC.
 
     A bus already has SYNC if the sensor node's SYNC is 0x080, or if a drive has the option in the
@@ -223,7 +223,7 @@ def _with_sync(drives: tuple[Drive, ...], sensors: Sensors) -> tuple[Drive, ...]
     )
 
 
-def make_sensors(hand: Hand) -> Sensors:
+def make_sensors(hand: Hand) -> SensorInterface:
     """Return the drivers of the hand's load cells and joint encoders."""
     node = hand.sensor_node
     bus = hand.bus_names.index(node.bus)
@@ -268,7 +268,7 @@ def _setup_of_program(program: Program) -> AnySetup:
             return ExciteSetup(steps=steps)
         case CommissionProgram():
             return CommissionSetup()
-        case Exercise(amplitudes):
+        case ExerciseProgram(amplitudes):
             return ExerciseSetup(amplitudes=amplitudes)
         case LiveProgram():
             return LiveSetup()
@@ -283,13 +283,13 @@ def _program_of_setup(setup: AnySetup, hand: Hand) -> Program:
         case JogSetup():
             return JogProgram(setup.request, setup.duration_s)
         case PlaybackSetup():
-            recording = Recording.read(setup.rows, len(hand.joints), len(hand.tendon))
+            recording = RecordedGoals.read(setup.rows, len(hand.joints), len(hand.tendon))
             return PlaybackProgram(recording, setup.raw)
         case ExciteSetup():
             return ExciteProgram(setup.steps)
         case CommissionSetup():
             return CommissionProgram()
         case ExerciseSetup():
-            return Exercise(setup.amplitudes)
+            return ExerciseProgram(setup.amplitudes)
         case LiveSetup():
             return LiveProgram()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core import block as s
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 
 
@@ -50,6 +50,6 @@ def shutdown_step(controller: Controller, state: State, t_ns: int, received: Seq
         drive_state, new_frames = drive.advance(drive_state, t_ns, DriveTarget.DISABLE, 0.0)
         controller.keep(after, n, drive_state)
         frames += new_frames
-        if drive_state.phase == Phase.ENABLED:
+        if drive_state.phase == DrivePhase.ENABLED:
             enabled.append(drive.name)
     return ShutdownStep(after, tuple(frames), tuple(enabled))

@@ -9,32 +9,43 @@ import json
 import numpy as np
 
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.state import Decisions, Lease, State
+from handctl.controller.state import ClientLease, Decisions, State
 from handctl.core.gains.gains import Gains
-from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.trajectory import Blend, Chirp, Curve, MinimumJerk, Sample, Streamed
-from handctl.core.plain import BYTES, from_plain, register_types, to_plain
-from handctl.core.schema import Layout
+from handctl.core.law.goal import DigitGoal, GoalKind
+from handctl.core.law.trajectory import (
+    BlendTrajectory,
+    ChirpTrajectory,
+    CurveTrajectory,
+    MinimumJerk,
+    SampledTrajectory,
+    StreamedTrajectory,
+)
+from handctl.core.plain import BYTES_MARK, from_plain, register_types, to_plain
+from handctl.core.schema import BlockLayout
 from handctl.drives.cia402.progress import Cia402Progress
 from handctl.drives.cia404.amplifier import AmplifierState
-from handctl.drives.contract import DriveState, DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.mit.cubemars import CubemarsProgress
 from handctl.drives.mit.progress import MitProgress
 from handctl.drives.moteus.progress import MoteusProgress
-from handctl.drives.moteus.settings import Channel
+from handctl.drives.moteus.settings import DiagnosticChannel
 from handctl.drives.odrive.progress import OdriveProgress
-from handctl.drives.readback import Cursor, Recheck
+from handctl.drives.readback import ReadbackCursor, RecheckCursor
 from handctl.drives.robstride.progress import RobstrideProgress
-from handctl.programs.grip import Grip
-from handctl.programs.program import Progress
+from handctl.programs.grip import GripState
+from handctl.programs.program import ProgramProgress
 from handctl.programs.streams import StreamPlan
 from handctl.programs.task import Task
-from handctl.safety.judge import Counting, Latched
+from handctl.safety.judge import CountedFault, LatchedFault
 
 register_types(
-    Decisions, DriveState, Phase, DriveTarget, Progress, Grip, DigitGoal, Kind, MinimumJerk, Blend, Curve, Sample,
-    Chirp, Streamed, StreamPlan, Task, Latched, Counting, Gains, PendingGains, Recheck, Cursor, MitProgress,
-    CubemarsProgress, OdriveProgress, Cia402Progress, MoteusProgress, Channel, RobstrideProgress, Lease,
+    Decisions, DriveState, DrivePhase, DriveTarget, ProgramProgress, GripState, DigitGoal, GoalKind, MinimumJerk,
+    BlendTrajectory, CurveTrajectory,
+    SampledTrajectory,
+    ChirpTrajectory, StreamedTrajectory, StreamPlan, Task, LatchedFault, CountedFault, Gains, PendingGains,
+    RecheckCursor, ReadbackCursor,
+    MitProgress,
+    CubemarsProgress, OdriveProgress, Cia402Progress, MoteusProgress, DiagnosticChannel, RobstrideProgress, ClientLease,
     AmplifierState,
 )  # fmt: skip
 
@@ -51,10 +62,10 @@ def snapshot_bytes(state: State) -> bytes:
 def _mark_bytes(value: object) -> tuple[str, str]:
     """Return a bytes value as a marked hexadecimal text, because JSON has no bytes."""
     assert isinstance(value, bytes)
-    return BYTES, value.hex()
+    return BYTES_MARK, value.hex()
 
 
-def restore_state(layout: Layout, data: bytes) -> State:
+def restore_state(layout: BlockLayout, data: bytes) -> State:
     """Return the state stored in a snapshot.
 
     Args:

@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 from handctl.controller.pending_gains import PendingGains
 from handctl.core import block as s
 from handctl.core.block import STATE
-from handctl.core.estimate import Estimate, Measured
+from handctl.core.estimate import Estimate, TickMeasurements
 from handctl.core.gains.gains import Gains
 from handctl.core.identity_cache import IdentityCache, SequenceCache
 from handctl.core.model import HandModel
 from handctl.core.plain import plain_bytes
-from handctl.core.schema import Block, Layout
+from handctl.core.schema import BlockArray, BlockLayout
 from handctl.core.types import Mode
 from handctl.drives.cia404.amplifier import AmplifierState
-from handctl.drives.contract import DriveState, Phase
-from handctl.programs.program import Progress
+from handctl.drives.contract import DrivePhase, DriveState
+from handctl.programs.program import ProgramProgress
 from handctl.programs.streams import StreamPlan
-from handctl.safety.judge import Counting, Latched
+from handctl.safety.judge import CountedFault, LatchedFault
 
 
-class Lease(NamedTuple):
+class ClientLease(NamedTuple):
     """Lease of the client that commands the hand: the time for which the client may be silent.
 
     Attributes:
@@ -63,9 +63,9 @@ class Decisions(NamedTuple):
     """
 
     drives: tuple[DriveState, ...]
-    progress: Progress
-    latched: tuple[Latched, ...] = ()
-    reported_faults: tuple[Counting, ...] = ()
+    progress: ProgramProgress
+    latched: tuple[LatchedFault, ...] = ()
+    reported_faults: tuple[CountedFault, ...] = ()
     refusals: tuple[int, ...] = ()
     failure: str = ""
     unconfirmed: tuple[str, ...] = ()
@@ -73,7 +73,7 @@ class Decisions(NamedTuple):
     pending: PendingGains | None = None
     commander: str | None = None
     stream: StreamPlan | None = None
-    lease: Lease | None = None
+    lease: ClientLease | None = None
     amplifiers: tuple[AmplifierState, ...] = ()
 
 
@@ -96,7 +96,7 @@ def _hash_decisions(decisions: Decisions) -> bytes:
 _decision_hash_cache = IdentityCache[Decisions](_hash_decisions)
 
 
-def layout_of_state(model: HandModel, groups: int) -> Layout:
+def layout_of_state(model: HandModel, groups: int) -> BlockLayout:
     """Return the layout of the state block for a hand.
 
     Args:
@@ -105,7 +105,7 @@ def layout_of_state(model: HandModel, groups: int) -> Layout:
     """
     n = model.tendon_count
     joints = len(model.hand.joints)
-    return Layout(STATE, {
+    return BlockLayout(STATE, {
         "tendon": n,
         "joint": joints,
         "digit": len(model.digits),
@@ -141,7 +141,7 @@ class State:
 
     __slots__ = ("_run", "_run_int", "block", "decisions", "layout", "tendon", "tendon_int")
 
-    def __init__(self, layout: Layout, block: Block, decisions: Decisions) -> None:
+    def __init__(self, layout: BlockLayout, block: BlockArray, decisions: Decisions) -> None:
         """Use a block of numbers without copying it, and make views of its tables.
 
         Args:
@@ -200,7 +200,7 @@ class State:
     @property
     def mode(self) -> Mode:
         """Return the mode of the hand."""
-        return _MODES[self.whole(s.MODE)]
+        return _MODE_BY_NUMBER[self.whole(s.MODE)]
 
     @mode.setter
     def mode(self, mode: Mode) -> None:
@@ -257,9 +257,9 @@ class State:
         return Estimate(self.tendon, joint, digit, self.tendon_int[s.REGIME])
 
     @property
-    def measured(self) -> Measured:
+    def measured(self) -> TickMeasurements:
         """Return the measurements of the tick, for programs."""
-        return Measured(self.tendon, self.layout.table(self.block, "joint"))
+        return TickMeasurements(self.tendon, self.layout.table(self.block, "joint"))
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
@@ -269,12 +269,12 @@ class State:
     # Decisions by their names.
 
     @property
-    def progress(self) -> Progress:
+    def progress(self) -> ProgramProgress:
         """Return the progress of the program."""
         return self.decisions.progress
 
     @property
-    def latched(self) -> tuple[Latched, ...]:
+    def latched(self) -> tuple[LatchedFault, ...]:
         """Return the faults that are latched."""
         return self.decisions.latched
 
@@ -300,9 +300,9 @@ class State:
         return tuple([self.drive(n) for n in range(len(self.decisions.drives))])
 
     @property
-    def phases(self) -> tuple[Phase, ...]:
+    def phases(self) -> tuple[DrivePhase, ...]:
         """Return the phase of each drive."""
         return tuple([drive.phase for drive in self.decisions.drives])
 
 
-_MODES = {int(mode): mode for mode in Mode}
+_MODE_BY_NUMBER = {int(mode): mode for mode in Mode}

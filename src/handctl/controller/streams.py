@@ -6,14 +6,14 @@ import numpy as np
 
 from handctl.controller.state import State
 from handctl.core import block as s
-from handctl.core.law.goal import Kind
+from handctl.core.law.goal import GoalKind
 from handctl.core.law.stream import CLIP_TOLERANCE, begin_segments
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Mode, Vector
-from handctl.programs.program import Progress, coordinates_by_excursion
-from handctl.programs.requests import OpenStream, Target
+from handctl.core.types import Mode, TickEvent, Vector
+from handctl.programs.program import ProgramProgress, coordinates_by_excursion
+from handctl.programs.requests import OpenStream, StreamTarget
 from handctl.programs.streams import (
-    UNITS,
+    TARGET_UNIT_BY_SPACE,
     StreamPlan,
     StreamStatus,
     digits_of,
@@ -38,7 +38,7 @@ The tendon of a free digit bears no more than the digit's springs and friction. 
 this would spin the motor, which resembles a snapped tendon (T01) or an oscillation (N14b).
 Setpoints also keep this margin below the largest tension, because the tension may overshoot.
 """
-OPEN, RUNNING = 1, 2
+OPEN_STREAM, RUNNING_STREAM = 1, 2
 """Values of the field ``block.STREAMING``."""
 
 
@@ -53,11 +53,11 @@ def setpoints_of(model: HandModel, state: State) -> tuple[Vector, ...]:
     return tuple(state.tendon[s.SETPOINT, tendons] for tendons in model.digit_tendons)
 
 
-def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
+def open_stream(model: HandModel, state: State, request: OpenStream) -> TickEvent:
     """Open a stream. The streamed digits keep their present reference until the first target."""
     stream = plan_of_request(model, request)
     if isinstance(stream, str):
-        return Event("info", "request", "", f"refused: {stream}")
+        return TickEvent("info", "request", "", f"refused: {stream}")
     close_stream(model, state)
     digits = digits_of(model, stream)
     if stream.moves:
@@ -65,7 +65,7 @@ def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
     for row in (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED):
         state.set_whole(row, 0)
     state.set_whole(s.STREAM_SEQUENCE, -1)
-    state.set_whole(s.STREAMING, OPEN)
+    state.set_whole(s.STREAMING, OPEN_STREAM)
     state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(
         model, stream
     )
@@ -77,7 +77,7 @@ def open_stream(model: HandModel, state: State, request: OpenStream) -> Event:
             s.STIFFNESS_FRACTION, [model.digits[d].tendons.start for d in digits]
         ]
         text += f", {100 * fractions.min():.0f} % of the stiffness of the gains"
-    return Event("info", "request", "", text)
+    return TickEvent("info", "request", "", text)
 
 
 def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> None:
@@ -85,7 +85,7 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
     rows = state.layout.table(state.block, "coordinate")
     reference = reference_of(model, state)
     for d in digits:
-        if state.progress.goals[d].kind != Kind.MOTION:
+        if state.progress.goals[d].kind != GoalKind.MOTION:
             # A digit without a reference starts its motion at the present angles, at rest.
             reference[d][0] = coordinates_by_excursion(model.digits[d], state.estimate)
             reference[d][1:] = 0.0
@@ -105,7 +105,7 @@ def close_stream(model: HandModel, state: State) -> None:
     state.tendon[[s.STIFFNESS_FRACTION, s.DAMPING_FRACTION]] = 1.0
 
 
-def bring_to_rest(model: HandModel, state: State, only_streamed: bool = False) -> Progress:
+def bring_to_rest(model: HandModel, state: State, only_streamed: bool = False) -> ProgramProgress:
     """Return the program's progress with new goals that bring moving digits to rest."""
     reach = tuple(digit.reach for digit in model.digits)
     setpoints = setpoints_of(model, state)
@@ -115,8 +115,8 @@ def bring_to_rest(model: HandModel, state: State, only_streamed: bool = False) -
 
 
 def apply_target(
-    model: HandModel, state: State, target: Target | None, t_ns: int
-) -> tuple[Event, ...]:
+    model: HandModel, state: State, target: StreamTarget | None, t_ns: int
+) -> tuple[TickEvent, ...]:
     """Apply a target of a stream, and begin the motion to the target.
 
     Args:
@@ -137,12 +137,12 @@ def apply_target(
     ):
         return ()  # the target belongs to a stream that has ended, or to another client
     if target is None or not is_plausible(stream, target.values):
-        right = f"{len(stream.names)} finite numbers of {UNITS[stream.space]}"
+        right = f"{len(stream.names)} finite numbers of {TARGET_UNIT_BY_SPACE[stream.space]}"
         return _count_target(
             state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}"
         )
     sent_ns = min(target.sent_ns, t_ns)
-    running = state.whole(s.STREAMING) == RUNNING
+    running = state.whole(s.STREAMING) == RUNNING_STREAM
     # Several targets of one tick may have the time of the tick.
     overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns < state.whole(s.STREAM_SENT_NS)
     if (running and overtaken) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
@@ -153,7 +153,7 @@ def apply_target(
     clipped = begin(model, state, stream, np.array(target.values), sent_ns, t_ns)
     state.set_whole(s.STREAM_SENT_NS, sent_ns)
     state.set_whole(s.STREAM_SEQUENCE, target.number)
-    state.set_whole(s.STREAMING, RUNNING)
+    state.set_whole(s.STREAMING, RUNNING_STREAM)
     _count_target(state, s.STREAM_ACCEPTED)
     limit = (
         "the range of a joint, or one that taut tendons cannot hold"
@@ -222,7 +222,7 @@ def _begin_segment(
     since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
-    steady = state.whole(s.STREAMING) == RUNNING and apart <= MAX_TARGET_GAP_PERIODS * stream.period
+    steady = state.whole(s.STREAMING) == RUNNING_STREAM and apart <= MAX_TARGET_GAP_PERIODS * stream.period
     # Two targets that arrive together do not show the speed of the stream, so half a period is
     # assumed at least.
     apart = max(apart, 0.5 * stream.period) if steady else math.inf
@@ -232,21 +232,21 @@ def _begin_segment(
     )  # fmt: skip
 
 
-def _count_target(state: State, row: int, text: str = "") -> tuple[Event, ...]:
+def _count_target(state: State, row: int, text: str = "") -> tuple[TickEvent, ...]:
     """Count a target in a counter of the state.
 
     Returns an event with the text for the first such target of a stream.
     """
     count = state.whole(row) + 1
     state.set_whole(row, count)
-    return (Event("info", "stream", "", text),) if text and count == 1 else ()
+    return (TickEvent("info", "stream", "", text),) if text and count == 1 else ()
 
 
 def stream_status(state: State) -> StreamStatus:
     """Return the status of the open stream of targets."""
     if state.decisions.stream is None:
         return _NO_STREAM
-    running = state.whole(s.STREAMING) == RUNNING
+    running = state.whole(s.STREAMING) == RUNNING_STREAM
     age_s = (state.whole(s.T_NS) - state.whole(s.STREAM_SENT_NS)) / 1e9 if running else math.nan
     rows = (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED, s.STREAM_LIMITED)
     return StreamStatus(state.whole(s.STREAM_SEQUENCE), age_s, *[state.whole(row) for row in rows])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from handctl.core.schema import Block, Layout
+from handctl.core.schema import BlockArray, BlockLayout
 from handctl.core.types import TELEMETRY_FIELDS, PackedTelemetry
 
 STATE_FIELD_OF = {
@@ -20,7 +20,7 @@ STATE_FIELD_OF = {
 class TelemetryGatherer:
     """Function object that copies the telemetry of a hand from the state block."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: BlockLayout) -> None:
         """Compute the index of each telemetry number in the block.
 
         Args:
@@ -36,6 +36,6 @@ class TelemetryGatherer:
             name: slice(first, end) for name, first, end in zip(TELEMETRY_FIELDS, ends[:-1], ends[1:], strict=True)
         }
 
-    def __call__(self, block: Block) -> PackedTelemetry:
+    def __call__(self, block: BlockArray) -> PackedTelemetry:
         """Return the telemetry of a tick, copied from a state block."""
         return PackedTelemetry(block.take(self._index), self._places)

@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handctl.compiled import prepare
+from handctl.compiled import compile_kernels
 from handctl.controller import modes, retune
 from handctl.controller.apply_requests import apply_requests
 from handctl.controller.client_lease import expire_lease
@@ -38,27 +38,35 @@ from handctl.core.hand_constants import HandConstants
 from handctl.core.law.goals import sample_trajectories, write_goals
 from handctl.core.law.loads import write_tension_goals
 from handctl.core.model import HandModel
-from handctl.core.schema import Layout, Places
-from handctl.core.types import Event, Mode, TickIn, TickOut, Vector
-from handctl.core.wire import Wire
+from handctl.core.schema import BlockLayout, TablePlaces
+from handctl.core.types import Mode, TickEvent, TickIn, TickOut, Vector
+from handctl.core.wire import WireTables
 from handctl.drives.cia404.amplifier import AmplifierState
-from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
+from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import NO_FRAMES, PAYLOAD, WORDS, Frames, Rows, frames_as_records, join_frames
-from handctl.drives.sensors.contract import Sensors
+from handctl.drives.records import (
+    NO_FRAMES,
+    PAYLOAD_WORD,
+    WORDS_PER_RECORD,
+    Frames,
+    WordRows,
+    frames_as_records,
+    join_frames,
+)
+from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.safety.action import Action
 from handctl.safety.judge import (
-    Finding,
+    FaultFinding,
     faults_counting_since_now,
     filter_error_frames,
     judge_tick,
     second_controller_reports,
 )
-from handctl.safety.limits import Limits
+from handctl.safety.limits import SafetyLimits
 
-NO_REQUESTS: tuple[modes.OperatorRequests, tuple[Event, ...]] = modes.OperatorRequests(), ()
+NO_REQUESTS: tuple[modes.OperatorRequests, tuple[TickEvent, ...]] = modes.OperatorRequests(), ()
 ACTIVE = Mode.ACTIVE
 CUT = Mode.CUT
 DONE = Mode.DONE
@@ -95,28 +103,28 @@ class Controller:
 
     model: HandModel
     drives: tuple[Drive, ...]
-    sensors: Sensors
+    sensors: SensorInterface
     program: Program
     tare: Vector
     zero: Vector
     arm_at_once: bool = True
     identities: tuple[str, ...] = ()
-    other_limits: Limits | None = None
-    designs: retune.Designs = field(default_factory=retune.Designs, compare=False, repr=False)
-    limits: Limits = field(init=False)
-    layout: Layout = field(init=False, compare=False, repr=False)
+    other_limits: SafetyLimits | None = None
+    designs: retune.DesignCache = field(default_factory=retune.DesignCache, compare=False, repr=False)
+    limits: SafetyLimits = field(init=False)
+    layout: BlockLayout = field(init=False, compare=False, repr=False)
     constants: HandConstants = field(init=False, compare=False, repr=False)
-    wire: Wire = field(init=False, compare=False, repr=False)
+    wire: WireTables = field(init=False, compare=False, repr=False)
     gather: TelemetryGatherer = field(init=False, compare=False, repr=False)
     amplifier_of: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
-    _constants: tuple[Vector, Places] = field(init=False, compare=False, repr=False)
+    _constants: tuple[Vector, TablePlaces] = field(init=False, compare=False, repr=False)
     owners: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
     sends_sync: bool = field(init=False, compare=False, repr=False)
-    sync_row: Rows = field(init=False, compare=False, repr=False)
+    sync_row: WordRows = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         """Compute the attributes that follow from the other attributes."""
-        prepare()
+        compile_kernels()
         limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
         layout = layout_of_state(self.model, len(self.sensors.ids))
         owners = {(drive.bus, can_id): n for n, drive in enumerate(self.drives) for can_id in drive.node_ids}
@@ -131,7 +139,7 @@ class Controller:
             "layout": layout,
             "constants": constants,
             "_constants": (constants.block, constants.layout.places),
-            "wire": Wire(
+            "wire": WireTables(
                 self.drives,
                 self.sensors,
                 constants.layout.view(constants.block, "servo").astype(bool).tolist(),
@@ -293,7 +301,7 @@ class Controller:
         Their values are not used.
         """
         pairs = zip(amplifiers, self.sensors.group_ranges, strict=True)
-        return tuple([group for one, groups in pairs if one.phase != Phase.READY for group in groups])
+        return tuple([group for one, groups in pairs if one.phase != DrivePhase.READY for group in groups])
 
     def _receive_service(self, state: State, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
@@ -321,7 +329,7 @@ class Controller:
         drive = self.drives[n]
         wire.store_drive(
             state.block, self.layout.places, n, *drive_state[1:7], int(drive_state.phase), drive_state.error,
-            int(drive.cause(drive_state.error)) if drive_state.phase == Phase.FAULT else -1,
+            int(drive.cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
         )  # fmt: skip
         stripped = drive_state.with_values()  # the values are in the block
@@ -331,7 +339,7 @@ class Controller:
 
     # judge, decide
 
-    def _count_refusals(self, state: State, request_events: tuple[Event, ...]) -> None:
+    def _count_refusals(self, state: State, request_events: tuple[TickEvent, ...]) -> None:
         """Count the refused requests, and the malformed requests within the last second.
 
         A program may test which requests are in range, so refused requests are no fault. Only
@@ -350,7 +358,7 @@ class Controller:
 
     def _judge(
         self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]
-    ) -> tuple[Action, tuple[Finding, ...]]:
+    ) -> tuple[Action, tuple[FaultFinding, ...]]:
         """Detect faults, latch them, and choose the reaction."""
         state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # before its tare, a load cell may read any value
         demanded, found = stages.find_faults(state.block, self.layout.places, *self._constants, self.layout.initial)
@@ -361,7 +369,7 @@ class Controller:
         )
         decisions = state.decisions
         if not (new_findings or entry.io_events or signs or decisions.latched or decisions.reported_faults):
-            return _ACTIONS[demanded], ()
+            return _ACTION_BY_NUMBER[demanded], ()
         reports = [(event.kind, event.where, float(event.number)) for event in entry.io_events]
         reports = filter_error_frames(reports, self._any_node_seen(state)) + second_controller_reports(signs)
         verdict = judge_tick(decisions.latched, decisions.reported_faults, new_findings, demanded, reports)
@@ -371,10 +379,10 @@ class Controller:
 
     def _any_node_seen(self, state: State) -> bool:
         """Return True if any node has ever answered, or if torque may act."""
-        heard = any(phase != Phase.SILENT for phase in state.phases) or bool(state.view("group_frames").any())
+        heard = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(state.view("group_frames").any())
         return heard or Mode.ARMING <= state.mode <= RELAX
 
-    def _advance_program(self, state: State, action: Action) -> tuple[Event, ...]:
+    def _advance_program(self, state: State, action: Action) -> tuple[TickEvent, ...]:
         """Advance the program while the hand is active.
 
         The program's time stops while the safety monitor holds the hand.
@@ -420,7 +428,7 @@ class Controller:
         rate, opened = (present_relax_rate(state), is_open_loop(state)) if relaxing else (0.0, False)
         stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
 
-    def _retune(self, unchanged: State, state: State, action: Action, ticks: int) -> tuple[Event, ...]:
+    def _retune(self, unchanged: State, state: State, action: Action, ticks: int) -> tuple[TickEvent, ...]:
         """Design the next loop of the pending gains.
 
         A complete design is used from the next tick on.
@@ -452,18 +460,18 @@ class Controller:
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_as_records(modes.shutdown_frames(self.drives, state))
-        out = np.empty((1 + len(self.wire.templates), WORDS), dtype=np.uint64)
+        out = np.empty((1 + len(self.wire.templates), WORDS_PER_RECORD), dtype=np.uint64)
         # A hand without sensors has no SYNC, so row 0 is not sent.
         start = 0 if self.sends_sync else 1
         if self.sends_sync:
             counter = self.sensors.counter(state.k)
             out[0] = self.sync_row
-            out[0, PAYLOAD] = counter
+            out[0, PAYLOAD_WORD] = counter
             state.set_whole(s.SYNC_COUNTER, counter & 0xF)
             # Until the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
-            if not amplifiers or all(one.phase == Phase.READY for one in amplifiers):
+            if not amplifiers or all(one.phase == DrivePhase.READY for one in amplifiers):
                 state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
@@ -476,7 +484,7 @@ class Controller:
             join_frames([frames_as_records(self.cut_frames()), Frames.of_rows(out[start:1])]) if mode == CUT else sent
         )
 
-    def _send(self, state: State, out: Rows, start: int, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
+    def _send(self, state: State, out: WordRows, start: int, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
         """Write the commands after the SYNC into ``out``.
 
         Drives that are not steady run their state machines.
@@ -507,7 +515,7 @@ class Controller:
                 break
             drive_state = state.drive(first)
             drive = self.drives[first]
-            if clearing and drive_state.phase == Phase.FAULT:
+            if clearing and drive_state.phase == DrivePhase.FAULT:
                 drive_state, frames = drive.clear(drive_state)
             else:
                 drive_state, frames = drive.advance(drive_state, t_ns, target, float(torque[first]))
@@ -545,7 +553,7 @@ class OpenTick:
     signs: tuple[str, ...]
     sent: Frames = NO_FRAMES
     action: Action = Action.PASS
-    events: tuple[Event, ...] = ()
+    events: tuple[TickEvent, ...] = ()
     unchanged: State | None = None
 
     def command(self, requests: tuple[str, ...]) -> Frames:
@@ -572,12 +580,12 @@ def send_torque_only(state: State, n: int) -> None:
     servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]
 
 
-_ACTIONS = {int(action): action for action in Action}
+_ACTION_BY_NUMBER = {int(action): action for action in Action}
 
 
-def _fault_event(finding: Finding) -> Event:
+def _fault_event(finding: FaultFinding) -> TickEvent:
     """Return the event that reports a fault that the safety monitor has found."""
     fault = finding.fault
     level = "error" if fault.action >= Action.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"
-    return Event(level if fault.action > Action.PASS else "info", "fault", finding.instance, text)
+    return TickEvent(level if fault.action > Action.PASS else "info", "fault", finding.instance, text)

@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import borrow, inner
-from handctl.core.schema import Block, Places, Schema
+from handctl.compiled import borrowed_array, kernel_helper
+from handctl.core.schema import BlockArray, BlockSchema, TablePlaces
 
 NAN = math.nan
 AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run", "servo")
@@ -35,7 +35,7 @@ TABLES = (
     "tendon_int", "joint_int", "digit_int", "node_int", "group_int", "instance_int", "run_int",
 )  # fmt: skip
 
-STATE = Schema(*TABLES, optional="servo")
+STATE = BlockSchema(*TABLES, optional="servo")
 _real = STATE.real
 _whole = STATE.whole
 
@@ -455,8 +455,8 @@ class Tables(NamedTuple):
     run_int: NDArray[np.int64]
 
 
-@inner
-def state_tables(block: Block, at: Places) -> Tables:
+@kernel_helper
+def state_tables(block: BlockArray, at: TablePlaces) -> Tables:
     """Return the tables of a state block.
 
     Args:
@@ -465,19 +465,19 @@ def state_tables(block: Block, at: Places) -> Tables:
     """
     whole = block.view(np.int64)
     return Tables(
-        borrow(block, at[9], ((at[10] - at[9]) // at[0], at[0])),
-        borrow(block, at[10], ((at[11] - at[10]) // at[1], at[1])),
-        borrow(block, at[11], ((at[12] - at[11]) // at[2], at[2])),
-        borrow(block, at[12], ((at[13] - at[12]) // at[3], at[3])),
-        borrow(block, at[13], (at[14] - at[13],)),
-        borrow(block, at[14], ((at[15] - at[14]) // max(at[8], 1), at[8])),
-        borrow(whole, at[15], ((at[16] - at[15]) // at[0], at[0])),
-        borrow(whole, at[16], ((at[17] - at[16]) // at[1], at[1])),
-        borrow(whole, at[17], ((at[18] - at[17]) // at[2], at[2])),
-        borrow(whole, at[18], ((at[19] - at[18]) // at[4], at[4])),
-        borrow(whole, at[19], ((at[20] - at[19]) // at[5], at[5])),
-        borrow(whole, at[20], ((at[21] - at[20]) // at[6], at[6])),
-        borrow(whole, at[21], (at[22] - at[21],)),
+        borrowed_array(block, at[9], ((at[10] - at[9]) // at[0], at[0])),
+        borrowed_array(block, at[10], ((at[11] - at[10]) // at[1], at[1])),
+        borrowed_array(block, at[11], ((at[12] - at[11]) // at[2], at[2])),
+        borrowed_array(block, at[12], ((at[13] - at[12]) // at[3], at[3])),
+        borrowed_array(block, at[13], (at[14] - at[13],)),
+        borrowed_array(block, at[14], ((at[15] - at[14]) // max(at[8], 1), at[8])),
+        borrowed_array(whole, at[15], ((at[16] - at[15]) // at[0], at[0])),
+        borrowed_array(whole, at[16], ((at[17] - at[16]) // at[1], at[1])),
+        borrowed_array(whole, at[17], ((at[18] - at[17]) // at[2], at[2])),
+        borrowed_array(whole, at[18], ((at[19] - at[18]) // at[4], at[4])),
+        borrowed_array(whole, at[19], ((at[20] - at[19]) // at[5], at[5])),
+        borrowed_array(whole, at[20], ((at[21] - at[20]) // at[6], at[6])),
+        borrowed_array(whole, at[21], (at[22] - at[21],)),
     )
 
 
@@ -493,7 +493,7 @@ RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
 """For each table, the first row that ``reset_monitor`` resets, and the row behind the last one that it resets."""
 
 
-@inner
+@kernel_helper
 def reset_monitor(x: Tables, initial: Tables) -> None:
     """Reset the memory of the fault detectors that work while the hand is under torque."""
     for n in range(x.tendon.shape[1]):

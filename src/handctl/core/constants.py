@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import borrow, inner
-from handctl.core.schema import Block, Places, Schema
+from handctl.compiled import borrowed_array, kernel_helper
+from handctl.core.schema import BlockArray, BlockSchema, TablePlaces
 from handctl.hand import rigid_body
-from handctl.hand.file.quantities import COEFFICIENTS
+from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
 
 AXES = ("tendon", "joint", "digit", "coordinate", "kind", "element", "place", "run")
 TABLES = (
@@ -23,7 +23,7 @@ TABLES = (
     "tendon_int", "joint_int", "digit_int", "run_int",
 )  # fmt: skip
 
-HAND = Schema(*TABLES)
+HAND = BlockSchema(*TABLES)
 _real = HAND.real
 _whole = HAND.whole
 
@@ -119,7 +119,7 @@ SPRING_STIFFNESS = _real("spring", "joint", "N m/rad", "stiffness of the return 
 SPRING_PRELOAD = _real("preload", "joint", "rad", "preload of the return spring")
 JOINT_DAMPING = _real("joint_damping", "joint", "N m s/rad", "viscous damping of the joint")
 LINK_TABLE = _real("link", "joint", "",
-    "frames and bodies of the links, see hand.rigid_body", rows=rigid_body.ROWS)  # fmt: skip
+    "frames and bodies of the links, see hand.rigid_body", rows=rigid_body.TABLE_ROW_COUNT)  # fmt: skip
 PARENT_JOINT = _whole("parent", "joint", "",
     "index of the joint before, towards the palm; -1 for the first")  # fmt: skip
 JOINT_MIN = _real("low", "joint", "rad", "smallest joint angle")
@@ -167,7 +167,7 @@ DIGIT_VARYING = _whole("digit_varying", "digit", "",
     "1 if a moment arm of the digit depends on the joint angle")  # fmt: skip
 HAND_VARYING = _whole("hand_varying", "run", "",
     "1 if a moment arm of the hand depends on the joint angle")  # fmt: skip
-ARM_POLYNOMIAL = _real("arm_polynomial", "tendon*joint", "m", rows=COEFFICIENTS,
+ARM_POLYNOMIAL = _real("arm_polynomial", "tendon*joint", "m", rows=POLYNOMIAL_COEFFICIENTS,
     meaning="coefficients of the moment arm as a polynomial of the joint angle in rad")  # fmt: skip
 ANGLE_OFFSET = _real("angle_offset", "joint", "rad",
     "joint angle at zero excursion, by the linear relation at the present angles")  # fmt: skip
@@ -300,8 +300,8 @@ class ConstantTables(NamedTuple):
     run_int: NDArray[np.int64]
 
 
-@inner
-def constant_tables(block: Block, at: Places) -> ConstantTables:
+@kernel_helper
+def constant_tables(block: BlockArray, at: TablePlaces) -> ConstantTables:
     """Return the tables of a hand's constants.
 
     Args:
@@ -317,18 +317,18 @@ def constant_tables(block: Block, at: Places) -> ConstantTables:
     places = at[6]
     whole = block.view(np.int64)
     return ConstantTables(
-        borrow(block, at[8], ((at[9] - at[8]) // n, n)),
-        borrow(block, at[9], ((at[10] - at[9]) // j, j)),
-        borrow(block, at[10], (at[11] - at[10],)),
-        borrow(block, at[11], ((at[12] - at[11]) // (j * n), j, n)),
-        borrow(block, at[12], ((at[13] - at[12]) // (n * j), n, j)),
-        borrow(block, at[13], ((at[14] - at[13]) // (j * j), j, j)),
-        borrow(block, at[14], ((at[15] - at[14]) // (j * c), j, c)),
-        borrow(block, at[15], ((at[16] - at[15]) // (n * c), n, c)),
-        borrow(block, at[16], ((at[17] - at[16]) // (places * j), places, j)),
-        borrow(block, at[17], (n, kinds, elements)),
-        borrow(whole, at[18], ((at[19] - at[18]) // n, n)),
-        borrow(whole, at[19], ((at[20] - at[19]) // j, j)),
-        borrow(whole, at[20], ((at[21] - at[20]) // d, d)),
-        borrow(whole, at[21], (at[22] - at[21],)),
+        borrowed_array(block, at[8], ((at[9] - at[8]) // n, n)),
+        borrowed_array(block, at[9], ((at[10] - at[9]) // j, j)),
+        borrowed_array(block, at[10], (at[11] - at[10],)),
+        borrowed_array(block, at[11], ((at[12] - at[11]) // (j * n), j, n)),
+        borrowed_array(block, at[12], ((at[13] - at[12]) // (n * j), n, j)),
+        borrowed_array(block, at[13], ((at[14] - at[13]) // (j * j), j, j)),
+        borrowed_array(block, at[14], ((at[15] - at[14]) // (j * c), j, c)),
+        borrowed_array(block, at[15], ((at[16] - at[15]) // (n * c), n, c)),
+        borrowed_array(block, at[16], ((at[17] - at[16]) // (places * j), places, j)),
+        borrowed_array(block, at[17], (n, kinds, elements)),
+        borrowed_array(whole, at[18], ((at[19] - at[18]) // n, n)),
+        borrowed_array(whole, at[19], ((at[20] - at[19]) // j, j)),
+        borrowed_array(whole, at[20], ((at[21] - at[20]) // d, d)),
+        borrowed_array(whole, at[21], (at[22] - at[21],)),
     )

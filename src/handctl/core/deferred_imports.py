@@ -2,7 +2,7 @@
 
 The import of ``scipy.stats``, ``scipy.ndimage`` and the plots of control takes longer than the
 import of all other modules of a run. Half of the import time of ``scipy.linalg`` is spent on a
-Fortran compiler and on test functions. A stand-in replaces each module in ``UNUSED``. It imports
+Fortran compiler and on test functions. A stand-in replaces each module in ``UNUSED_MODULES``. It imports
 the real module when one of the module's functions is used.
 """
 
@@ -14,11 +14,11 @@ from importlib.machinery import PathFinder
 from types import ModuleType
 from typing import Any
 
-UNUSED = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
+UNUSED_MODULES = ("scipy.stats", "scipy.ndimage", "numpy.f2py", "numpy.testing")
 """Modules that filterpy or scipy import, for functions that handctl does not call."""
 
 
-class _Deferred:
+class _DeferredAttribute:
     """A function or distribution of a module that is imported when the function is used."""
 
     def __init__(self, module: str, name: str) -> None:
@@ -39,7 +39,7 @@ class _Deferred:
         """
         module: Any = importlib.import_module(self._module)
         real = getattr(module, self._name)
-        return None if isinstance(real, _Deferred) else use(real)
+        return None if isinstance(real, _DeferredAttribute) else use(real)
 
 
 class _StandIn(ModuleType):
@@ -48,16 +48,19 @@ class _StandIn(ModuleType):
     It imports the real module when one of the module's functions is used.
     """
 
-    def __getattr__(self, name: str) -> _Deferred:
+    def __getattr__(self, name: str) -> _DeferredAttribute:
         if name.startswith("__"):  # the import system looks for __path__ and similar names
             raise AttributeError(name)
-        return _Deferred(self.__name__, name)
+        return _DeferredAttribute(self.__name__, name)
 
 
 @contextmanager
 def deferred_imports() -> Iterator[None]:
-    """Replace the modules in ``UNUSED`` by stand-ins within a ``with`` block, also as attributes of their packages."""
-    replaced = [name.rpartition(".") for name in UNUSED if name not in sys.modules]
+    """Replace the modules in ``UNUSED_MODULES`` by stand-ins within a ``with`` block.
+
+    Their packages also get the stand-ins as attributes.
+    """
+    replaced = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
     places = [(importlib.import_module(package), part) for package, _, part in replaced]
     for package, part in places:
         sys.modules[f"{package.__name__}.{part}"] = stand_in = _StandIn(f"{package.__name__}.{part}")

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from handctl.core import block as s
 from handctl.core.types import Vector
 
-Table = NDArray[np.float64]
+QuantityTable = NDArray[np.float64]
 
 
 class Estimate:
@@ -21,7 +21,9 @@ class Estimate:
 
     __slots__ = ("digit", "joint", "regimes", "tendon")
 
-    def __init__(self, tendon: Table, joint: Table, digit: Table, regimes: NDArray[np.int64]) -> None:
+    def __init__(
+        self, tendon: QuantityTable, joint: QuantityTable, digit: QuantityTable, regimes: NDArray[np.int64]
+    ) -> None:
         """Keep the tables of the state block, without a copy.
 
         Args:
@@ -129,7 +131,7 @@ class Estimate:
         return self.tendon[s.GRIP_TRAVEL_SLOW]
 
 
-class Measured:
+class TickMeasurements:
     """Measurements of a tick, NaN if missing.
 
     Each property is (N,) unless its docstring gives another shape.
@@ -137,7 +139,7 @@ class Measured:
 
     __slots__ = ("joint", "tendon")
 
-    def __init__(self, tendon: Table, joint: Table) -> None:
+    def __init__(self, tendon: QuantityTable, joint: QuantityTable) -> None:
         """Keep the tables of the state block, without a copy.
 
         Args:

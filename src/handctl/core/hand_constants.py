@@ -17,7 +17,7 @@ from handctl.core.estimation.structure import MIN_SPRING_STIFFNESS
 from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED, TRIM_TIME_S, UNWIND_FRACTION
 from handctl.core.law.servo import MAX_PHASE_RAD
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Layout
+from handctl.core.schema import BlockArray, BlockLayout
 from handctl.core.types import Vector
 from handctl.drives.sensors.node import JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
@@ -32,9 +32,9 @@ Smaller entries are rounding errors.
 """
 
 
-def layout_of_constants(model: HandModel) -> Layout:
+def layout_of_constants(model: HandModel) -> BlockLayout:
     """Return the layout of the block of constants for a hand."""
-    return Layout(HAND, {
+    return BlockLayout(HAND, {
         "tendon": model.tendon_count,
         "joint": len(model.hand.joints),
         "digit": len(model.digits),
@@ -63,7 +63,7 @@ class HandConstants:
                 of drives and sensors.
         """
         self.layout = layout_of_constants(model)
-        self.block: Block = self.layout.initial.copy()
+        self.block: BlockArray = self.layout.initial.copy()
         for part in (
             _motor_constants(model),
             _law_constants(model),
@@ -105,7 +105,7 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "pretension": model.hand.pretension,
         "sprung": model.redundancy.sprung,
         "redundant": model.redundancy.surplus,
-        "absolute": ~model.redundancy.sprung & ~model.hand.covered,
+        "absolute": ~model.redundancy.sprung & ~model.hand.tendons_with_encoders,
         "period": model.period,
         "period_ns": round(model.period * 1e9),
         "touch_kept": math.exp(-model.period / touch.SMOOTH_S),
@@ -235,7 +235,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
     hand = model.hand
     arms = model.hand.own_arms
     sizes = [digit.joint_count for digit in digits]
-    compliance = block_diag(*(_compliance(digit) for digit in digits))
+    compliance = block_diag(*(_joint_compliance(digit) for digit in digits))
     spread = block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
     read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
     fused = bool((compliance.any(axis=1) & read).any())
@@ -250,7 +250,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
         "encoder_variance": noise,
         "loose": compliance.any(axis=1) & read,
         "excursion_variance": np.where(
-            hand.covered, noise * (arms**2).sum(axis=1), (2.0 * model.gains.filter.offset_m) ** 2
+            hand.tendons_with_encoders, noise * (arms**2).sum(axis=1), (2.0 * model.gains.filter.offset_m) ** 2
         ),
         "turn_fraction": -math.expm1(-every * model.period / posture.TURN_SMOOTHING_S),
         "pressed_kept": math.exp(-model.period / posture.CONTACT_FADE_S),
@@ -260,7 +260,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
     }
 
 
-def _compliance(digit: DigitModel) -> Vector:
+def _joint_compliance(digit: DigitModel) -> Vector:
     """Return how far joint torques turn the joints at constant excursion, N (N^T K N)^-1 N^T, (n, n) [rad/(N m)]."""
     free = null_space(digit.moment_arms)
     if not free.shape[1]:

@@ -36,7 +36,7 @@ The parameter is a factor on the values of all joints of the digit.
 """
 LENGTH_KEYS = ("polynomial_m", "arm_m")
 """Keys whose values are lengths, in the hand file's table of a moment arm that depends on the joint angle."""
-UNITS = {
+PARAMETER_UNITS = {
     "torque_gain": "1", "motor_inertia": "kg m2", "motor_viscous": "N m s/rad", "motor_coulomb": "N m", "delay": "s",
     "tendon_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
     "joint_damping": "x file", "moment_arm": "x file", "pretension": "N",
@@ -51,13 +51,13 @@ FORMER_NAMES = {"rope_stiffness": "tendon_stiffness"}
 """Present name of a renamed parameter, by its name in earlier versions of handctl."""
 
 
-class Identified(Document):
+class IdentifiedParameters(Document):
     """Identified parameters of a tendon, of its motor and of its digit."""
 
     names: tuple[str, ...] = Field(min_length=1)
-    """Names of the identified parameters, from ``UNITS``."""
+    """Names of the identified parameters, from ``PARAMETER_UNITS``."""
     values: tuple[float, ...]
-    """Identified values, in the units of ``UNITS``."""
+    """Identified values, in the units of ``PARAMETER_UNITS``."""
     half_widths: tuple[float, ...]
     """Half widths of the 95 % confidence intervals of the values."""
     covariance: tuple[tuple[float, ...], ...]
@@ -76,11 +76,11 @@ class Identified(Document):
         return tuple(FORMER_NAMES.get(name, name) for name in names) if isinstance(names, list | tuple) else names
 
     @model_validator(mode="after")
-    def _check_shapes(self) -> "Identified":
+    def _check_shapes(self) -> "IdentifiedParameters":
         n = len(self.names)
-        unknown = set(self.names) - UNITS.keys()
+        unknown = set(self.names) - PARAMETER_UNITS.keys()
         if unknown:
-            raise ValueError(f"names from {', '.join(UNITS)}, not {', '.join(sorted(unknown))}")
+            raise ValueError(f"names from {', '.join(PARAMETER_UNITS)}, not {', '.join(sorted(unknown))}")
         if not n == len(self.values) == len(self.half_widths) == len(self.covariance):
             raise ValueError("one value, half width and row of the covariance for every name")
         if any(len(row) != n for row in self.covariance):
@@ -91,7 +91,7 @@ class Identified(Document):
         """Return the value of a parameter, or ``otherwise`` if this parameter was not identified."""
         return self.values[self.names.index(name)] if name in self.names else otherwise
 
-    def beside(self, older: "Identified | None") -> "Identified":
+    def beside(self, older: "IdentifiedParameters | None") -> "IdentifiedParameters":
         """Return these parameters, together with the parameters of an older identification that are missing here.
 
         So a run that identifies few parameters does not remove the other parameters. Parameters of
@@ -116,7 +116,7 @@ class Identified(Document):
         )
 
 
-def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
+def identified_hand(hand: Hand, found: dict[str, IdentifiedParameters]) -> Hand:
     """Return the hand description with identified parameters in place of the values of the hand file.
 
     Args:
@@ -139,12 +139,12 @@ def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
     return hand_from_content(content, f"{hand.name} as identified")
 
 
-def torque_gain(hand: Hand, found: dict[str, Identified]) -> Vector:
+def torque_gain(hand: Hand, found: dict[str, IdentifiedParameters]) -> Vector:
     """Return the torque at the spool per commanded torque of each drive (N,), 1 if it was not identified."""
     return np.array([found[t.name].get("torque_gain", 1.0) if t.name in found else 1.0 for t in hand.tendon])
 
 
-def check_identified(hand: Hand, found: dict[str, Identified], source: str) -> None:
+def check_identified(hand: Hand, found: dict[str, IdentifiedParameters], source: str) -> None:
     """Check that identified parameters belong to tendons of the hand.
 
     Raises:
@@ -162,7 +162,7 @@ def _is_in_slice(place: slice, i: int) -> bool:
     return bool(place.start <= i < place.stop)
 
 
-def _replace_values(table: dict[str, object], keys: dict[str, str], known: Identified) -> None:
+def _replace_values(table: dict[str, object], keys: dict[str, str], known: IdentifiedParameters) -> None:
     for name, key in keys.items():
         if name in known.names:
             table[key] = known.get(name, 0.0)
@@ -180,7 +180,7 @@ def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
             tendon["moment_arm_m"][joint] = factor * arm
 
 
-def _scale_values(table: dict[str, tuple[float, ...]], known: Identified) -> None:
+def _scale_values(table: dict[str, tuple[float, ...]], known: IdentifiedParameters) -> None:
     for name, key in DIGIT_KEYS.items():
         factor = known.get(name, 1.0)
         table[key] = tuple(value * factor for value in table[key])

@@ -12,11 +12,11 @@ from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import MotionDesign, design_motion
 from handctl.core.law.computed_torque import RELAX_FLOOR_N
-from handctl.core.law.redundancy import Redundancy, redundancy_of_hand
+from handctl.core.law.redundancy import TendonRedundancy, redundancy_of_hand
 from handctl.core.tendon_space import TendonSpace, tendon_space
 from handctl.core.types import Vector
 from handctl.hand.description import Hand
-from handctl.hand.digit import Values
+from handctl.hand.digit import JointValues
 from handctl.hand.dynamics import DigitModel, required_torque
 from handctl.hand.tree import HandTree
 
@@ -25,7 +25,7 @@ with deferred_imports():
 
 BLIND_SIGMAS = 2.0
 """Margin of the tension limits of a tendon without load cell, in standard deviations of its estimated tension."""
-Inverse = Callable[[DigitModel, Values, Values, Values], tuple[float, ...]]
+InverseDynamics = Callable[[DigitModel, JointValues, JointValues, JointValues], tuple[float, ...]]
 """Inverse dynamics: a function of digit, joint angles, rates and accelerations that returns the joint torques."""
 
 
@@ -87,11 +87,11 @@ class HandModel:
     floor: Vector
     ceiling: Vector
     torque_limit: Vector
-    redundancy: Redundancy
+    redundancy: TendonRedundancy
     tree: HandTree
     blind_margin: Vector
     torque_gain: Vector | None = None
-    inverse: Inverse = required_torque
+    inverse: InverseDynamics = required_torque
 
     @staticmethod
     def of(hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None) -> "HandModel":
@@ -193,4 +193,4 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
 
 def _joint_period(hand: Hand, period: float) -> Vector:
     """Return the time (N,) between two readings of all joints of a tendon [s], inf if a joint has no encoder."""
-    return np.where(hand.covered, hand.sensor_node.joint_decimation * period, np.inf)
+    return np.where(hand.tendons_with_encoders, hand.sensor_node.joint_decimation * period, np.inf)

@@ -15,17 +15,32 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-FORMAT = 2
+MARSHAL_VERSION = 2
 """Version of the format of ``marshal``.
 
 It is the last version that writes no references to shared values.
 """
-ARRAY, MODEL, BYTES = ":array", ":model", ":bytes"
+ARRAY_MARK, MODEL_MARK, BYTES_MARK = ":array", ":model", ":bytes"
 """Marks that replace the type name in the plain form of arrays, pydantic models and bytes."""
 NAMES_IN_LOGS = {
     "controller.pending_gains.PendingGains": "controller.coming.Coming",
     "drives.contract.DriveTarget": "drives.contract.Want",
-    "drives.readback.Cursor": "drives.readback.Walk",
+    "controller.state.ClientLease": "controller.state.Lease",
+    "core.law.goal.GoalKind": "core.law.goal.Kind",
+    "safety.judge.LatchedFault": "safety.judge.Latched",
+    "safety.judge.CountedFault": "safety.judge.Counting",
+    "core.law.trajectory.StreamedTrajectory": "core.law.trajectory.Streamed",
+    "core.law.trajectory.BlendTrajectory": "core.law.trajectory.Blend",
+    "core.law.trajectory.CurveTrajectory": "core.law.trajectory.Curve",
+    "core.law.trajectory.SampledTrajectory": "core.law.trajectory.Sample",
+    "core.law.trajectory.ChirpTrajectory": "core.law.trajectory.Chirp",
+    "programs.excite.SwingTrajectory": "programs.excite.Swing",
+    "programs.program.ProgramProgress": "programs.program.Progress",
+    "programs.grip.GripState": "programs.grip.Grip",
+    "drives.contract.DrivePhase": "drives.contract.Phase",
+    "drives.readback.ReadbackCursor": "drives.readback.Walk",
+    "drives.readback.RecheckCursor": "drives.readback.Recheck",
+    "drives.moteus.settings.DiagnosticChannel": "drives.moteus.settings.Channel",
     "drives.mit.progress.MitProgress": "drives.mit.progress.Progress",
     "drives.mit.cubemars.CubemarsProgress": "drives.mit.cubemars.Progress",
     "drives.odrive.progress.OdriveProgress": "drives.odrive.progress.Progress",
@@ -35,8 +50,8 @@ NAMES_IN_LOGS = {
 
 Hashes and snapshots in logs contain the first name.
 """
-_TYPES: dict[str, type] = {}
-_PLAIN = frozenset((type(None), bool, int, float, str, bytes))
+_TYPE_BY_PLAIN_NAME: dict[str, type] = {}
+_PLAIN_TYPES = frozenset((type(None), bool, int, float, str, bytes))
 
 
 @functools.cache
@@ -48,7 +63,7 @@ def plain_name(type_: type) -> str:
 
 def register_types(*types: type) -> None:
     """Register types whose objects ``from_plain`` may create."""
-    _TYPES.update({plain_name(type_): type_ for type_ in types})
+    _TYPE_BY_PLAIN_NAME.update({plain_name(type_): type_ for type_ in types})
 
 
 def to_plain(value: Any) -> Any:
@@ -59,19 +74,19 @@ def to_plain(value: Any) -> Any:
             enumeration or model.
     """
     kind: type = type(value)
-    if kind in _PLAIN:
+    if kind in _PLAIN_TYPES:
         return value
     if isinstance(value, tuple):
         # This code runs in ticks that read the settings of drives. For speed, it makes no call for
         # a plain item.
-        items = [item if type(item) in _PLAIN else to_plain(item) for item in value]
+        items = [item if type(item) in _PLAIN_TYPES else to_plain(item) for item in value]
         return (plain_name(kind), *items) if hasattr(value, "_fields") else tuple(items)
     if isinstance(value, enum.IntEnum):
         return (plain_name(kind), int(value))
     if isinstance(value, np.ndarray):
-        return (ARRAY, value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes())
+        return (ARRAY_MARK, value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes())
     if isinstance(value, BaseModel):
-        return (MODEL, plain_name(type(value)), value.model_dump_json(by_alias=True))
+        return (MODEL_MARK, plain_name(type(value)), value.model_dump_json(by_alias=True))
     if is_dataclass(value) and not isinstance(value, type):
         own = tuple([to_plain(getattr(value, field.name)) for field in fields(value) if field.init])
         return (plain_name(type(value)), *own)
@@ -80,7 +95,7 @@ def to_plain(value: Any) -> Any:
 
 def plain_bytes(value: Any) -> bytes:
     """Return the plain form of a value as bytes."""
-    return marshal.dumps(to_plain(value), FORMAT)
+    return marshal.dumps(to_plain(value), MARSHAL_VERSION)
 
 
 def from_plain(value: Any) -> Any:
@@ -94,12 +109,12 @@ def from_plain(value: Any) -> Any:
     if not value or not isinstance(value[0], str) or not value[0].startswith(":"):
         return tuple([from_plain(item) for item in value])
     mark, *rest = value
-    if mark == ARRAY:
+    if mark == ARRAY_MARK:
         kind, shape, data = rest
         return np.frombuffer(from_plain(data), np.dtype(kind)).reshape(shape).copy()
-    if mark == BYTES:
+    if mark == BYTES_MARK:
         return bytes.fromhex(rest[0])
-    if mark == MODEL:
+    if mark == MODEL_MARK:
         model: Any = _registered_type(rest[0])
         return model.model_validate_json(rest[1])
     made: Any = _registered_type(mark)
@@ -110,6 +125,6 @@ def from_plain(value: Any) -> Any:
 
 
 def _registered_type(name: str) -> type:
-    if name not in _TYPES:
+    if name not in _TYPE_BY_PLAIN_NAME:
         raise ValueError(f"a snapshot names the type {name[1:]!r}, which none may hold")
-    return _TYPES[name]
+    return _TYPE_BY_PLAIN_NAME[name]

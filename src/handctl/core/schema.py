@@ -20,16 +20,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Block = NDArray[np.float64]
+BlockArray = NDArray[np.float64]
 """Array with all tables of a schema, in the order of the schema."""
-Places = NDArray[np.int64]
+TablePlaces = NDArray[np.int64]
 """Places of tables: lengths of the axes, then the first element of each table, then the end of the last table."""
 
-INT = "_int"
+INTEGER_TABLE_SUFFIX = "_int"
 """Ending of the names of integer tables."""
 
 
-class Field(NamedTuple):
+class BlockField(NamedTuple):
     """Declaration of a quantity in a block.
 
     Attributes:
@@ -51,14 +51,14 @@ class Field(NamedTuple):
     initial: float
 
 
-class Schema:
+class BlockSchema:
     """Declarations of the tables and fields of a block.
 
     Attributes:
         tables: names of the tables in memory order. A name is an axis, or axes joined by ``*``,
             with ``_int`` at the end for integers.
         optional: name of an axis that may have the length 0, empty if there is none. With the
-            length 0, this axis has no effect on ``Layout.identity``.
+            length 0, this axis has no effect on ``BlockLayout.identity``.
         fields: all fields, in the order of declaration.
     """
 
@@ -71,33 +71,33 @@ class Schema:
         """
         self.tables = tables
         self.optional = optional
-        self.fields: list[Field] = []
+        self.fields: list[BlockField] = []
         self._rows = dict.fromkeys(tables, 0)
 
     def real(self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: float = 0.0) -> int:
         """Declare a field of float64 and return its first row."""
-        return self._declare(Field(name, axis, self._rows[axis], rows, unit, meaning, initial))
+        return self._declare(BlockField(name, axis, self._rows[axis], rows, unit, meaning, initial))
 
     def whole(self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: int = 0) -> int:
         """Declare a field of int64 and return its first row."""
-        table = axis + INT
-        return self._declare(Field(name, table, self._rows[table], rows, unit, meaning, initial))
+        table = axis + INTEGER_TABLE_SUFFIX
+        return self._declare(BlockField(name, table, self._rows[table], rows, unit, meaning, initial))
 
-    def _declare(self, field: Field) -> int:
+    def _declare(self, field: BlockField) -> int:
         self.fields.append(field)
         self._rows[field.table] += field.rows
         return field.first
 
-    def layout(self, axes: Mapping[str, int]) -> "Layout":
+    def layout(self, axes: Mapping[str, int]) -> "BlockLayout":
         """Return the layout of this schema's tables for given lengths of the axes."""
-        return Layout(self, axes)
+        return BlockLayout(self, axes)
 
     def rows(self, table: str) -> int:
         """Return the number of rows of a table."""
         return self._rows[table]
 
 
-class Layout:
+class BlockLayout:
     """Positions of a schema's tables in a block, for axes of given lengths.
 
     Attributes:
@@ -110,7 +110,7 @@ class Layout:
         initial: block before the first tick, read-only.
     """
 
-    def __init__(self, schema: Schema, axes: Mapping[str, int]) -> None:
+    def __init__(self, schema: BlockSchema, axes: Mapping[str, int]) -> None:
         """Compute the positions of all tables and fields in a block.
 
         Args:
@@ -132,15 +132,17 @@ class Layout:
             [field[:4] for field in schema.fields if field.table != left_out],
         ))  # fmt: skip
         self.identity = hashlib.blake2b(named.encode(), digest_size=8).digest()
-        self.places: Places = np.concatenate((list(self.axes.values()), ends)).astype(np.int64)
+        self.places: TablePlaces = np.concatenate((list(self.axes.values()), ends)).astype(np.int64)
         spans = zip(schema.tables, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
-        self._tables = {table: (first, end, widths[table], table.endswith(INT)) for table, first, end in spans}
+        self._tables = {
+            table: (first, end, widths[table], table.endswith(INTEGER_TABLE_SUFFIX)) for table, first, end in spans
+        }
         self._shapes = {
             table: ((schema.rows(table), width), np.dtype(np.int64 if whole else np.float64), 8 * first)
             for table, (first, _, width, whole) in self._tables.items()
         }
         self._fields = {field.name: self._span(field) for field in schema.fields}
-        self.initial: Block = np.zeros(self.size)
+        self.initial: BlockArray = np.zeros(self.size)
         for field in schema.fields:
             self.view(self.initial, field.name)[...] = field.initial
         self.initial.flags.writeable = False
@@ -148,14 +150,14 @@ class Layout:
     def _width(self, table: str) -> int:
         return int(np.prod([self.axes[axis] for axis in _axes(table)], dtype=np.int64))
 
-    def _span(self, field: Field) -> tuple[int, int, tuple[int, ...], bool]:
+    def _span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
         """Return first element, end, shape and integer flag of a field in a block."""
         start, _, width, whole = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes(field.table))
         first = start + field.first * width
         return first, first + field.rows * width, shape if field.rows == 1 else (field.rows, *shape), whole
 
-    def view(self, block: Block, name: str) -> NDArray[Any]:
+    def view(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a field as a view into a block: (rows, ...), or (...) for a field with a single row."""
         first, end, shape, whole = self._fields[name]
         part = block[first:end]
@@ -163,18 +165,20 @@ class Layout:
 
     def axis_of(self, name: str) -> str:
         """Return the name of a field's axis, ``a*b`` for two axes."""
-        return next(field.table for field in self.schema.fields if field.name == name).removesuffix(INT)
+        return next(field.table for field in self.schema.fields if field.name == name).removesuffix(
+            INTEGER_TABLE_SUFFIX
+        )
 
     def start(self, table: str) -> int:
         """Return the index of a table's first element in a block."""
         return self._tables[table][0]
 
-    def table(self, block: Block, name: str) -> NDArray[Any]:
+    def table(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a table as a view into a block, (rows, length of the axis)."""
         shape, kind, offset = self._shapes[name]
         return np.ndarray(shape, kind, block, offset)  # one call, because every tick makes several of these views
 
-    def difference(self, one: Block, other: Block) -> tuple[str, int, float, float] | None:
+    def difference(self, one: BlockArray, other: BlockArray) -> tuple[str, int, float, float] | None:
         """Return the first difference of two blocks, in schema order: name of the field, element, and both values.
 
         The result is None if the blocks are equal. Values are compared by bits, so NaN equals NaN.
@@ -195,4 +199,4 @@ class Layout:
 
 def _axes(table: str) -> list[str]:
     """Return the names of a table's axes."""
-    return table.removesuffix(INT).split("*")
+    return table.removesuffix(INTEGER_TABLE_SUFFIX).split("*")

@@ -28,16 +28,16 @@ from handctl.core.detectors import answers, judge, stuck
 from handctl.core.detectors.bus import Evidence
 from handctl.core.estimation import contact, kalman, measure, posture, structure, touch
 from handctl.core.law import computed_torque, reference
-from handctl.core.schema import Block, Places
+from handctl.core.schema import BlockArray, TablePlaces
 
 SILENT, ARMING, ACTIVE, RELAX, DONE = 0, 3, 4, 5, 8
 """Values of ``core.types.Mode``."""
-HOLD = 2
+HOLD_ACTION = 2
 """Value of ``safety.action.Action.HOLD``."""
 
 
 @kernel("block", "layout", "constants", "layout")
-def observe_tick(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+def observe_tick(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> None:
     """Convert the values received in this tick into measurements."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -52,7 +52,7 @@ def observe_tick(block: Block, at: Places, constants: Block, constants_at: Place
 
 
 @kernel("block", "layout", "constants", "layout")
-def correct_estimate(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+def correct_estimate(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> None:
     """Correct the tension filter by the measurements, and judge slack, stop and contact of each tendon."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -65,7 +65,7 @@ def correct_estimate(block: Block, at: Places, constants: Block, constants_at: P
 
 
 @kernel("block", "layout", "constants", "layout")
-def conclude_estimate(block: Block, at: Places, constants: Block, constants_at: Places) -> bool:
+def conclude_estimate(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> bool:
     """Derive the estimate from the predicted states.
 
     Return True if a node sent more replies than it got requests.
@@ -90,7 +90,7 @@ def conclude_estimate(block: Block, at: Places, constants: Block, constants_at: 
 
 @kernel("block", "layout", "constants", "layout", "constants")
 def find_faults(
-    block: Block, at: Places, constants: Block, constants_at: Places, initial: Block
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces, initial: BlockArray
 ) -> tuple[int, Evidence]:
     """Find and debounce the faults of a tick, see ``detectors.judge``."""
     x = state_tables(block, at)
@@ -99,37 +99,41 @@ def find_faults(
 
 
 @kernel("block", "layout", "constants", "layout", "count")
-def evaluate_goals(block: Block, at: Places, constants: Block, constants_at: Places, action: int) -> int:
+def evaluate_goals(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces, action: int
+) -> int:
     """Evaluate the goals of all digits.
 
     The result has a bit for each digit whose bounded least-squares problem must still be solved.
     """
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
-    computed_torque.update_hold_limits(x, c, action == HOLD and x.run_int[s.MODE] == ACTIVE)
+    computed_torque.update_hold_limits(x, c, action == HOLD_ACTION and x.run_int[s.MODE] == ACTIVE)
     reference.follow_trajectories(x, c, x.run_int[s.HOLDING] == 1)
     reference.write_required_torque(x, c, reference.joint_trajectories(x, c))
     return reference.write_required_tensions(x, c)
 
 
 @kernel("block", "layout", "constants", "layout")
-def joint_motion(block: Block, at: Places, constants: Block, constants_at: Places) -> NDArray[np.float64]:
+def joint_motion(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> NDArray[np.float64]:
     """Return angles, rates and accelerations (3, J) of all joints on their trajectories."""
     return reference.joint_trajectories(state_tables(block, at), constant_tables(constants, constants_at))
 
 
 @kernel("block", "layout", "constants", "layout")
-def write_loads(block: Block, at: Places, constants: Block, constants_at: Places) -> int:
+def write_loads(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> int:
     """Convert required joint torques into tensions, see ``reference.write_required_tensions``."""
     return reference.write_required_tensions(state_tables(block, at), constant_tables(constants, constants_at))
 
 
 @kernel("block", "layout", "constants", "layout", "real", "count", "count")
 def compute_motor_torques(
-    block: Block,
-    at: Places,
-    constants: Block,
-    constants_at: Places,
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
     relax_rate: float,
     open_loop: int,
     ticks: int,
@@ -147,7 +151,7 @@ def compute_motor_torques(
 
 
 @kernel("block", "layout", "constants", "layout")
-def store_commands(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+def store_commands(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> None:
     """Store commands and requests of this tick for the next tick, and complete the numbers for the log."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)

@@ -38,7 +38,7 @@ class Mode(enum.IntEnum):
 
 BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
 """Modes in which no drive was enabled yet."""
-ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
+TORQUE_MODES = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
 """Modes in which torque may act."""
 SHUTTING_DOWN = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
 """Modes after which the hand cannot become active again."""
@@ -86,7 +86,7 @@ The event's ``where`` is the key, and its ``text`` is the new value.
 """
 
 
-class Event(NamedTuple):
+class TickEvent(NamedTuple):
     """An event of a tick, for the log and the operator.
 
     Attributes:
@@ -155,7 +155,7 @@ class Telemetry(NamedTuple):
     motor_age: Vector
     """(M,) age of the drive's latest feedback [s]."""
     drive_phase: Vector
-    """(M,) phase of the drive, ``drives.contract.Phase`` as a number."""
+    """(M,) phase of the drive, ``drives.contract.DrivePhase`` as a number."""
     tip_force: Vector
     """(D,) tip-equivalent contact force, normal to the last link [N]."""
     contact: Vector
@@ -244,5 +244,5 @@ class TickOut(NamedTuple):
     phase: str
     action: Action
     telemetry: Telemetry | PackedTelemetry
-    events: tuple[Event, ...]
+    events: tuple[TickEvent, ...]
     state_hash: bytes

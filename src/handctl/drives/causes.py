@@ -3,7 +3,7 @@
 import enum
 
 
-class Cause(enum.IntEnum):
+class DriveFaultCause(enum.IntEnum):
     """Cause of a drive fault."""
 
     OTHER = 0

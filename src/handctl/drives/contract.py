@@ -13,13 +13,13 @@ import enum
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from handctl.drives.causes import Cause
+from handctl.drives.causes import DriveFaultCause
 from handctl.drives.frame import Frame
 
 if TYPE_CHECKING:  # imported for types only: signals imports numba, which programs that only read a log do not need
-    from handctl.drives.signals import Cyclic
+    from handctl.drives.signals import CyclicMessages
 
-UNSTEADY = -1
+NO_STEADY_STATUS = -1
 """Value of ``steady_status`` for a drive whose state machine must process every received frame."""
 END_OF_TIME_NS = (1 << 63) - 1
 """Largest time [ns]. ``due_ns`` returns it if no call of ``advance`` is scheduled."""
@@ -44,7 +44,7 @@ class DriveTarget(enum.IntEnum):
     """Disable the drive, and repeat the command until the drive reports the state disabled."""
 
 
-class Phase(enum.IntEnum):
+class DrivePhase(enum.IntEnum):
     """Progress of a drive from silence to torque."""
 
     SILENT = 0
@@ -81,7 +81,7 @@ class DriveState(NamedTuple):
             Callers do not read it.
     """
 
-    phase: Phase = Phase.SILENT
+    phase: DrivePhase = DrivePhase.SILENT
     position: float = math.nan
     velocity: float = math.nan
     torque: float = math.nan
@@ -160,12 +160,12 @@ class Drive(Protocol):
         ...
 
     @property
-    def background(self) -> tuple[tuple[int, bool, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return frames whose rate is not the control rate, as (payload bytes, CAN FD?, frames per second)."""
         ...
 
     @property
-    def extended(self) -> bool:
+    def has_extended_ids(self) -> bool:
         """Return True if the frames of the protocol have 29-bit identifiers."""
         ...
 
@@ -200,12 +200,12 @@ class Drive(Protocol):
         ...
 
     @property
-    def cyclic(self) -> "Cyclic":
+    def cyclic(self) -> "CyclicMessages":
         """Return the signal tables of the frames exchanged in each tick while the drive is enabled."""
         ...
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in the feedback at which the state machine has nothing to do, or UNSTEADY.
+        """Return the status in the feedback at which the state machine has nothing to do, or NO_STEADY_STATUS.
 
         As long as the feedback has this status, only its values change, and torque commands may
         continue.
@@ -283,6 +283,6 @@ class Drive(Protocol):
         """
         ...
 
-    def cause(self, error: int) -> Cause:
+    def cause(self, error: int) -> DriveFaultCause:
         """Return the cause of a nonzero error code in ``DriveState.error``."""
         ...

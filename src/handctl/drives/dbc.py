@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 from handctl.drives.contract import Drive
 from handctl.drives.frame import EXTENDED, REMOTE
-from handctl.drives.sensors.contract import Sensors
-from handctl.drives.signals import Coding, Message, Quantity, Signal
+from handctl.drives.sensors.contract import SensorInterface
+from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
 
 # Names of the host and of the sensor node in a DBC.
-HOST = "host"
-SENSORS = "sensor_node"
+HOST_NODE_NAME = "host"
+SENSOR_NODE_NAME = "sensor_node"
 EXTENDED_BIT = 1 << 31
 """Flag bit of a 29-bit identifier in a DBC, as in SocketCAN."""
 
@@ -31,7 +31,7 @@ class SentMessage(NamedTuple):
 
 
 def dbc_of_bus(
-    bus: int, drives: Iterable[Drive], sensors: Sensors, tendons: Sequence[str], joints: Sequence[str]
+    bus: int, drives: Iterable[Drive], sensors: SensorInterface, tendons: Sequence[str], joints: Sequence[str]
 ) -> str:
     """Return the content of a DBC file for one bus of a hand.
 
@@ -44,15 +44,20 @@ def dbc_of_bus(
     """
     sent = list[SentMessage]()
     if sensors.bus == bus and sensors.ids:
-        sent.append(SentMessage(sensors.sync_message, HOST, SENSORS))
+        sent.append(SentMessage(sensors.sync_message, HOST_NODE_NAME, SENSOR_NODE_NAME))
         sent += [
-            SentMessage(_with_channel_names(message, tendons, joints), SENSORS, HOST) for message in sensors.messages
+            SentMessage(_with_channel_names(message, tendons, joints), SENSOR_NODE_NAME, HOST_NODE_NAME)
+            for message in sensors.messages
         ]
     for drive in drives:
         if drive.bus == bus:
             name = drive.name
-            sent += [SentMessage(_with_drive_name(message, name), name, HOST) for message in drive.cyclic.feedback]
-            sent += [SentMessage(_with_drive_name(message, name), HOST, name) for message in drive.cyclic.commands]
+            sent += [
+                SentMessage(_with_drive_name(message, name), name, HOST_NODE_NAME) for message in drive.cyclic.feedback
+            ]
+            sent += [
+                SentMessage(_with_drive_name(message, name), HOST_NODE_NAME, name) for message in drive.cyclic.commands
+            ]
     return dbc_text(sent)
 
 
@@ -74,18 +79,19 @@ def dbc_text(sent: Iterable[SentMessage]) -> str:
         frame_id = message.can_id & ~EXTENDED | (EXTENDED_BIT if message.can_id & EXTENDED else 0)
         lines.append(f"BO_ {frame_id} {message.name}: {message.length} {sender}")
         lines += [*(_signal_line(signal, receiver) for signal in message.signals), ""]
-        real = [signal.name for signal in message.signals if signal.coding == Coding.FLOAT]
+        real = [signal.name for signal in message.signals if signal.coding == SignalCoding.FLOAT]
         # SIG_VALTYPE_ 1 marks a signal as an IEEE 754 float32.
         floats += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in real]
         if message.flags:
-            kinds.append(f'BA_ "VFrameFormat" BO_ {frame_id} {FD_EXTENDED if frame_id & EXTENDED_BIT else FD};')
-    return "\n".join([*lines, *(_FORMATS if kinds else ()), *kinds, *floats, ""])
+            frame_format = FD_EXTENDED_FRAME_FORMAT if frame_id & EXTENDED_BIT else FD_FRAME_FORMAT
+            kinds.append(f'BA_ "VFrameFormat" BO_ {frame_id} {frame_format};')
+    return "\n".join([*lines, *(_FRAME_FORMAT_LINES if kinds else ()), *kinds, *floats, ""])
 
 
 # Values of the attribute VFrameFormat for CAN FD frames, with 11-bit and 29-bit identifiers.
-FD = 14
-FD_EXTENDED = 15
-_FORMATS = (
+FD_FRAME_FORMAT = 14
+FD_EXTENDED_FRAME_FORMAT = 15
+_FRAME_FORMAT_LINES = (
     'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN",'
     + ",".join(f'"reserved{i}"' for i in range(2, 14))
     + ',"StandardCAN_FD","ExtendedCAN_FD";',
@@ -101,7 +107,7 @@ def _signal_line(signal: Signal, receiver: str) -> str:
     """Return the line of a DBC for a signal."""
     # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
     order = 0 if signal.big_endian else 1
-    sign = "+" if signal.coding == Coding.UNSIGNED else "-"
+    sign = "+" if signal.coding == SignalCoding.UNSIGNED else "-"
     layout = f"{signal.start}|{signal.length}@{order}{sign}"
     return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver}'
 

@@ -1,6 +1,6 @@
 """Discovery of the nodes on a bus. No motor moves, because no drive obeys the requests as commands.
 
-Each protocol has one ``Discovery``. A scan has four rounds: listen (0), send requests to all nodes
+Each protocol has one ``ProtocolDiscovery``. A scan has four rounds: listen (0), send requests to all nodes
 at once (1), send requests to every node number (2), request details from discovered nodes (3).
 After each round the nodes are computed from all received frames. The functions here keep no state.
 ``split_probes`` leaves out each request that a drive of another protocol would obey as a command.
@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 from handctl.drives.frame import REMOTE, Frame
 
-ROUNDS = range(4)
+PROBE_ROUNDS = range(4)
 # Time in which a scan only listens, long enough for several heartbeats, and time to wait for the
 # answers in a round [s].
-LISTEN_S = 0.7
-ANSWER_S = 0.25
+SCAN_LISTEN_S = 0.7
+PROBE_ANSWER_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ ReceivedFrames = Sequence[Frame]
 """All frames received on one bus, oldest first."""
 
 
-class Discovery(NamedTuple):
+class ProtocolDiscovery(NamedTuple):
     """Discovery functions of one protocol.
 
     Attributes:

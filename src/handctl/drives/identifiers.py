@@ -10,7 +10,7 @@ from typing import Protocol
 from handctl.errors import ConfigError
 
 
-class Owner(Protocol):
+class IdentifierOwner(Protocol):
     """Node that owns identifiers: a drive, or the sensor node."""
 
     @property
@@ -29,7 +29,7 @@ class Owner(Protocol):
         ...
 
 
-def check_identifiers(owners: Iterable[tuple[str, Owner]]) -> None:
+def check_identifiers(owners: Iterable[tuple[str, IdentifierOwner]]) -> None:
     """Check that no two nodes on a bus use the same identifier for different frames.
 
     Args:
@@ -38,7 +38,7 @@ def check_identifiers(owners: Iterable[tuple[str, Owner]]) -> None:
     Raises:
         ConfigError: two nodes use the same identifier.
     """
-    checked: list[tuple[str, Owner]] = []
+    checked: list[tuple[str, IdentifierOwner]] = []
     for where, owner in owners:
         for other_where, other in checked:
             if owner.bus == other.bus:

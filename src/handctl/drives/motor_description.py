@@ -1,6 +1,6 @@
 """List of drive protocols, and the keys in a ``[[motor]]`` section of the hand file that drives use.
 
-``PROTOCOLS`` is the list of protocols. The module ``registry`` adds the code of each protocol. A
+``PROTOCOL_TRAITS`` is the list of protocols. The module ``registry`` adds the code of each protocol. A
 help text only needs this list, and importing ``registry`` would take too long.
 """
 
@@ -25,7 +25,7 @@ class ProtocolTraits(NamedTuple):
     options: Mapping[str, Any] = {}
 
 
-PROTOCOLS: dict[str, ProtocolTraits] = {
+PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
     "mit": ProtocolTraits("MIT"),
     "odrive": ProtocolTraits("ODrive", options={
         "endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202,
@@ -38,7 +38,7 @@ PROTOCOLS: dict[str, ProtocolTraits] = {
     "robstride_mit": ProtocolTraits("RobStride in MIT mode", guarded=False, options={"motor_type": "rs05"}),
 }  # fmt: skip
 """Properties of each protocol, by the name of the protocol in the hand file."""
-GUARDED = tuple(name for name, traits in PROTOCOLS.items() if traits.guarded)
+GUARDED_PROTOCOLS = tuple(name for name, traits in PROTOCOL_TRAITS.items() if traits.guarded)
 """Names of the guarded protocols, see ``ProtocolTraits.guarded``."""
 
 

@@ -16,7 +16,7 @@ class FullScale(Protocol):
         ...
 
 
-Ranges = TypeVar("Ranges", bound=FullScale)
+ModelRangesT = TypeVar("ModelRangesT", bound=FullScale)
 
 
 def checked_positive(value: object, where: str, largest: float) -> float:
@@ -68,7 +68,7 @@ def checked_boolean(value: object, where: str) -> bool:
     return value
 
 
-def pop_motor_model(options: dict[str, Any], where: str, models: Mapping[str, Ranges]) -> Ranges:
+def pop_motor_model(options: dict[str, Any], where: str, models: Mapping[str, ModelRangesT]) -> ModelRangesT:
     """Remove the option ``motor_type``, and return the ranges of the motor model that it names.
 
     Args:

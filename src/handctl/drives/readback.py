@@ -1,6 +1,6 @@
 """Read-back of drive settings: read each setting, write it if it is wrong, and read it again.
 
-All protocols share the ``Cursor``, which is a position in the list of settings of a protocol. The
+All protocols share the ``ReadbackCursor``, which is a position in the list of settings of a protocol. The
 code of a protocol adds the payload of each request, and recognises the reply to the open request.
 
 The torque limit and the watchdog in the drive protect the hand even if the host fails. Both are
@@ -17,17 +17,17 @@ REQUEST_TIMEOUT_NS = 20_000_000
 """Time after which a request without an answer is repeated [ns]."""
 REQUEST_TRIES = 10
 """Number of unanswered requests for one setting after which the drive is in fault."""
-RECHECK_NS = 500_000_000
+RECHECK_PERIOD_NS = 500_000_000
 """Time between two read-back requests to an enabled drive [ns].
 
 With a shorter time, a hand of 11 MIT motors at 200 Hz would overload a classical bus.
 """
-RECHECKS_PER_SECOND = 1e9 / RECHECK_NS
+RECHECKS_PER_SECOND = 1e9 / RECHECK_PERIOD_NS
 """Rate of read-back requests to an enabled drive [1/s]."""
-STAGGER_NS = 37_000_000
+RECHECK_STAGGER_NS = 37_000_000
 """Time from the request to one drive to the request to the drive with the next node number [ns].
 
-This offset and ``RECHECK_NS``, in milliseconds, have no common factor.
+This offset and ``RECHECK_PERIOD_NS``, in milliseconds, have no common factor.
 """
 RECHECK_TRIES = 20
 """Number of consecutive requests without an answer after which a setting of an enabled drive counts as lost.
@@ -37,7 +37,7 @@ once in 10^9 periods.
 """
 
 
-class Cursor(NamedTuple):
+class ReadbackCursor(NamedTuple):
     """Position in the read-back of a drive's settings.
 
     Attributes:
@@ -60,26 +60,28 @@ class Cursor(NamedTuple):
         """Return True if a request has been sent and has no answer yet."""
         return self.sent_ns >= 0
 
-    def next_setting(self) -> "Cursor":
+    def next_setting(self) -> "ReadbackCursor":
         """Return the cursor at the next setting, for use when the present one has been verified."""
-        return Cursor(self.step + 1)
+        return ReadbackCursor(self.step + 1)
 
-    def after_write(self) -> "Cursor":
+    def after_write(self) -> "ReadbackCursor":
         """Return the cursor after a write request. The next request then reads the setting back."""
-        return Cursor(self.step, written=self.written + 1)
+        return ReadbackCursor(self.step, written=self.written + 1)
 
 
-def is_request_due(cursor: Cursor, t_ns: int) -> bool:
+def is_request_due(cursor: ReadbackCursor, t_ns: int) -> bool:
     """Return True if no request waits for an answer, or if the open request has timed out."""
     return not cursor.waiting or t_ns - cursor.sent_ns >= REQUEST_TIMEOUT_NS
 
 
-def cursor_after_request(cursor: Cursor, t_ns: int) -> Cursor:
+def cursor_after_request(cursor: ReadbackCursor, t_ns: int) -> ReadbackCursor:
     """Return the cursor after a request was sent at ``t_ns`` [ns]."""
     return cursor._replace(sent_ns=t_ns, tries=cursor.tries + 1)
 
 
-def request_setting(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[Cursor, bool, str]:
+def request_setting(
+    cursor: ReadbackCursor, name: str, t_ns: int, tries: int = REQUEST_TRIES
+) -> tuple[ReadbackCursor, bool, str]:
     """Decide if a read or write request for the present setting is to be sent now.
 
     Args:
@@ -99,7 +101,9 @@ def request_setting(cursor: Cursor, name: str, t_ns: int, tries: int = REQUEST_T
     return cursor_after_request(cursor, t_ns), True, ""
 
 
-def on_wrong_value(cursor: Cursor, name: str, read: str, expected: str, writes: int) -> tuple[Cursor, str]:
+def on_wrong_value(
+    cursor: ReadbackCursor, name: str, read: str, expected: str, writes: int
+) -> tuple[ReadbackCursor, str]:
     """Request that a setting with a wrong value is written, at most ``writes`` times.
 
     Args:
@@ -113,12 +117,12 @@ def on_wrong_value(cursor: Cursor, name: str, read: str, expected: str, writes: 
         the new cursor, and the problem in words, empty without a problem.
     """
     if cursor.written < writes:
-        return Cursor(cursor.step, writing=True, written=cursor.written), ""
+        return ReadbackCursor(cursor.step, writing=True, written=cursor.written), ""
     after = " after writing" if cursor.written else ""
     return cursor, f"{name} reads {read}{after}, expected {expected}"
 
 
-class Recheck(NamedTuple):
+class RecheckCursor(NamedTuple):
     """Position in the read-back that is repeated while a drive is enabled.
 
     Attributes:
@@ -134,12 +138,12 @@ class Recheck(NamedTuple):
     tries: int = 0
 
 
-def first_recheck(node_id: int, t_ns: int) -> Recheck:
+def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
     """Return the position at which the repeated read-back starts, for a drive that is enabled at ``t_ns`` [ns]."""
-    return Recheck(due_ns=_next_slot_ns(node_id, t_ns))
+    return RecheckCursor(due_ns=_next_slot_ns(node_id, t_ns))
 
 
-def next_recheck(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Recheck, str]:
+def next_recheck(check: RecheckCursor, name: str, node_id: int, t_ns: int) -> tuple[RecheckCursor, str]:
     """Return the position after a read-back request to an enabled drive, and the problem in words.
 
     The problem is empty if all is right.
@@ -155,8 +159,8 @@ def next_recheck(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Re
 
 
 def on_recheck_reply(
-    check: Recheck, count: int, same: bool, name: str, answer: str, expected: str
-) -> tuple[Recheck, str]:
+    check: RecheckCursor, count: int, same: bool, name: str, answer: str, expected: str
+) -> tuple[RecheckCursor, str]:
     """Compare a setting, read again from an enabled drive, with the required value.
 
     If the value is wrong, the drive may have lost all its settings.
@@ -173,11 +177,11 @@ def on_recheck_reply(
         the new position, and the problem in words, empty without a problem.
     """
     if same:
-        return Recheck((check.step + 1) % count, check.due_ns), ""
-    return Recheck(), f"{name} {answer} while enabled, expected {expected}: settings are lost"
+        return RecheckCursor((check.step + 1) % count, check.due_ns), ""
+    return RecheckCursor(), f"{name} {answer} while enabled, expected {expected}: settings are lost"
 
 
 def _next_slot_ns(node_id: int, t_ns: int) -> int:
     """Return the time of the next read-back request to a drive, in the time slot of this drive [ns]."""
-    offset = node_id * STAGGER_NS % RECHECK_NS
-    return ((t_ns - offset) // RECHECK_NS + 1) * RECHECK_NS + offset
+    offset = node_id * RECHECK_STAGGER_NS % RECHECK_PERIOD_NS
+    return ((t_ns - offset) // RECHECK_PERIOD_NS + 1) * RECHECK_PERIOD_NS + offset

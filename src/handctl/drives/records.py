@@ -17,24 +17,24 @@ from numpy.typing import NDArray
 
 from handctl.drives.frame import Frame
 
-RECORD = np.dtype(
+FRAME_RECORD_DTYPE = np.dtype(
     [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (64,))]
 )
 """Type of the record of a frame: reception time [ns], identifier with flag bits, flags, bus, length, payload."""
-SIZE = RECORD.itemsize
+FRAME_RECORD_BYTES = FRAME_RECORD_DTYPE.itemsize
 """Size of a record [bytes]."""
 SHORT_RECORD_BYTES = 24
 """Length of a record up to the eighth byte of the payload [bytes]."""
-Records = NDArray[np.void]
-Rows = NDArray[np.uint64]
-WORDS = SIZE // 8
+RecordArray = NDArray[np.void]
+WordRows = NDArray[np.uint64]
+WORDS_PER_RECORD = FRAME_RECORD_BYTES // 8
 """Size of a record in words of eight bytes."""
-# Indices of the words of a record. T_NS is the time. HEAD contains identifier, flags, bus and
-# length, from the lowest bit on. PAYLOAD is the first word of the payload.
-T_NS = 0
-HEAD = 1
-PAYLOAD = 2
-# Lowest bits of the fields flags, bus and length in the word HEAD.
+# Indices of the words of a record. TIME_WORD is the time. HEAD_WORD contains identifier, flags, bus and
+# length, from the lowest bit on. PAYLOAD_WORD is the first word of the payload.
+TIME_WORD = 0
+HEAD_WORD = 1
+PAYLOAD_WORD = 2
+# Lowest bits of the fields flags, bus and length in the word HEAD_WORD.
 FLAGS_BIT = 32
 BUS_BIT = 48
 LENGTH_BIT = 56
@@ -44,24 +44,24 @@ class Frames(Sequence[Frame]):
     """Sequence of frames stored as records. It compares equal to any sequence with equal frames.
 
     Attributes:
-        records: (n,) frames of type ``RECORD``.
+        records: (n,) frames of type ``FRAME_RECORD_DTYPE``.
     """
 
     __slots__ = ("records",)
 
-    def __init__(self, records: Records) -> None:
+    def __init__(self, records: RecordArray) -> None:
         """Use the records without a copy."""
         self.records = records
 
     @staticmethod
-    def of_rows(rows: Rows) -> "Frames":
-        """Return the frames stored in contiguous words (n, WORDS)."""
-        return Frames(rows.reshape(-1).view(RECORD))
+    def of_rows(rows: WordRows) -> "Frames":
+        """Return the frames stored in contiguous words (n, WORDS_PER_RECORD)."""
+        return Frames(rows.reshape(-1).view(FRAME_RECORD_DTYPE))
 
     @property
-    def rows(self) -> Rows:
-        """Return the records as words of eight bytes (n, WORDS), for compiled code."""
-        return self.records.view(np.uint64).reshape(-1, WORDS)
+    def rows(self) -> WordRows:
+        """Return the records as words of eight bytes (n, WORDS_PER_RECORD), for compiled code."""
+        return self.records.view(np.uint64).reshape(-1, WORDS_PER_RECORD)
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -100,7 +100,7 @@ class Frames(Sequence[Frame]):
         return f"Frames({list(self)!r})"
 
 
-NO_FRAMES = Frames(np.empty(0, RECORD))
+NO_FRAMES = Frames(np.empty(0, FRAME_RECORD_DTYPE))
 """Sequence without frames."""
 
 
@@ -115,7 +115,7 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
     listed = list(frames)
     if not listed:
         return NO_FRAMES
-    records = np.zeros(len(listed), RECORD)
+    records = np.zeros(len(listed), FRAME_RECORD_DTYPE)
     data = records["data"]
     for i, (can_id, payload, flags, bus, t_ns) in enumerate(listed):
         if len(payload) > 64:

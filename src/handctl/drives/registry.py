@@ -1,6 +1,6 @@
 """Registry of the drive protocols.
 
-It adds the code to each protocol in ``motor_description.PROTOCOLS``.
+It adds the code to each protocol in ``motor_description.PROTOCOL_ENTRIES``.
 """
 
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from handctl.drives.cia402 import discovery as cia402_discovery
 from handctl.drives.cia402 import modes as cia402_modes
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
-from handctl.drives.discovery import Discovery
+from handctl.drives.discovery import ProtocolDiscovery
 from handctl.drives.mit import discovery as mit_discovery
 from handctl.drives.mit import modes as mit_modes
 from handctl.drives.mit.cubemars import CubemarsDrive
@@ -41,11 +41,11 @@ class ProtocolEntry(NamedTuple):
     """
 
     make: Callable[[MotorDescription, int], Drive]
-    discovery: Discovery | None
+    discovery: ProtocolDiscovery | None
     make_mode: Callable[[MotorDescription, int, DriveMode, MotionLimits], Drive] | None = None
 
 
-PROTOCOLS: dict[str, ProtocolEntry] = {
+PROTOCOL_ENTRIES: dict[str, ProtocolEntry] = {
     "odrive": ProtocolEntry(OdriveDrive.of, odrive_discovery.DISCOVERY, odrive_modes.make_mode_drive),
     "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY, mit_modes.make_mode_drive),
     "cia402": ProtocolEntry(Cia402Drive.of, cia402_discovery.DISCOVERY, cia402_modes.make_mode_drive),
@@ -55,12 +55,12 @@ PROTOCOLS: dict[str, ProtocolEntry] = {
     "robstride_mit": ProtocolEntry(RobstrideMitDrive.of, None),
 }
 """Code of each protocol, by the name of the protocol in the hand file."""
-DISCOVERIES: dict[str, Discovery] = {
-    **{name: entry.discovery for name, entry in PROTOCOLS.items() if entry.discovery},
+DISCOVERY_BY_PROTOCOL: dict[str, ProtocolDiscovery] = {
+    **{name: entry.discovery for name, entry in PROTOCOL_ENTRIES.items() if entry.discovery},
     "sensor": sensor_discovery.DISCOVERY,
 }
 """Discovery functions of each protocol and of the sensor node, by name."""
-PROTOCOLS_WITHOUT_DISCOVERY = tuple(name for name, entry in PROTOCOLS.items() if not entry.discovery)
+PROTOCOLS_WITHOUT_DISCOVERY = tuple(name for name, entry in PROTOCOL_ENTRIES.items() if not entry.discovery)
 """Protocols whose drives a scan cannot find, because they answer only commands."""
 
 
@@ -74,10 +74,10 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
     Raises:
         ConfigError: the protocol or an option of the motor is unknown.
     """
-    if motor.protocol not in PROTOCOLS:
+    if motor.protocol not in PROTOCOL_ENTRIES:
         where = f"motor[{motor.name}].protocol"
-        raise ConfigError(repr(motor.protocol), where, "one of " + ", ".join(sorted(PROTOCOLS)))
-    return PROTOCOLS[motor.protocol].make(motor, bus)
+        raise ConfigError(repr(motor.protocol), where, "one of " + ", ".join(sorted(PROTOCOL_ENTRIES)))
+    return PROTOCOL_ENTRIES[motor.protocol].make(motor, bus)
 
 
 def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> Drive:
@@ -96,8 +96,8 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
     if mode == DriveMode.TORQUE:
         return make_drive(motor, bus)
     check_limits(limits)
-    make = PROTOCOLS[motor.protocol].make_mode if motor.protocol in PROTOCOLS else None
+    make = PROTOCOL_ENTRIES[motor.protocol].make_mode if motor.protocol in PROTOCOL_ENTRIES else None
     if make is None:
-        able = ", ".join(sorted(name for name, entry in PROTOCOLS.items() if entry.make_mode))
+        able = ", ".join(sorted(name for name, entry in PROTOCOL_ENTRIES.items() if entry.make_mode))
         raise ConfigError(f"mode {mode.value} of {motor.protocol}", "mode", f"torque, or one of {able}")
     return make(motor, bus, mode, limits)

@@ -20,12 +20,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner, kernel
+from handctl.compiled import kernel, kernel_helper
 
-Words = NDArray[np.uint64]
+WordArray = NDArray[np.uint64]
 """Payloads as words of eight bytes. The first byte of a payload has the lowest bits."""
-Real = NDArray[np.float64]
-Whole = NDArray[np.int64]
+RealArray = NDArray[np.float64]
+IntegerArray = NDArray[np.int64]
 
 
 class Quantity(enum.IntEnum):
@@ -54,8 +54,8 @@ class Quantity(enum.IntEnum):
     """Largest absolute torque of the drive."""
 
 
-class Coding(enum.IntEnum):
-    """Coding of the bits of a signal."""
+class SignalCoding(enum.IntEnum):
+    """SignalCoding of the bits of a signal."""
 
     UNSIGNED = 0
     SIGNED = 1
@@ -93,7 +93,7 @@ class Signal(NamedTuple):
     start: int
     length: int
     big_endian: bool = False
-    coding: Coding = Coding.UNSIGNED
+    coding: SignalCoding = SignalCoding.UNSIGNED
     scale: float = 1.0
     offset: float = 0.0
     unit: str = ""
@@ -108,7 +108,7 @@ class Signal(NamedTuple):
         """
         low = 0.0
         high = (1 << self.length) - 1.0
-        if self.coding == Coding.FLOAT:
+        if self.coding == SignalCoding.FLOAT:
             high = self.largest
             low = 0.0 if self.quantity in (Quantity.STIFFNESS, Quantity.DAMPING, Quantity.LIMIT) else -high
         values = (self.offset + low * self.scale, self.offset + high * self.scale)
@@ -117,7 +117,7 @@ class Signal(NamedTuple):
     @property
     def step(self) -> float:
         """Return the resolution of the value [unit]: a count, or of a float 1 / ``FLOAT_STEPS`` of a count."""
-        return abs(self.scale) / (FLOAT_STEPS if self.coding == Coding.FLOAT else 1)
+        return abs(self.scale) / (FLOAT_STEPS if self.coding == SignalCoding.FLOAT else 1)
 
 
 class Message(NamedTuple):
@@ -148,7 +148,7 @@ class Message(NamedTuple):
     nearest: bool = False
 
 
-class Cyclic(NamedTuple):
+class CyclicMessages(NamedTuple):
     """Frames exchanged with one drive in every tick while the drive is enabled.
 
     Attributes:
@@ -173,36 +173,36 @@ class Cyclic(NamedTuple):
 POSITION_COMMAND = (
     Quantity.POSITION, Quantity.VELOCITY, Quantity.STIFFNESS, Quantity.DAMPING, Quantity.TORQUE, Quantity.LIMIT
 )  # fmt: skip
-"""Signals of ``Cyclic.position``, in order. The last one is optional.
+"""Signals of ``CyclicMessages.position``, in order. The last one is optional.
 
 The drive makes the torque kp (position - p) + kd (velocity - v) + torque, within +-limit.
 """
 
 
-START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL, WINDOW = range(7)
+START_COLUMN, LENGTH_COLUMN, ORDER_COLUMN, CODING_COLUMN, QUANTITY_COLUMN, CHANNEL_COLUMN, WINDOW_COLUMN = range(7)
 """Columns of the integer array in which the packer and the unpacker look up the signals.
 
-START is the number of the lowest bit of the signal in the window. WINDOW is the first byte of the
-window in the payload, or IN_IDENTIFIER.
+START_COLUMN is the number of the lowest bit of the signal in the window. WINDOW_COLUMN is the first byte of the
+window in the payload, or IDENTIFIER_WINDOW.
 """
-IN_IDENTIFIER = -8
-"""Value in the column WINDOW for a signal in the identifier."""
+IDENTIFIER_WINDOW = -8
+"""Value in the column WINDOW_COLUMN for a signal in the identifier."""
 IDENTIFIER_BIT = -64
 """Number of the lowest bit of the identifier, where ``Signal.start`` counts bits."""
-COLUMNS = 7
+INTEGER_COLUMN_COUNT = 7
 """Number of columns of this integer array."""
-UNSIGNED, SIGNED, FLOAT = map(int, Coding)
-"""Values of ``Coding`` as integers of the module, for compiled code."""
-SCALE, OFFSET = range(2)
+UNSIGNED, SIGNED, FLOAT = map(int, SignalCoding)
+"""Values of ``SignalCoding`` as integers of the module, for compiled code."""
+SCALE_COLUMN, OFFSET_COLUMN = range(2)
 """Columns of the float array, which has the scale and the offset of each signal."""
 
 
 def integer_columns(signal: Signal) -> tuple[int, ...]:
-    """Return the values of the integer columns for a signal, see ``START``."""
+    """Return the values of the integer columns for a signal, see ``START_COLUMN``."""
     order, coding, quantity = int(signal.big_endian), int(signal.coding), int(signal.quantity)
     if signal.start < 0:
         start = signal.start - IDENTIFIER_BIT
-        return start, signal.length, order, coding, quantity, signal.channel, IN_IDENTIFIER
+        return start, signal.length, order, coding, quantity, signal.channel, IDENTIFIER_WINDOW
     first = signal.start // 8
     # Number of bits of the first byte that come before the signal, in the order of its bits.
     before = 7 - signal.start % 8 if signal.big_endian else signal.start % 8
@@ -214,7 +214,7 @@ def integer_columns(signal: Signal) -> tuple[int, ...]:
     return start, signal.length, order, coding, quantity, signal.channel, window
 
 
-@inner
+@kernel_helper
 def window_at(words: Any, first: int, byte: int) -> Any:
     """Return eight bytes of a payload as uint64, from ``byte`` on. Bytes after the last word are 0.
 
@@ -233,7 +233,7 @@ def window_at(words: Any, first: int, byte: int) -> Any:
     return value
 
 
-@inner
+@kernel_helper
 def write_window(words: Any, first: int, byte: int, bits: Any) -> None:
     """Write the bits of a signal (uint64) into a payload. The payload must have zeros at their positions.
 
@@ -250,7 +250,7 @@ def write_window(words: Any, first: int, byte: int, bits: Any) -> None:
         words[at + 1] |= bits >> (np.uint64(64) - shift)
 
 
-@inner
+@kernel_helper
 def bytes_reversed(value: Any) -> Any:
     """Return a word of eight bytes (uint64) with its bytes in reverse order."""
     result = np.uint64(0)
@@ -260,83 +260,83 @@ def bytes_reversed(value: Any) -> Any:
     return result
 
 
-@inner
-def decode_signal(value: Any, wholes: Whole, reals: Real, i: int) -> float:
+@kernel_helper
+def decode_signal(value: Any, wholes: IntegerArray, reals: RealArray, i: int) -> float:
     """Return the value of signal i from a window, or NaN for a float that is not finite."""
-    length = wholes[i, LENGTH]
+    length = wholes[i, LENGTH_COLUMN]
     mask = (np.uint64(1) << np.uint64(length)) - np.uint64(1)
-    bits = (value >> np.uint64(wholes[i, START])) & mask
-    coding = wholes[i, CODING]
+    bits = (value >> np.uint64(wholes[i, START_COLUMN])) & mask
+    coding = wholes[i, CODING_COLUMN]
     if coding == FLOAT:
         number = np.float64(np.uint32(bits).view(np.float32))
-        return number * reals[i, SCALE] + reals[i, OFFSET] if math.isfinite(number) else math.nan
+        return number * reals[i, SCALE_COLUMN] + reals[i, OFFSET_COLUMN] if math.isfinite(number) else math.nan
     count = np.int64(bits)
     # The top bit is the sign, and is extended to all higher bits.
     if coding == SIGNED and count >> (length - 1):
         count -= np.int64(1) << length
-    result: float = count * reals[i, SCALE] + reals[i, OFFSET]
+    result: float = count * reals[i, SCALE_COLUMN] + reals[i, OFFSET_COLUMN]
     return result
 
 
-@inner
-def encode_signal(value: float, wholes: Whole, reals: Real, i: int) -> Any:
+@kernel_helper
+def encode_signal(value: float, wholes: IntegerArray, reals: RealArray, i: int) -> Any:
     """Return the bits of signal i at their position in a window, for a value.
 
     The value must be finite and in the range of the signal. Half a count is rounded up.
     """
     # floor(x + 0.5) is used, because round() rounds a half to the even number. The mask removes the
     # bits above the signal that a negative number sets.
-    scaled = (value - reals[i, OFFSET]) / reals[i, SCALE]
-    mask = (np.uint64(1) << np.uint64(wholes[i, LENGTH])) - np.uint64(1)
-    if wholes[i, CODING] == FLOAT:
+    scaled = (value - reals[i, OFFSET_COLUMN]) / reals[i, SCALE_COLUMN]
+    mask = (np.uint64(1) << np.uint64(wholes[i, LENGTH_COLUMN])) - np.uint64(1)
+    if wholes[i, CODING_COLUMN] == FLOAT:
         bits = np.uint64(np.float32(scaled).view(np.uint32))
     else:
         bits = np.int64(math.floor(scaled + 0.5)).view(np.uint64)
-    return (bits & mask) << np.uint64(wholes[i, START])
+    return (bits & mask) << np.uint64(wholes[i, START_COLUMN])
 
 
 @kernel("words", "matrix_int", "matrix")
-def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
+def unpack_rows(data: WordArray, rows: IntegerArray, reals: RealArray) -> RealArray:
     """Return the value of each signal (signals,), from the words of an identifier and a payload (1, words).
 
     The arrays ``rows`` and ``reals`` have one row per signal.
     """
     result = np.empty(len(rows))
     for i in range(len(rows)):
-        value = window_at(data[0], 1, rows[i, WINDOW])
-        result[i] = decode_signal(bytes_reversed(value) if rows[i, ORDER] else value, rows, reals, i)
+        value = window_at(data[0], 1, rows[i, WINDOW_COLUMN])
+        result[i] = decode_signal(bytes_reversed(value) if rows[i, ORDER_COLUMN] else value, rows, reals, i)
     return result
 
 
 @kernel("words", "matrix_int", "matrix", "vector")
-def pack_rows(data: Words, rows: Whole, reals: Real, values: Real) -> None:
+def pack_rows(data: WordArray, rows: IntegerArray, reals: RealArray, values: RealArray) -> None:
     """Write the value of each signal (signals,) into the words of an identifier and a payload (1, words).
 
     All bits at the positions of the signals must be zero before.
     """
     for i in range(len(rows)):
         bits = encode_signal(values[i], rows, reals, i)
-        write_window(data[0], 1, rows[i, WINDOW], bytes_reversed(bits) if rows[i, ORDER] else bits)
+        write_window(data[0], 1, rows[i, WINDOW_COLUMN], bytes_reversed(bits) if rows[i, ORDER_COLUMN] else bits)
 
 
-class Table:
+class SignalTable:
     """Signals of a message as arrays, for the packer and the unpacker.
 
     Attributes:
         message: the message.
-        wholes: (signals, COLUMNS) integer columns, see ``START``.
-        reals: (signals, 2) scale and offset, see ``SCALE``.
+        wholes: (signals, INTEGER_COLUMN_COUNT) integer columns, see ``START_COLUMN``.
+        reals: (signals, 2) scale and offset, see ``SCALE_COLUMN``.
     """
 
     def __init__(self, message: Message) -> None:
         """Build the arrays of a message. Signals of quantity UNUSED are left out."""
         self.message = message
         signals = [signal for signal in message.signals if signal.quantity != Quantity.UNUSED]
-        self.wholes: Whole = np.array([integer_columns(signal) for signal in signals], dtype=np.int64).reshape(
-            -1, COLUMNS
+        self.wholes: IntegerArray = np.array([integer_columns(signal) for signal in signals], dtype=np.int64).reshape(
+            -1, INTEGER_COLUMN_COUNT
         )
         self._names = [(one.name, one.unit) for one in signals]
-        self.reals: Real = np.array([(one.scale, one.offset) for one in signals], dtype=np.float64).reshape(-1, 2)
+        self.reals: RealArray = np.array([(one.scale, one.offset) for one in signals], dtype=np.float64).reshape(-1, 2)
 
     def unpack(self, data: bytes) -> list[float]:
         """Return the value of each signal in a payload, NaN for a float that is not finite."""
@@ -365,7 +365,7 @@ class Table:
         pack_rows(data, self.wholes, self.reals, np.array(values, dtype=np.float64))
         return int(data[0, 0]), data[0, 1:].tobytes()[: self.message.length]
 
-    def _words(self, data: bytes) -> Words:
+    def _words(self, data: bytes) -> WordArray:
         """Return the identifier and a payload as words (1, words).
 
         A short payload is filled up with zeros.

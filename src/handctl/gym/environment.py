@@ -25,13 +25,13 @@ from handctl.core.gains.gains import packaged_gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut, Vector
 from handctl.errors import ConfigError
-from handctl.gym.observed import FIELD_OF_NAME, Numbers, ObservationLayout, ObservationPart, telemetry_part
+from handctl.gym.observed import FIELD_OF_NAME, Float32Array, ObservationLayout, ObservationPart, telemetry_part
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import REFUSED_PREFIX, target_text
 from handctl.programs.streams import horizon_s
-from handctl.session.plan import check_ready, highest_rate_of_buses
-from handctl.session.simulate import Simulation, Simulator, homed_controller
+from handctl.session.plan import check_hand_ready, highest_rate_of_buses
+from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 50.0
 """Rate of the actions that an environment aims at [Hz].
@@ -48,7 +48,7 @@ TargetSpace = Literal["joint", "digit"]
 """Meaning of an action: one target for each joint, or one target for all joints of each digit."""
 
 
-class HandEnv(gymnasium.Env[Numbers, Numbers]):
+class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
     """Gymnasium environment with a simulated hand.
 
     Attributes:
@@ -94,7 +94,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         if not 0.0 < speed_deg_s < math.inf:
             raise ConfigError(f"{speed_deg_s:g} deg/s", "speed_deg_s", "more than 0")
         self._path = str(hand)
-        self._controller = _controller(self._path)
+        self._controller = _controller_of_file(self._path)
         self.model = self._controller.model
         self.hand = self.model.hand
         self.names = self.hand.joints if space == "joint" else self.hand.digit_names
@@ -113,7 +113,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         tensions = len(self.hand.digit_names) if self.has_tensions else 0
         self.action_space = Box(-1.0, 1.0, (len(self.names) + tensions,), np.float32)
         self._open = ExitStack()
-        self._run: Simulation | None = None
+        self._run: SimulatedRun | None = None
         self.steps = 0
         self._number = 0
         self._streamed: tuple[str, ...] = ()
@@ -159,7 +159,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         return self.names
 
     @property
-    def run(self) -> Simulation:
+    def run(self) -> SimulatedRun:
         """Return the simulation of the present episode.
 
         Raises:
@@ -193,7 +193,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Numbers, dict[str, Any]]:
+    ) -> tuple[Float32Array, dict[str, Any]]:
         """Begin an episode, as ``gymnasium.Env`` defines.
 
         Power up a homed hand, and wait until the hand accepts targets.
@@ -205,7 +205,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         super().reset(seed=seed)
         self._open.close()
         plant_seed = int(self.np_random.integers(1 << 31))
-        simulator = Simulator(self._path, self.scene(), plant_seed, self._perturb or None, homed=True)
+        simulator = SimulatorSettings(self._path, self.scene(), plant_seed, self._perturb or None, homed=True)
         run = self._open.enter_context(simulator.against(self._controller))
         run.record = False
         self._run = run
@@ -219,7 +219,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         self.begin()
         return self._observation(), self._extra_information()
 
-    def step(self, action: Numbers) -> tuple[Numbers, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Float32Array) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
         """Send the targets of an action, and simulate until the next action is due.
 
         ``gymnasium.Env`` defines the results.
@@ -247,12 +247,12 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
         self._open.close()
         self._run = None
 
-    def angles_deg(self, action: Vector | Numbers) -> Vector:
+    def angles_deg(self, action: Vector | Float32Array) -> Vector:
         """Return the target angles of an action (V,) [deg]."""
         part = np.asarray(action[: len(self.names)], np.float64)
         return self.low_deg + 0.5 * (part + 1.0) * (self.high_deg - self.low_deg)
 
-    def action_for(self, angles_deg: Vector) -> Numbers:
+    def action_for(self, angles_deg: Vector) -> Float32Array:
         """Return the action whose targets are the given angles (V,) [deg].
 
         The action has no tensions of digits.
@@ -296,7 +296,7 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
             STREAM_NAME, number, self.run.k * self.run.period_ns, [angles[name] for name in self._streamed]
         )
 
-    def _observation(self) -> Numbers:
+    def _observation(self) -> Float32Array:
         telemetry = self.out.telemetry
         return self.layout.vector(
             lambda name: getattr(telemetry, FIELD_OF_NAME[name]) if name in FIELD_OF_NAME else self.extra_values(name)
@@ -316,13 +316,13 @@ class HandEnv(gymnasium.Env[Numbers, Numbers]):
 
 
 @lru_cache(maxsize=8)
-def _controller(path: str) -> Controller:
+def _controller_of_file(path: str) -> Controller:
     """Return the controller of a hand that is already homed.
 
     A controller never changes. Therefore several environments can share one object.
     """
     hand = load_hand(path)
-    check_ready(hand, path)
+    check_hand_ready(hand, path)
     model = HandModel.of(hand, packaged_gains(hand.name), highest_rate_of_buses(bus_loads(hand)))
     return homed_controller(model, LiveProgram())
 

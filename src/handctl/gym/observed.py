@@ -11,7 +11,7 @@ from handctl.core.types import TELEMETRY_AXES
 from handctl.hand.description import Hand
 from handctl.runtime.observations import PUBLISHED_NAMES
 
-Numbers = NDArray[np.float32]
+Float32Array = NDArray[np.float32]
 """Type of an observation, and of an action."""
 FIELD_OF_NAME = {name: field for field, name in PUBLISHED_NAMES.items()}
 """Telemetry field that belongs to each name of an observation's part."""
@@ -50,7 +50,7 @@ class ObservationLayout:
         high = np.repeat(np.array([part.high for part in parts], np.float32), sizes)
         self.space = Box(low, high, dtype=np.float32)
 
-    def vector(self, values: Callable[[str], Any]) -> Numbers:
+    def vector(self, values: Callable[[str], Any]) -> Float32Array:
         """Return the observation as a vector.
 
         Args:

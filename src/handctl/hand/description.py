@@ -24,7 +24,7 @@ from handctl.hand.file.sections import (
     Tendon,
 )
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.moment_arms import is_varying, mean_arm, polynomial_of
+from handctl.hand.moment_arms import is_arm_varying, mean_arm, polynomial_of_arm
 
 MESH_KEYS = ("link_mesh", "link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg")
 """Keys of a digit that describe the meshes of its links.
@@ -185,7 +185,9 @@ class Hand(Section):
     @cached_property
     def arm_polynomials(self) -> NDArray[np.float64]:
         """Return the moment arms as polynomials of the joint angle, (N, J, quantities.COEFFICIENTS), read-only."""
-        rows = [[polynomial_of(tendon.moment_arm_m.get(joint, 0.0)) for joint in self.joints] for tendon in self.tendon]
+        rows = [
+            [polynomial_of_arm(tendon.moment_arm_m.get(joint, 0.0)) for joint in self.joints] for tendon in self.tendon
+        ]
         polynomials = np.array(rows)
         polynomials.setflags(write=False)
         return polynomials
@@ -193,7 +195,7 @@ class Hand(Section):
     @cached_property
     def has_varying_arm(self) -> NDArray[np.bool_]:
         """Return True for each tendon with a moment arm that depends on the joint angle, (N,)."""
-        return np.array([any(map(is_varying, tendon.moment_arm_m.values())) for tendon in self.tendon])
+        return np.array([any(map(is_arm_varying, tendon.moment_arm_m.values())) for tendon in self.tendon])
 
     @cached_property
     def joint_limits(self) -> NDArray[np.float64]:
@@ -202,7 +204,7 @@ class Hand(Section):
         return np.radians([[angle for digit in self.digit for angle in getattr(digit, key)] for key in keys])
 
     @cached_property
-    def covered(self) -> NDArray[np.bool_]:
+    def tendons_with_encoders(self) -> NDArray[np.bool_]:
         """Return True for each tendon if all joints that it crosses in its own digit have encoders, (N,)."""
         measured = np.array([joint in self.sensor_node.joints for joint in self.joints])
         return np.asarray(~((self.own_arms != 0.0) & ~measured).any(axis=1))
@@ -210,7 +212,9 @@ class Hand(Section):
     @cached_property
     def digit_joints(self) -> dict[str, slice]:
         """Return the slice of ``joints`` that contains the joints of each digit."""
-        return dict(zip(self.digit_names, _slices([len(digit.joints) for digit in self.digit]), strict=True))
+        return dict(
+            zip(self.digit_names, _consecutive_slices([len(digit.joints) for digit in self.digit]), strict=True)
+        )
 
     @cached_property
     def base_joints(self) -> dict[str, int]:
@@ -224,7 +228,7 @@ class Hand(Section):
         }
 
     @cached_property
-    def carriers(self) -> frozenset[str]:
+    def carrier_digits(self) -> frozenset[str]:
         """Return the names of digits that carry other digits."""
         return frozenset(digit.mount_on for digit in self.digit if digit.mount_on is not None)
 
@@ -258,7 +262,7 @@ class Hand(Section):
         """Return the slice of ``tendon`` that contains the tendons of each digit."""
         moved = [self.digit_of_tendon(tendon) for tendon in self.tendon]
         counts = [moved.count(digit.name) for digit in self.digit]
-        return dict(zip(self.digit_names, _slices(counts), strict=True))
+        return dict(zip(self.digit_names, _consecutive_slices(counts), strict=True))
 
     @cached_property
     def motor_index(self) -> tuple[int, ...]:
@@ -306,19 +310,19 @@ class Hand(Section):
         no calibration and no gains depend on them.
         """
         content = {key: value for key, value in self.content.items() if key != "stream"}
-        content["digit"] = [_without(digit, MESH_KEYS) for digit in content["digit"]]
-        content["motor"] = [_without(motor, CONTROL_KEYS) for motor in content["motor"]]
-        content["mount"] = _without(content["mount"], PALM_MESH_KEYS)
+        content["digit"] = [_without_keys(digit, MESH_KEYS) for digit in content["digit"]]
+        content["motor"] = [_without_keys(motor, CONTROL_KEYS) for motor in content["motor"]]
+        content["mount"] = _without_keys(content["mount"], PALM_MESH_KEYS)
         # With sorted keys and fixed separators, equal content becomes an equal text.
         canonical = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def _without(table: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
+def _without_keys(table: dict[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
     """Return a table without the given keys."""
     return {key: value for key, value in table.items() if key not in keys}
 
 
-def _slices(counts: list[int]) -> list[slice]:
+def _consecutive_slices(counts: list[int]) -> list[slice]:
     """Return consecutive slices of the given lengths."""
     return [slice(end - count, end) for count, end in zip(counts, accumulate(counts), strict=True)]

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 from handctl.hand import rigid_body as body
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
-from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rotation_rpy
+from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rotation_of_rpy
 from handctl.hand.moment_arms import arms_at, excursions_at
 
 Array = NDArray[np.float64]
-Values = Sequence[float] | Array
+JointValues = Sequence[float] | Array
 """A sequence with one number per joint. Calculations are fastest with lists and tuples."""
 SIDEWAYS_ANGLE_DEG = 45.0
 """Angle between the axis of a joint and that of the last joint, above which the joint moves sideways [deg]."""
@@ -120,7 +120,7 @@ class DigitModel:
         return np.minimum(low, high).sum(axis=1), np.maximum(low, high).sum(axis=1)
 
     @property
-    def sideways(self) -> NDArray[np.bool_]:
+    def sideways_coordinates(self) -> NDArray[np.bool_]:
         """Return True for each coordinate that moves the digit sideways, such as abduction, (n_c,).
 
         A joint moves the links sideways if its axis differs much from the axis of the last joint.
@@ -132,7 +132,10 @@ class DigitModel:
         for i in range(self.joint_count):
             # At joint angle zero, the rotation of a link is the sum of two of the three matrices of
             # Rodrigues' formula.
-            step = self.table[body.FIXED : body.FIXED + 9, i] + self.table[body.COSINE : body.COSINE + 9, i]
+            step = (
+                self.table[body.FIXED_ROTATION_ROW : body.FIXED_ROTATION_ROW + 9, i]
+                + self.table[body.COSINE_ROTATION_ROW : body.COSINE_ROTATION_ROW + 9, i]
+            )
             turned = turned @ step.reshape(3, 3)
             axes.append(turned @ self.axes[i])
         away = np.abs(np.array(axes) @ axes[-1]) < math.cos(math.radians(SIDEWAYS_ANGLE_DEG))
@@ -173,7 +176,7 @@ class DigitModel:
             armature=digit.joint_armature_kg_m2,
             spring_stiffness=digit.spring_stiffness_N_m_per_rad,
             spring_preload=digit.spring_preload_rad,
-            mount_rotation=_read_only_copy(rotation_rpy(*np.radians(digit.mount_rpy_deg))),
+            mount_rotation=_read_only_copy(rotation_of_rpy(*np.radians(digit.mount_rpy_deg))),
             mount_position=_read_only_copy(digit.mount_position_m),
             gravity=_read_only_copy(base_rotation(hand, digit).T @ hand.mount.gravity_m_s2),
             table=_read_only_copy(link_table(digit)),
@@ -252,7 +255,7 @@ class DigitModel:
         """Return n, the number of joints."""
         return len(self.lengths)
 
-    def with_joint_angles(self, angles: Mapping[int, float], now: Values) -> Array:
+    def with_joint_angles(self, angles: Mapping[int, float], now: JointValues) -> Array:
         """Return the coordinates (n_c,) nearest to ``now`` that give some joints the given angles.
 
         The unit of the result is that of the arguments.
@@ -267,7 +270,7 @@ class DigitModel:
         rows = self.coupling[list(angles)]
         return np.asarray(now + np.linalg.pinv(rows) @ (np.array(list(angles.values())) - rows @ np.asarray(now)))
 
-    def with_gravity(self, gravity: Values) -> "DigitModel":
+    def with_gravity(self, gravity: JointValues) -> "DigitModel":
         """Return a copy of the digit with another gravitational acceleration, (3,) in the palm frame [m/s2]."""
         return replace(self, gravity=_read_only_copy(gravity))
 
@@ -293,26 +296,30 @@ def coordinate_range(coupling: Array, limits: Array) -> Array:
 
 def link_table(digit: Digit) -> Array:
     """Return the table of a digit's links for ``rigid_body``, (rigid_body.ROWS, n)."""
-    table = np.zeros((body.ROWS, len(digit.joints)))
+    table = np.zeros((body.TABLE_ROW_COUNT, len(digit.joints)))
     for i, axis in enumerate(joint_axes(digit)):
         position, rotation = link_placement(digit, i)
         along = np.outer(axis, axis)
         x, y, z = axis.tolist()
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         # Rodrigues' formula for a rotation by q about a: a a^T + cos q (1 - a a^T) + sin q [a]x.
-        for row, part in ((body.FIXED, along), (body.COSINE, np.eye(3) - along), (body.SINE, cross)):
+        for row, part in (
+            (body.FIXED_ROTATION_ROW, along),
+            (body.COSINE_ROTATION_ROW, np.eye(3) - along),
+            (body.SINE_ROTATION_ROW, cross),
+        ):
             table[row : row + 9, i] = (rotation @ part).ravel()
         mass = digit.link_mass_kg[i]
         com = centre_of_mass(digit, i)
         # Steiner's theorem moves the inertia from the centre of mass to the joint.
         moments = link_inertia(digit, i) + mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
-        table[body.ORIGIN : body.ORIGIN + 3, i] = position
-        table[body.AXIS : body.AXIS + 3, i] = axis
-        table[body.MASS, i] = mass
-        table[body.MOMENT : body.MOMENT + 3, i] = mass * com
-        table[body.INERTIA : body.INERTIA + 6, i] = moments[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
-        table[body.ARMATURE, i] = digit.joint_armature_kg_m2[i]
-        table[body.LENGTH, i] = digit.link_length_m[i]
+        table[body.ORIGIN_ROW : body.ORIGIN_ROW + 3, i] = position
+        table[body.AXIS_ROW : body.AXIS_ROW + 3, i] = axis
+        table[body.MASS_ROW, i] = mass
+        table[body.MOMENT_ROW : body.MOMENT_ROW + 3, i] = mass * com
+        table[body.INERTIA_ROW : body.INERTIA_ROW + 6, i] = moments[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+        table[body.ARMATURE_ROW, i] = digit.joint_armature_kg_m2[i]
+        table[body.LENGTH_ROW, i] = digit.link_length_m[i]
     return table
 
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from handctl.hand import rigid_body
-from handctl.hand.digit import Array, DigitModel, Values
+from handctl.hand.digit import Array, DigitModel, JointValues
 
 __all__ = [
     "DigitModel",
@@ -28,12 +28,12 @@ __all__ = [
     "static_torque",
 ]
 
-Torque = tuple[float, ...]
+JointTorques = tuple[float, ...]
 NO_GRAVITY = np.zeros(3)
 """Gravity of zero [m/s2]."""
 
 
-def inverse_dynamics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> Torque:
+def inverse_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> JointTorques:
     """Return the joint torque that a motion needs against inertia and weight: M q'' + C q' + g.
 
     Springs and damping are left out.
@@ -50,7 +50,7 @@ def inverse_dynamics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> T
     return _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
 
 
-def required_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> Torque:
+def required_torque(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> JointTorques:
     """Return the joint torque that the tendons must make for a motion, (n,) [N m].
 
     It is the sum of inverse dynamics, spring torque and damping torque.
@@ -67,17 +67,17 @@ def required_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> To
     )
 
 
-def bias_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
+def bias_torque(digit: DigitModel, q: JointValues, dq: JointValues) -> JointTorques:
     """Return the Coriolis and centrifugal joint torque C q', (n,) [N m]."""
     return _rigid_body_torque(digit, NO_GRAVITY, q, dq, np.zeros(digit.joint_count))
 
 
-def gravity_torque(digit: DigitModel, q: Values) -> Torque:
+def gravity_torque(digit: DigitModel, q: JointValues) -> JointTorques:
     """Return the joint torque that balances the weight of the links, (n,) [N m]."""
     return tuple(rigid_body.weight_torques(digit.table, digit.parent, digit.gravity, _as_array(q)).tolist())
 
 
-def spring_torque(digit: DigitModel, q: Values) -> Torque:
+def spring_torque(digit: DigitModel, q: JointValues) -> JointTorques:
     """Return the joint torque that balances the return springs, k (q + preload), (n,) [N m]."""
     return tuple(
         stiffness * (angle + preload)
@@ -87,27 +87,27 @@ def spring_torque(digit: DigitModel, q: Values) -> Torque:
     )
 
 
-def damping_torque(digit: DigitModel, dq: Values) -> Torque:
+def damping_torque(digit: DigitModel, dq: JointValues) -> JointTorques:
     """Return the joint torque that balances the viscous damping of the joints, (n,) [N m]."""
     return tuple(damping * rate for damping, rate in zip(digit.joint_damping, _as_plain_floats(dq), strict=True))
 
 
-def passive_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
+def passive_torque(digit: DigitModel, q: JointValues, dq: JointValues) -> JointTorques:
     """Return the joint torque that balances return springs and viscous damping, (n,) [N m]."""
     return tuple(a + b for a, b in zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True))
 
 
-def static_torque(digit: DigitModel, q: Values) -> Torque:
+def static_torque(digit: DigitModel, q: JointValues) -> JointTorques:
     """Return the joint torque that holds the digit at rest against weight and return springs, (n,) [N m]."""
     return tuple(a + b for a, b in zip(gravity_torque(digit, q), spring_torque(digit, q), strict=True))
 
 
-def mass_matrix(digit: DigitModel, q: Values) -> Array:
+def mass_matrix(digit: DigitModel, q: JointValues) -> Array:
     """Return the mass matrix M for joint angles, with the armature of the joints, (n, n) [kg m2]."""
     return rigid_body.inertia_matrix(digit.table, digit.parent, _as_array(q))
 
 
-def forward_dynamics(digit: DigitModel, q: Values, dq: Values, tau: Values) -> Array:
+def forward_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, tau: JointValues) -> Array:
     """Return the joint accelerations that a joint torque causes against inertia and weight, (n,) [rad/s2].
 
     Args:
@@ -120,7 +120,7 @@ def forward_dynamics(digit: DigitModel, q: Values, dq: Values, tau: Values) -> A
     return np.asarray(np.linalg.solve(mass_matrix(digit, q), np.subtract(tau, standing)))
 
 
-def reduced_dynamics(digit: DigitModel, theta: Values, dtheta: Values) -> tuple[Array, Array]:
+def reduced_dynamics(digit: DigitModel, theta: JointValues, dtheta: JointValues) -> tuple[Array, Array]:
     """Return mass matrix and bias of the equations of motion in reduced coordinates.
 
     M_r = B^T M B and h_r = B^T (C q' + g + springs + damping). The torque in reduced coordinates is
@@ -141,29 +141,31 @@ def reduced_dynamics(digit: DigitModel, theta: Values, dtheta: Values) -> tuple[
     return coupling.T @ mass_matrix(digit, q) @ coupling, np.array(standing) @ coupling
 
 
-def kinetic_energy(digit: DigitModel, q: Values, dq: Values) -> float:
+def kinetic_energy(digit: DigitModel, q: JointValues, dq: JointValues) -> float:
     """Return the kinetic energy of links and armature [J]."""
     rate = np.asarray(dq)
     return float(0.5 * rate @ mass_matrix(digit, q) @ rate)
 
 
-def potential_energy(digit: DigitModel, q: Values) -> float:
+def potential_energy(digit: DigitModel, q: JointValues) -> float:
     """Return the potential energy of the links' weight [J].
 
     The energy is zero if all mass is at the mount of the digit.
     """
     first = rigid_body.link_poses(digit.table, digit.parent, _as_array(q))[0]
-    moment = first[rigid_body.CARRIED_MOMENT : rigid_body.CARRIED_MOMENT + 3]
-    return -float(digit.gravity @ (moment - first[rigid_body.CARRIED_MASS] * digit.mount_position))
+    moment = first[rigid_body.CARRIED_MOMENT_COLUMN : rigid_body.CARRIED_MOMENT_COLUMN + 3]
+    return -float(digit.gravity @ (moment - first[rigid_body.CARRIED_MASS_COLUMN] * digit.mount_position))
 
 
-def spring_energy(digit: DigitModel, q: Values) -> float:
+def spring_energy(digit: DigitModel, q: JointValues) -> float:
     """Return the energy stored in the return springs [J]."""
     stretched = np.asarray(q) + digit.spring_preload
     return float(0.5 * np.asarray(digit.spring_stiffness) @ stretched**2)
 
 
-def _rigid_body_torque(digit: DigitModel, gravity: Array, q: Values, dq: Values, ddq: Values) -> Torque:
+def _rigid_body_torque(
+    digit: DigitModel, gravity: Array, q: JointValues, dq: JointValues, ddq: JointValues
+) -> JointTorques:
     """Return the joint torque of inertia and weight under the given gravity, (n,) [N m]."""
     torque = rigid_body.rigid_body_torques(
         digit.table, digit.parent, gravity, _as_array(q), _as_array(dq), _as_array(ddq)
@@ -171,12 +173,12 @@ def _rigid_body_torque(digit: DigitModel, gravity: Array, q: Values, dq: Values,
     return tuple(torque.tolist())
 
 
-def _as_array(values: Values) -> Array:
+def _as_array(values: JointValues) -> Array:
     """Return the values as a numpy array, as compiled code needs."""
     return np.asarray(values, dtype=np.float64)
 
 
-def _as_plain_floats(values: Values) -> Sequence[float]:
+def _as_plain_floats(values: JointValues) -> Sequence[float]:
     """Return the values as Python floats.
 
     Python calculates several times faster with them than with numpy's scalars.

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.hand import rigid_body as body
-from handctl.hand.digit import Array, DigitModel, Values, coordinate_range
+from handctl.hand.digit import Array, DigitModel, JointValues, coordinate_range
 from handctl.hand.kinematics import joint_points, tip_jacobian
 
 SCAN_POINTS = 64
@@ -74,7 +74,7 @@ def inverse_kinematics(
     return tuple((q1, q2, _wrapped_angle(angle - q1 - q2)) for q1, q2 in wrist)
 
 
-def inverse_kinematics_coupled(digit: DigitModel, position: Values) -> tuple[float, float]:
+def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tuple[float, float]:
     """Return the coordinate theta of a coupled digit, q = B theta, at which the tip is closest to a point.
 
     The tip moves on a curve. A scan finds all intervals that contain a minimum of the distance. The
@@ -124,7 +124,10 @@ def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
 
 def _is_planar(digit: DigitModel) -> bool:
     """Return True if all hinges are parallel to the z axis of the digit's frame."""
-    at_zero = digit.table[body.FIXED : body.COSINE] + digit.table[body.COSINE : body.SINE]
+    at_zero = (
+        digit.table[body.FIXED_ROTATION_ROW : body.COSINE_ROTATION_ROW]
+        + digit.table[body.COSINE_ROTATION_ROW : body.SINE_ROTATION_ROW]
+    )
     straight = np.array([digit.mount_rotation, *[np.eye(3)] * (digit.joint_count - 1)]).reshape(-1, 9).T
     return bool(np.all(digit.axes == (0.0, 0.0, 1.0)) and np.allclose(at_zero, straight, rtol=0.0, atol=1e-12))
 
@@ -157,7 +160,7 @@ def _wrapped_angle(angle: float) -> float:
     return math.remainder(angle, 2.0 * math.pi)
 
 
-def closest_tip(digit: DigitModel, position: Values, start: Values | None = None) -> ClosestTip:
+def closest_tip(digit: DigitModel, position: JointValues, start: JointValues | None = None) -> ClosestTip:
     """Return the coordinates within the joint limits that bring the tip of a digit closest to a point.
 
     The search makes Levenberg-Marquardt steps of the coordinates that are not at a limit (projected

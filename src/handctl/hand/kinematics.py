@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.hand import rigid_body
-from handctl.hand.digit import Array, DigitModel, Values
+from handctl.hand.digit import Array, DigitModel, JointValues
 
 
 class TipPose(NamedTuple):
@@ -19,34 +19,34 @@ class TipPose(NamedTuple):
     rotation: Array
 
 
-def link_poses(digit: DigitModel, q: Values) -> Array:
+def link_poses(digit: DigitModel, q: JointValues) -> Array:
     """Return the poses of all links of a digit, (n, rigid_body.POSE), at joint angles q (n,) [rad]."""
     return rigid_body.link_poses(digit.table, digit.parent, np.asarray(q, dtype=np.float64))
 
 
 def link_rotations(poses: Array) -> Array:
     """Return the rotations from the frames of the links to the palm frame, (n, 3, 3)."""
-    return poses[:, rigid_body.ROTATION : rigid_body.ROTATION + 9].reshape(-1, 3, 3)
+    return poses[:, rigid_body.ROTATION_COLUMN : rigid_body.ROTATION_COLUMN + 9].reshape(-1, 3, 3)
 
 
 def joint_positions(poses: Array) -> Array:
     """Return the positions of the links' joints in the palm frame, (n, 3) [m]."""
-    return poses[:, rigid_body.POSITION : rigid_body.POSITION + 3]
+    return poses[:, rigid_body.POSITION_COLUMN : rigid_body.POSITION_COLUMN + 3]
 
 
-def joint_points(digit: DigitModel, q: Values) -> Array:
+def joint_points(digit: DigitModel, q: JointValues) -> Array:
     """Return the positions of the joints from the palm outwards and of the tip, in the palm frame, (n + 1, 3) [m]."""
     poses = link_poses(digit, q)
     tip = joint_positions(poses)[-1] + digit.lengths[-1] * link_rotations(poses)[-1, :, 0]
     return np.vstack((joint_positions(poses), tip))
 
 
-def forward_kinematics(digit: DigitModel, q: Values) -> TipPose:
+def forward_kinematics(digit: DigitModel, q: JointValues) -> TipPose:
     """Return the pose of the tip of a digit at joint angles q (n,) [rad]."""
     return TipPose(joint_points(digit, q)[-1], link_rotations(link_poses(digit, q))[-1])
 
 
-def point_jacobian(digit: DigitModel, q: Values, link: int, along: float) -> Array:
+def point_jacobian(digit: DigitModel, q: JointValues, link: int, along: float) -> Array:
     """Return the Jacobian of a point of a link: velocity of the point per joint velocity, (3, n) [m].
 
     Args:
@@ -57,23 +57,23 @@ def point_jacobian(digit: DigitModel, q: Values, link: int, along: float) -> Arr
     """
     poses = link_poses(digit, q)
     point = joint_positions(poses)[link] + along * link_rotations(poses)[link, :, 0]
-    axes = poses[:, rigid_body.DIRECTION : rigid_body.DIRECTION + 3]
+    axes = poses[:, rigid_body.DIRECTION_COLUMN : rigid_body.DIRECTION_COLUMN + 3]
     jacobian = np.cross(axes, point - joint_positions(poses)).T
     # Joints farther out than the link do not move the point.
     jacobian[:, link + 1 :] = 0.0
     return np.asarray(jacobian)
 
 
-def tip_jacobian(digit: DigitModel, q: Values) -> Array:
+def tip_jacobian(digit: DigitModel, q: JointValues) -> Array:
     """Return the Jacobian of the tip of a digit: velocity of the tip per joint velocity, (3, n) [m]."""
     return point_jacobian(digit, q, digit.joint_count - 1, digit.lengths[-1])
 
 
-def to_palm(digit: DigitModel, positions: Array) -> Array:
+def to_palm_frame(digit: DigitModel, positions: Array) -> Array:
     """Transform points (.., 3) [m] from the digit's frame to the palm frame."""
     return positions @ digit.mount_rotation.T + digit.mount_position
 
 
-def from_palm(digit: DigitModel, position: Values) -> Array:
+def from_palm_frame(digit: DigitModel, position: JointValues) -> Array:
     """Transform points (.., 3) [m] from the palm frame to the digit's frame."""
     return np.asarray((np.asarray(position) - digit.mount_position) @ digit.mount_rotation)

@@ -27,7 +27,7 @@ def joint_rotations(digit: Digit) -> Array:
     The frame before the first link is that of the mount.
     """
     turns = digit.joint_rpy_deg or [(0.0, 0.0, 0.0)] * len(digit.link_length_m)
-    return np.array([rotation_rpy(*np.radians(turn)) for turn in turns])
+    return np.array([rotation_of_rpy(*np.radians(turn)) for turn in turns])
 
 
 def centre_of_mass(digit: Digit, i: int) -> Array:
@@ -56,12 +56,12 @@ def link_placement(digit: Digit, i: int) -> tuple[Array, Array]:
     rotation = joint_rotations(digit)[i]
     if i > 0:
         return np.array([digit.link_length_m[i - 1], 0.0, 0.0]), rotation
-    mount = rotation_rpy(*np.radians(digit.mount_rpy_deg))
+    mount = rotation_of_rpy(*np.radians(digit.mount_rpy_deg))
     return np.array(digit.mount_position_m), np.asarray(mount @ rotation)
 
 
-def rpy_of(rotation: Array) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw [rad] of a rotation (3, 3), the inverse of ``rotation_rpy``.
+def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw [rad] of a rotation (3, 3), the inverse of ``rotation_of_rpy``.
 
     At a pitch of 90 degrees only the sum or difference of roll and yaw is defined. The yaw is then
     set to 0.
@@ -73,7 +73,7 @@ def rpy_of(rotation: Array) -> tuple[float, float, float]:
     return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
 
 
-def rotation_rpy(roll: float, pitch: float, yaw: float) -> Array:
+def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Array:
     """Return the rotation (3, 3) of a turn about the fixed axes x, y, z, one after the other [rad].
 
     The result is Rz(yaw) Ry(pitch) Rx(roll), as in URDF.

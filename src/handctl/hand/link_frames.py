@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.hand.digit import Array, DigitModel, Values
+from handctl.hand.digit import Array, DigitModel, JointValues
 from handctl.hand.kinematics import joint_points, link_poses, link_rotations
 
 
@@ -17,7 +17,7 @@ class Transform(NamedTuple):
     quaternion_xyzw: tuple[float, float, float, float]
 
 
-def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
+def link_transforms(digit: DigitModel, q: JointValues) -> tuple[Transform, ...]:
     """Return the frames of all links and of the tip of a digit, in the palm frame.
 
     The frames ``<digit>_link1``, ``<digit>_link2`` and so on have their origins in the joints of
@@ -26,14 +26,14 @@ def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
     poses = link_poses(digit, q)
     # The frame of the tip has the orientation of the last link.
     names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
-    turned = [quaternion(rotation) for rotation in link_rotations(poses)]
+    turned = [quaternion_of_rotation(rotation) for rotation in link_rotations(poses)]
     return tuple(
         Transform(name, (position[0], position[1], position[2]), turn)
         for name, position, turn in zip(names, joint_points(digit, q).tolist(), [*turned, turned[-1]], strict=True)
     )
 
 
-def quaternion(rotation: Array) -> tuple[float, float, float, float]:
+def quaternion_of_rotation(rotation: Array) -> tuple[float, float, float, float]:
     """Return the unit quaternion (x, y, z, w) of a rotation matrix (3, 3).
 
     The largest component is calculated first. Thus no number is divided by a small one.

@@ -14,12 +14,18 @@ from pydantic import ValidationError
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.checks import check_hand, check_sections
-from handctl.hand.file.error_text import Mistake, group_mistakes, toml_spelling, validation_mistakes, with_paths_of_file
+from handctl.hand.file.error_text import (
+    FileMistake,
+    group_mistakes,
+    toml_spelling,
+    validation_mistakes,
+    with_paths_of_file,
+)
 from handctl.hand.file.sections import Digit, Section, Tendon
 from handctl.hand.file.templates import (
     RESOLVED_SCHEMA,
     WRITTEN_SCHEMA,
-    Origins,
+    KeyPathOrigins,
     join_mistakes_of_default,
     resolve_templates,
 )
@@ -29,7 +35,7 @@ READABLE_SCHEMAS = (RESOLVED_SCHEMA, WRITTEN_SCHEMA)
 """Schema numbers of the hand files that this version of handctl reads."""
 PACKAGED_HANDS_FOLDER = Path(__file__).parent / "hands"
 """Folder of the packaged hand files."""
-Validated = TypeVar("Validated", bound=Section)
+ValidatedSection = TypeVar("ValidatedSection", bound=Section)
 
 
 def packaged_hands() -> tuple[str, ...]:
@@ -149,7 +155,7 @@ def hand_content(name_or_path: str | Path) -> dict[str, Any]:
     return resolve_templates(read_toml(hand_path(name_or_path))).content
 
 
-def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mistake]]:
+def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[FileMistake]]:
     """Validate parsed content of a hand file, and find all mistakes in it.
 
     Returns:
@@ -159,11 +165,11 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[Mist
         right = (
             f"schema = {WRITTEN_SCHEMA} and the sections of a hand; handctl config init writes them from a few answers"
         )
-        return None, [Mistake("the file is empty", "schema", right)]
+        return None, [FileMistake("the file is empty", "schema", right)]
     version = content.get("schema", RESOLVED_SCHEMA)
     if isinstance(version, bool) or version not in READABLE_SCHEMAS:
         return None, [
-            Mistake(
+            FileMistake(
                 toml_spelling(version),
                 "schema",
                 f"{RESOLVED_SCHEMA} or {WRITTEN_SCHEMA}, versions that this handctl reads",
@@ -199,8 +205,8 @@ class InspectedHand(NamedTuple):
     """
 
     hand: Hand | None
-    mistakes: list[Mistake]
-    origins: Origins
+    mistakes: list[FileMistake]
+    origins: KeyPathOrigins
 
 
 def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
@@ -216,7 +222,7 @@ def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
     return InspectedHand(hand, group_mistakes(mistakes), origins)
 
 
-def _valid_sections(content: Mapping[str, Any], kind: str, model: type[Validated]) -> Iterator[Validated]:
+def _valid_sections(content: Mapping[str, Any], kind: str, model: type[ValidatedSection]) -> Iterator[ValidatedSection]:
     """Yield the sections of a kind that are valid without regard to other sections."""
     sections = content.get(kind)
     for section in sections if isinstance(sections, list | tuple) else ():

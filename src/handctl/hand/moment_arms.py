@@ -12,36 +12,36 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from handctl.hand.file.quantities import COEFFICIENTS
+from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
 
 Array = NDArray[np.float64]
-Arm = float | Mapping[str, Sequence[float]]
+MomentArm = float | Mapping[str, Sequence[float]]
 """Moment arm in a hand file: a number, ``{"polynomial_m": ...}``, or ``{"angle_deg": ..., "arm_m": ...}``."""
 
 TABLE_DEGREE = 3
 """Degree of the polynomial that replaces a table of moment arms, if the table has enough entries."""
 
 
-def polynomial_of(arm: Arm) -> Array:
+def polynomial_of_arm(arm: MomentArm) -> Array:
     """Return the polynomial coefficients (COEFFICIENTS,) of a moment arm, constant term first, for angles in rad.
 
     Args:
         arm: valid moment arm of a hand file.
     """
-    result = np.zeros(COEFFICIENTS)
+    result = np.zeros(POLYNOMIAL_COEFFICIENTS)
     if not isinstance(arm, Mapping):
         result[0] = arm
         return result
     if "polynomial_m" in arm:
         coefficients = np.asarray(arm["polynomial_m"])
     else:
-        angle, values = table_of(arm)
+        angle, values = table_of_arm(arm)
         coefficients = np.polynomial.polynomial.polyfit(angle, values, min(TABLE_DEGREE, len(angle) - 1))
     result[: len(coefficients)] = coefficients
     return result
 
 
-def table_of(arm: Arm) -> tuple[Array, Array]:
+def table_of_arm(arm: MomentArm) -> tuple[Array, Array]:
     """Return the angles [rad] and arms [m] of a table of moment arms, (k,) each.
 
     k is 0 for an arm without a table.
@@ -51,17 +51,17 @@ def table_of(arm: Arm) -> tuple[Array, Array]:
     return np.radians(arm["angle_deg"]), np.asarray(arm["arm_m"], dtype=np.float64)
 
 
-def table_residual(arm: Arm) -> float:
+def table_residual(arm: MomentArm) -> float:
     """Return the largest difference between a table of moment arms and its polynomial [m].
 
     It is 0 for an arm without a table.
     """
-    angle, values = table_of(arm)
-    fitted = np.polynomial.polynomial.polyval(angle, polynomial_of(arm))
+    angle, values = table_of_arm(arm)
+    fitted = np.polynomial.polynomial.polyval(angle, polynomial_of_arm(arm))
     return float(np.abs(fitted - values).max(initial=0.0))
 
 
-def is_varying(arm: Arm) -> bool:
+def is_arm_varying(arm: MomentArm) -> bool:
     """Return True if a moment arm is written as a polynomial or as a table, and not as a number."""
     return isinstance(arm, Mapping)
 
@@ -75,7 +75,7 @@ def arms_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
         q: (..., n) joint angles [rad].
     """
     held = np.clip(np.asarray(q, dtype=np.float64), limits[0], limits[1])[..., None, :]
-    return _horner(polynomials, held)
+    return _evaluate_polynomials(polynomials, held)
 
 
 def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
@@ -90,11 +90,11 @@ def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
     """
     angles = np.asarray(q, dtype=np.float64)[..., None, :]
     held = np.clip(angles, limits[0], limits[1])
-    integral = held * _horner(polynomials / np.arange(1.0, COEFFICIENTS + 1.0), held)
-    return integral + (angles - held) * _horner(polynomials, held)
+    integral = held * _evaluate_polynomials(polynomials / np.arange(1.0, POLYNOMIAL_COEFFICIENTS + 1.0), held)
+    return integral + (angles - held) * _evaluate_polynomials(polynomials, held)
 
 
-def mean_arm(arm: Arm, low: float, high: float) -> float:
+def mean_arm(arm: MomentArm, low: float, high: float) -> float:
     """Return the mean of a moment arm over the range of its joint [m]. A constant arm is its own mean.
 
     Args:
@@ -104,13 +104,13 @@ def mean_arm(arm: Arm, low: float, high: float) -> float:
     """
     if not isinstance(arm, Mapping):
         return arm
-    ends = excursions_at(polynomial_of(arm)[None, None], np.array([[low], [high]]), [[low], [high]])
+    ends = excursions_at(polynomial_of_arm(arm)[None, None], np.array([[low], [high]]), [[low], [high]])
     return float(ends[1, 0, 0] - ends[0, 0, 0]) / (high - low)
 
 
-def _horner(polynomials: Array, q: Array) -> Array:
+def _evaluate_polynomials(polynomials: Array, q: Array) -> Array:
     """Return the values of polynomials (n_t, n, COEFFICIENTS) at angles (..., 1, n), with Horner's method."""
     value = np.zeros(np.broadcast_shapes(polynomials.shape[:2], q.shape))
-    for order in range(COEFFICIENTS - 1, -1, -1):
+    for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
         value = value * q + polynomials[..., order]
     return value

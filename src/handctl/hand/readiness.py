@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import coordinate_range
-from handctl.hand.file.error_text import Mistake
+from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.sections import Bus, Digit
-from handctl.hand.moment_arms import arms_at, table_of, table_residual
+from handctl.hand.moment_arms import arms_at, table_of_arm, table_residual
 
 Vector = NDArray[np.float64]
 MAX_ARBITRATION_BITRATE = 1_000_000
@@ -29,7 +29,7 @@ SMALLEST_RANGE_DEG = 1.0
 """Smallest range of a coordinate that counts as a motion [deg]."""
 
 
-def reasons_not_ready(hand: Hand) -> Iterator[Mistake]:
+def reasons_not_ready(hand: Hand) -> Iterator[FileMistake]:
     """Yield the reasons why a valid hand must not run, each with the key path of the cause."""
     for bus in hand.bus:
         yield from _check_rates(bus)
@@ -38,17 +38,17 @@ def reasons_not_ready(hand: Hand) -> Iterator[Mistake]:
         yield from _check_opening(hand, digit)
 
 
-def _check_rates(bus: Bus) -> Iterator[Mistake]:
+def _check_rates(bus: Bus) -> Iterator[FileMistake]:
     """Check that CAN controllers can have the bit rates of a bus."""
     where = f"bus[{bus.name}]"
     if bus.bitrate > MAX_ARBITRATION_BITRATE:
         right = f"at most {MAX_ARBITRATION_BITRATE}; the faster data phase of CAN FD is data_bitrate"
-        yield Mistake(f"{bus.bitrate}", f"{where}.bitrate", right)
+        yield FileMistake(f"{bus.bitrate}", f"{where}.bitrate", right)
     elif bus.data_bitrate is not None and bus.data_bitrate < bus.bitrate:
-        yield Mistake(f"{bus.data_bitrate}", f"{where}.data_bitrate", f"at least bitrate = {bus.bitrate}")
+        yield FileMistake(f"{bus.data_bitrate}", f"{where}.data_bitrate", f"at least bitrate = {bus.bitrate}")
 
 
-def _check_direction(digit: Digit) -> Iterator[Mistake]:
+def _check_direction(digit: Digit) -> Iterator[FileMistake]:
     """Check the coordinates of a coupled digit: each must move within the joint limits, and flex if it is positive."""
     if digit.coupling is None:
         return
@@ -56,9 +56,9 @@ def _check_direction(digit: Digit) -> Iterator[Mistake]:
     for i, (low, high) in enumerate(zip(*coordinate_range_deg(digit), strict=True)):
         if high - low < SMALLEST_RANGE_DEG:
             right = "signs and sizes that leave the joints a common range within their limits"
-            yield Mistake(f"column {i} moves no joint within its limits", where, right)
+            yield FileMistake(f"column {i} moves no joint within its limits", where, right)
         elif low + high < 0.0:
-            yield Mistake(f"column {i} opens the digit", where, "the opposite sign: a positive coordinate flexes")
+            yield FileMistake(f"column {i} opens the digit", where, "the opposite sign: a positive coordinate flexes")
 
 
 def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
@@ -73,7 +73,7 @@ def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
     return low, high
 
 
-def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
+def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
     """Check that springs or antagonistic tendons open each coordinate of a digit against the tension floor."""
     tendons = hand.digit_tendons[digit.name]
     if hand.is_pair[tendons].any():
@@ -94,7 +94,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
         return
     if (arms.min(axis=0) < 0.0).any() and not stiffness.any():
         right = "tensions above 0 that make no torque together: one more tendon than coordinates, or other arms"
-        yield Mistake("its tendons cannot hold each other", f"digit[{digit.name}].tendon", right)
+        yield FileMistake("its tendons cannot hold each other", f"digit[{digit.name}].tendon", right)
         return
     weak = (springs <= closing) & (arms.min(axis=0) >= 0.0)
     if not weak.any():
@@ -106,7 +106,7 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[Mistake]:
     key = "spring_preload_rad" if stiffness.any() else "spring_stiffness_N_m_per_rad"
     what = f"the springs open {joint} with {springs[worst]:.3g} N m at joint_min_deg"
     right = f"more than the {closing[worst]:.3g} N m with which tension_floor_N closes"
-    yield Mistake(what, f"digit[{digit.name}].{key}", right)
+    yield FileMistake(what, f"digit[{digit.name}].{key}", right)
 
 
 def table_fits(hand: Hand) -> tuple[str, ...]:
@@ -116,7 +116,7 @@ def table_fits(hand: Hand) -> tuple[str, ...]:
     """
     lines = []
     for tendon in hand.tendon:
-        tables = {joint: arm for joint, arm in tendon.moment_arm_m.items() if len(table_of(arm)[0])}
+        tables = {joint: arm for joint, arm in tendon.moment_arm_m.items() if len(table_of_arm(arm)[0])}
         if tables:
             left = ", ".join(f"{1e3 * table_residual(arm):.2g} mm at {joint}" for joint, arm in tables.items())
             lines.append(f"{tendon.name}: the polynomial of its table of moment arms differs by at most {left}")

@@ -14,46 +14,47 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner, kernel
+from handctl.compiled import kernel, kernel_helper
 
 Array = NDArray[np.float64]
-Counts = NDArray[np.int64]
+IndexArray = NDArray[np.int64]
 
-FIXED = 0
-COSINE = 9
-SINE = 18
+FIXED_ROTATION_ROW = 0
+COSINE_ROTATION_ROW = 9
+SINE_ROTATION_ROW = 18
 """First rows in the table of three matrices, which are stored row by row.
 
-The rotation from the frame of a link to that of its parent is FIXED + COSINE cos q + SINE sin q.
+The rotation from the frame of a link to that of its parent is F + C cos q + S sin q, with the matrices F,
+C and S in the order of these rows.
 """
-ORIGIN = 27
+ORIGIN_ROW = 27
 """First row in the table of the joint's position in the parent's frame [m]."""
-AXIS = 30
+AXIS_ROW = 30
 """First row in the table of the joint's axis in the link's frame, a unit vector."""
-MASS = 33
+MASS_ROW = 33
 """Row in the table of the link's mass [kg]."""
-MOMENT = 34
+MOMENT_ROW = 34
 """First row in the table of the link's first moment of mass, in the frame of the link [kg m]."""
-INERTIA = 37
+INERTIA_ROW = 37
 """First row in the table of the link's inertia about its joint: xx, yy, zz, xy, xz, yz [kg m2]."""
-ARMATURE = 43
+ARMATURE_ROW = 43
 """Row in the table of the inertia of the joint itself, without its link [kg m2]."""
-LENGTH = 44
+LENGTH_ROW = 44
 """Row in the table of the link's length [m]."""
-ROWS = 45
+TABLE_ROW_COUNT = 45
 """Number of rows of a table."""
 
-ROTATION = 0
+ROTATION_COLUMN = 0
 """First column in a pose of the rotation from the link's frame to the palm frame, which is stored row by row."""
-POSITION = 9
+POSITION_COLUMN = 9
 """First column in a pose of the position of the link's joint in the palm frame [m]."""
-DIRECTION = 12
+DIRECTION_COLUMN = 12
 """First column in a pose of the joint's axis in the palm frame."""
-CARRIED_MASS = 15
+CARRIED_MASS_COLUMN = 15
 """Column in a pose of the mass of the link and of all links that it carries [kg]."""
-CARRIED_MOMENT = 16
+CARRIED_MOMENT_COLUMN = 16
 """First column in a pose of the first moment of this mass, in the palm frame [kg m]."""
-POSE = 19
+POSE_COLUMN_COUNT = 19
 """Number of columns of a pose."""
 
 # Columns of the working memory of ``write_newton_euler``. The rotation from a link to its parent
@@ -64,11 +65,11 @@ _TURN = 12
 _MOVE = 15
 _FORCE = 18
 _TORQUE = 21
-_WORK = 24
+_WORK_COLUMN_COUNT = 24
 
 
-@inner
-def write_link_poses(table: Array, row: int, parent: Counts, q: Array, pose: Array) -> None:
+@kernel_helper
+def write_link_poses(table: Array, row: int, parent: IndexArray, q: Array, pose: Array) -> None:
     """Write the poses of all links, except the carried masses and their moments.
 
     Args:
@@ -76,62 +77,68 @@ def write_link_poses(table: Array, row: int, parent: Counts, q: Array, pose: Arr
         row: first row of the table in the array.
         parent: (n,) column of the parent of each link, -1 for the palm.
         q: (n,) joint angles [rad].
-        pose: (n, POSE) result.
+        pose: (n, POSE_COLUMN_COUNT) result.
     """
     turn = np.empty(9)
     for j in range(len(q)):
         cosine = math.cos(q[j])
         sine = math.sin(q[j])
         for i in range(9):
-            turn[i] = table[row + FIXED + i, j] + cosine * table[row + COSINE + i, j] + sine * table[row + SINE + i, j]
+            turn[i] = (
+                table[row + FIXED_ROTATION_ROW + i, j]
+                + cosine * table[row + COSINE_ROTATION_ROW + i, j]
+                + sine * table[row + SINE_ROTATION_ROW + i, j]
+            )
         before = parent[j]
         for a in range(3):
             if before < 0:
-                pose[j, POSITION + a] = table[row + ORIGIN + a, j]
+                pose[j, POSITION_COLUMN + a] = table[row + ORIGIN_ROW + a, j]
                 for b in range(3):
-                    pose[j, ROTATION + 3 * a + b] = turn[3 * a + b]
+                    pose[j, ROTATION_COLUMN + 3 * a + b] = turn[3 * a + b]
             else:
-                first = pose[before, ROTATION + 3 * a]
-                second = pose[before, ROTATION + 3 * a + 1]
-                third = pose[before, ROTATION + 3 * a + 2]
+                first = pose[before, ROTATION_COLUMN + 3 * a]
+                second = pose[before, ROTATION_COLUMN + 3 * a + 1]
+                third = pose[before, ROTATION_COLUMN + 3 * a + 2]
                 for b in range(3):
-                    pose[j, ROTATION + 3 * a + b] = first * turn[b] + second * turn[3 + b] + third * turn[6 + b]
-                pose[j, POSITION + a] = (
-                    pose[before, POSITION + a]
-                    + first * table[row + ORIGIN, j]
-                    + second * table[row + ORIGIN + 1, j]
-                    + third * table[row + ORIGIN + 2, j]
+                    pose[j, ROTATION_COLUMN + 3 * a + b] = first * turn[b] + second * turn[3 + b] + third * turn[6 + b]
+                pose[j, POSITION_COLUMN + a] = (
+                    pose[before, POSITION_COLUMN + a]
+                    + first * table[row + ORIGIN_ROW, j]
+                    + second * table[row + ORIGIN_ROW + 1, j]
+                    + third * table[row + ORIGIN_ROW + 2, j]
                 )
-            pose[j, DIRECTION + a] = _component_along(table, row + AXIS, pose, j, a)
+            pose[j, DIRECTION_COLUMN + a] = _component_along(table, row + AXIS_ROW, pose, j, a)
 
 
-@inner
+@kernel_helper
 def _component_along(table: Array, row: int, pose: Array, j: int, a: int) -> float:
     """Return a component in the palm frame of a vector that the table has in the frame of link j."""
-    first = pose[j, ROTATION + 3 * a] * table[row, j]
-    second = pose[j, ROTATION + 3 * a + 1] * table[row + 1, j]
-    third = pose[j, ROTATION + 3 * a + 2] * table[row + 2, j]
+    first = pose[j, ROTATION_COLUMN + 3 * a] * table[row, j]
+    second = pose[j, ROTATION_COLUMN + 3 * a + 1] * table[row + 1, j]
+    third = pose[j, ROTATION_COLUMN + 3 * a + 2] * table[row + 2, j]
     return first + second + third
 
 
-@inner
-def write_carried_masses(table: Array, row: int, parent: Counts, pose: Array) -> None:
+@kernel_helper
+def write_carried_masses(table: Array, row: int, parent: IndexArray, pose: Array) -> None:
     """Write the carried masses and first moments of all links, for given poses."""
     for j in range(len(pose)):
-        pose[j, CARRIED_MASS] = table[row + MASS, j]
+        pose[j, CARRIED_MASS_COLUMN] = table[row + MASS_ROW, j]
         for a in range(3):
-            moment = _component_along(table, row + MOMENT, pose, j, a)
-            pose[j, CARRIED_MOMENT + a] = table[row + MASS, j] * pose[j, POSITION + a] + moment
+            moment = _component_along(table, row + MOMENT_ROW, pose, j, a)
+            pose[j, CARRIED_MOMENT_COLUMN + a] = table[row + MASS_ROW, j] * pose[j, POSITION_COLUMN + a] + moment
     # The loop visits the links from the tips to the palm.
     for j in range(len(pose) - 1, -1, -1):
         before = parent[j]
         if before >= 0:
-            for i in range(CARRIED_MASS, CARRIED_MOMENT + 3):
+            for i in range(CARRIED_MASS_COLUMN, CARRIED_MOMENT_COLUMN + 3):
                 pose[before, i] += pose[j, i]
 
 
-@inner
-def write_weight_torques(table: Array, row: int, parent: Counts, gravity: Array, pose: Array, torque: Array) -> None:
+@kernel_helper
+def write_weight_torques(
+    table: Array, row: int, parent: IndexArray, gravity: Array, pose: Array, torque: Array
+) -> None:
     """Write the joint torques (n,) that balance the weight of the links [N m], for given poses.
 
     Args:
@@ -139,25 +146,25 @@ def write_weight_torques(table: Array, row: int, parent: Counts, gravity: Array,
         row: see ``write_link_poses``.
         parent: see ``write_link_poses``.
         gravity: (3,) gravity in the palm frame [m/s2].
-        pose: (n, POSE) poses. Their carried masses are overwritten.
+        pose: (n, POSE_COLUMN_COUNT) poses. Their carried masses are overwritten.
         torque: (n,) result.
     """
     write_carried_masses(table, row, parent, pose)
     for j in range(len(pose)):
-        mass = pose[j, CARRIED_MASS]
-        x = pose[j, CARRIED_MOMENT] - mass * pose[j, POSITION]
-        y = pose[j, CARRIED_MOMENT + 1] - mass * pose[j, POSITION + 1]
-        z = pose[j, CARRIED_MOMENT + 2] - mass * pose[j, POSITION + 2]
+        mass = pose[j, CARRIED_MASS_COLUMN]
+        x = pose[j, CARRIED_MOMENT_COLUMN] - mass * pose[j, POSITION_COLUMN]
+        y = pose[j, CARRIED_MOMENT_COLUMN + 1] - mass * pose[j, POSITION_COLUMN + 1]
+        z = pose[j, CARRIED_MOMENT_COLUMN + 2] - mass * pose[j, POSITION_COLUMN + 2]
         # The weight makes the torque (first moment) x gravity about the joint's axis. The negative
         # of this torque balances the weight.
         torque[j] = -(
-            pose[j, DIRECTION] * (y * gravity[2] - z * gravity[1])
-            + pose[j, DIRECTION + 1] * (z * gravity[0] - x * gravity[2])
-            + pose[j, DIRECTION + 2] * (x * gravity[1] - y * gravity[0])
+            pose[j, DIRECTION_COLUMN] * (y * gravity[2] - z * gravity[1])
+            + pose[j, DIRECTION_COLUMN + 1] * (z * gravity[0] - x * gravity[2])
+            + pose[j, DIRECTION_COLUMN + 2] * (x * gravity[1] - y * gravity[0])
         )
 
 
-@inner
+@kernel_helper
 def write_levers(pose: Array, first: int, touched: int, along: float, lever: Array) -> None:
     """Write the levers of a force on a link about the joints from ``first`` to the joint of the link [m].
 
@@ -165,35 +172,39 @@ def write_levers(pose: Array, first: int, touched: int, along: float, lever: Arr
     the side of flexion.
 
     Args:
-        pose: (n, POSE) poses.
+        pose: (n, POSE_COLUMN_COUNT) poses.
         first: first joint of the chain.
         touched: index of the link on which the force acts.
         along: distance of the point from the link's joint [m].
         lever: (n,) result, from ``first`` to ``touched``.
     """
-    px = pose[touched, POSITION] + along * pose[touched, ROTATION]
-    py = pose[touched, POSITION + 1] + along * pose[touched, ROTATION + 3]
-    pz = pose[touched, POSITION + 2] + along * pose[touched, ROTATION + 6]
-    nx, ny, nz = pose[touched, ROTATION + 1], pose[touched, ROTATION + 4], pose[touched, ROTATION + 7]
+    px = pose[touched, POSITION_COLUMN] + along * pose[touched, ROTATION_COLUMN]
+    py = pose[touched, POSITION_COLUMN + 1] + along * pose[touched, ROTATION_COLUMN + 3]
+    pz = pose[touched, POSITION_COLUMN + 2] + along * pose[touched, ROTATION_COLUMN + 6]
+    nx, ny, nz = (
+        pose[touched, ROTATION_COLUMN + 1],
+        pose[touched, ROTATION_COLUMN + 4],
+        pose[touched, ROTATION_COLUMN + 7],
+    )
     for j in range(first, touched + 1):
         lever[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
 
 
-@inner
+@kernel_helper
 def _lever(pose: Array, j: int, px: float, py: float, pz: float, nx: float, ny: float, nz: float) -> float:
     """Return the lever about joint j of a force along a unit vector n at a point p [m].
 
     It is axis . ((p - joint) x n).
     """
-    x, y, z = px - pose[j, POSITION], py - pose[j, POSITION + 1], pz - pose[j, POSITION + 2]
+    x, y, z = px - pose[j, POSITION_COLUMN], py - pose[j, POSITION_COLUMN + 1], pz - pose[j, POSITION_COLUMN + 2]
     return (
-        pose[j, DIRECTION] * (y * nz - z * ny)
-        + pose[j, DIRECTION + 1] * (z * nx - x * nz)
-        + pose[j, DIRECTION + 2] * (x * ny - y * nx)
+        pose[j, DIRECTION_COLUMN] * (y * nz - z * ny)
+        + pose[j, DIRECTION_COLUMN + 1] * (z * nx - x * nz)
+        + pose[j, DIRECTION_COLUMN + 2] * (x * ny - y * nx)
     )
 
 
-@inner
+@kernel_helper
 def write_turned_levers(
     pose: Array, first: int, last: int, along: float, turned: int, angle: float, lever: Array
 ) -> None:
@@ -203,7 +214,7 @@ def write_turned_levers(
     joints do not change.
 
     Args:
-        pose: (n, POSE) poses.
+        pose: (n, POSE_COLUMN_COUNT) poses.
         first: first joint of the chain.
         last: index of the last link of the chain, on which the force acts.
         along: distance of the point from the link's joint [m].
@@ -211,19 +222,23 @@ def write_turned_levers(
         angle: angle of the turn [rad].
         lever: (n,) levers before the turn, modified in place up to the turned joint.
     """
-    ax, ay, az = pose[turned, DIRECTION], pose[turned, DIRECTION + 1], pose[turned, DIRECTION + 2]
-    nx, ny, nz = pose[last, ROTATION + 1], pose[last, ROTATION + 4], pose[last, ROTATION + 7]
-    x = pose[last, POSITION] + along * pose[last, ROTATION] - pose[turned, POSITION]
-    y = pose[last, POSITION + 1] + along * pose[last, ROTATION + 3] - pose[turned, POSITION + 1]
-    z = pose[last, POSITION + 2] + along * pose[last, ROTATION + 6] - pose[turned, POSITION + 2]
+    ax, ay, az = pose[turned, DIRECTION_COLUMN], pose[turned, DIRECTION_COLUMN + 1], pose[turned, DIRECTION_COLUMN + 2]
+    nx, ny, nz = pose[last, ROTATION_COLUMN + 1], pose[last, ROTATION_COLUMN + 4], pose[last, ROTATION_COLUMN + 7]
+    x = pose[last, POSITION_COLUMN] + along * pose[last, ROTATION_COLUMN] - pose[turned, POSITION_COLUMN]
+    y = pose[last, POSITION_COLUMN + 1] + along * pose[last, ROTATION_COLUMN + 3] - pose[turned, POSITION_COLUMN + 1]
+    z = pose[last, POSITION_COLUMN + 2] + along * pose[last, ROTATION_COLUMN + 6] - pose[turned, POSITION_COLUMN + 2]
     nx, ny, nz = _rotated(ax, ay, az, angle, nx, ny, nz)
     x, y, z = _rotated(ax, ay, az, angle, x, y, z)
-    px, py, pz = pose[turned, POSITION] + x, pose[turned, POSITION + 1] + y, pose[turned, POSITION + 2] + z
+    px, py, pz = (
+        pose[turned, POSITION_COLUMN] + x,
+        pose[turned, POSITION_COLUMN + 1] + y,
+        pose[turned, POSITION_COLUMN + 2] + z,
+    )
     for j in range(first, turned + 1):
         lever[j] = _lever(pose, j, px, py, pz, nx, ny, nz)
 
 
-@inner
+@kernel_helper
 def _rotated(ax: float, ay: float, az: float, angle: float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return a vector (x, y, z), turned about a unit axis by an angle [rad].
 
@@ -239,9 +254,9 @@ def _rotated(ax: float, ay: float, az: float, angle: float, x: float, y: float, 
     )
 
 
-@inner
+@kernel_helper
 def write_newton_euler(
-    table: Array, row: int, parent: Counts, gravity: Array, q: Array, dq: Array, ddq: Array, torque: Array
+    table: Array, row: int, parent: IndexArray, gravity: Array, q: Array, dq: Array, ddq: Array, torque: Array
 ) -> None:
     """Write the joint torques (n,) that a motion needs against inertia and weight, M q'' + C q' + g [N m].
 
@@ -255,7 +270,7 @@ def write_newton_euler(
         ddq: (n,) joint accelerations [rad/s2].
         torque: (n,) result.
     """
-    work = np.empty((len(q), _WORK))
+    work = np.empty((len(q), _WORK_COLUMN_COUNT))
     for j in range(len(q)):
         _move_link(table, row, parent[j], gravity, q[j], dq[j], ddq[j], work, j)
         _load_link(table, row, work, j)
@@ -263,17 +278,17 @@ def write_newton_euler(
     # its link and of all links beyond.
     for j in range(len(q) - 1, -1, -1):
         torque[j] = (
-            table[row + AXIS, j] * work[j, _TORQUE]
-            + table[row + AXIS + 1, j] * work[j, _TORQUE + 1]
-            + table[row + AXIS + 2, j] * work[j, _TORQUE + 2]
-            + table[row + ARMATURE, j] * ddq[j]
+            table[row + AXIS_ROW, j] * work[j, _TORQUE]
+            + table[row + AXIS_ROW + 1, j] * work[j, _TORQUE + 1]
+            + table[row + AXIS_ROW + 2, j] * work[j, _TORQUE + 2]
+            + table[row + ARMATURE_ROW, j] * ddq[j]
         )
         before = parent[j]
         if before >= 0:
             _add_load_to_parent(table, row, work, j, before)
 
 
-@inner
+@kernel_helper
 def _move_link(
     table: Array, row: int, before: int, gravity: Array, q: float, dq: float, ddq: float, work: Array, j: int
 ) -> None:
@@ -285,7 +300,11 @@ def _move_link(
     cosine = math.cos(q)
     sine = math.sin(q)
     for i in range(9):
-        work[j, i] = table[row + FIXED + i, j] + cosine * table[row + COSINE + i, j] + sine * table[row + SINE + i, j]
+        work[j, i] = (
+            table[row + FIXED_ROTATION_ROW + i, j]
+            + cosine * table[row + COSINE_ROTATION_ROW + i, j]
+            + sine * table[row + SINE_ROTATION_ROW + i, j]
+        )
     wx, wy, wz = 0.0, 0.0, 0.0
     tx, ty, tz = 0.0, 0.0, 0.0
     # An acceleration of the palm against gravity has the same effect as gravity.
@@ -293,7 +312,7 @@ def _move_link(
     if before >= 0:
         wx, wy, wz = work[before, _RATE], work[before, _RATE + 1], work[before, _RATE + 2]
         tx, ty, tz = work[before, _TURN], work[before, _TURN + 1], work[before, _TURN + 2]
-        ox, oy, oz = table[row + ORIGIN, j], table[row + ORIGIN + 1, j], table[row + ORIGIN + 2, j]
+        ox, oy, oz = table[row + ORIGIN_ROW, j], table[row + ORIGIN_ROW + 1, j], table[row + ORIGIN_ROW + 2, j]
         # The acceleration of the joint's position is a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
         mx = work[before, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
@@ -304,7 +323,7 @@ def _move_link(
         work[j, _RATE + a] = work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
         work[j, _TURN + a] = work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
         work[j, _MOVE + a] = work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
-    ax, ay, az = table[row + AXIS, j], table[row + AXIS + 1, j], table[row + AXIS + 2, j]
+    ax, ay, az = table[row + AXIS_ROW, j], table[row + AXIS_ROW + 1, j], table[row + AXIS_ROW + 2, j]
     wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
     work[j, _TURN] += ax * ddq + (wy * az - wz * ay) * dq
     work[j, _TURN + 1] += ay * ddq + (wz * ax - wx * az) * dq
@@ -314,11 +333,11 @@ def _move_link(
     work[j, _RATE + 2] += az * dq
 
 
-@inner
+@kernel_helper
 def _load_link(table: Array, row: int, work: Array, j: int) -> None:
     """Write the force and the torque about the joint that the motion of link j needs, in the link's frame."""
-    mass = table[row + MASS, j]
-    hx, hy, hz = table[row + MOMENT, j], table[row + MOMENT + 1, j], table[row + MOMENT + 2, j]
+    mass = table[row + MASS_ROW, j]
+    hx, hy, hz = table[row + MOMENT_ROW, j], table[row + MOMENT_ROW + 1, j], table[row + MOMENT_ROW + 2, j]
     wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
     tx, ty, tz = work[j, _TURN], work[j, _TURN + 1], work[j, _TURN + 2]
     mx, my, mz = work[j, _MOVE], work[j, _MOVE + 1], work[j, _MOVE + 2]
@@ -327,8 +346,8 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
     work[j, _FORCE] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
     work[j, _FORCE + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
     work[j, _FORCE + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
-    xx, yy, zz = table[row + INERTIA, j], table[row + INERTIA + 1, j], table[row + INERTIA + 2, j]
-    xy, xz, yz = table[row + INERTIA + 3, j], table[row + INERTIA + 4, j], table[row + INERTIA + 5, j]
+    xx, yy, zz = table[row + INERTIA_ROW, j], table[row + INERTIA_ROW + 1, j], table[row + INERTIA_ROW + 2, j]
+    xy, xz, yz = table[row + INERTIA_ROW + 3, j], table[row + INERTIA_ROW + 4, j], table[row + INERTIA_ROW + 5, j]
     # The torque is I t + w x (I w) + h x a.
     lx, ly, lz = xx * wx + xy * wy + xz * wz, xy * wx + yy * wy + yz * wz, xz * wx + yz * wy + zz * wz
     work[j, _TORQUE] = xx * tx + xy * ty + xz * tz + (wy * lz - wz * ly) + (hy * mz - hz * my)
@@ -336,7 +355,7 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
     work[j, _TORQUE + 2] = xz * tx + yz * ty + zz * tz + (wx * ly - wy * lx) + (hx * my - hy * mx)
 
 
-@inner
+@kernel_helper
 def _add_load_to_parent(table: Array, row: int, work: Array, j: int, before: int) -> None:
     """Add force and torque of link j to those of its parent."""
     fx, fy, fz = work[j, _FORCE], work[j, _FORCE + 1], work[j, _FORCE + 2]
@@ -344,7 +363,7 @@ def _add_load_to_parent(table: Array, row: int, work: Array, j: int, before: int
     gx = work[j, 0] * fx + work[j, 1] * fy + work[j, 2] * fz
     gy = work[j, 3] * fx + work[j, 4] * fy + work[j, 5] * fz
     gz = work[j, 6] * fx + work[j, 7] * fy + work[j, 8] * fz
-    ox, oy, oz = table[row + ORIGIN, j], table[row + ORIGIN + 1, j], table[row + ORIGIN + 2, j]
+    ox, oy, oz = table[row + ORIGIN_ROW, j], table[row + ORIGIN_ROW + 1, j], table[row + ORIGIN_ROW + 2, j]
     work[before, _FORCE] += gx
     work[before, _FORCE + 1] += gy
     work[before, _FORCE + 2] += gz
@@ -355,18 +374,18 @@ def _add_load_to_parent(table: Array, row: int, work: Array, j: int, before: int
 
 
 @kernel("matrix", "counts", "vector")
-def link_poses(table: Array, parent: Counts, q: Array) -> Array:
-    """Return the poses (n, POSE) of all links, with carried masses, at joint angles q (n,) [rad]."""
-    pose = np.empty((len(q), POSE))
+def link_poses(table: Array, parent: IndexArray, q: Array) -> Array:
+    """Return the poses (n, POSE_COLUMN_COUNT) of all links, with carried masses, at joint angles q (n,) [rad]."""
+    pose = np.empty((len(q), POSE_COLUMN_COUNT))
     write_link_poses(table, 0, parent, q, pose)
     write_carried_masses(table, 0, parent, pose)
     return pose
 
 
 @kernel("matrix", "counts", "vector", "vector")
-def weight_torques(table: Array, parent: Counts, gravity: Array, q: Array) -> Array:
+def weight_torques(table: Array, parent: IndexArray, gravity: Array, q: Array) -> Array:
     """Return the joint torques (n,) that balance the weight of the links [N m], see ``write_weight_torques``."""
-    pose = np.empty((len(q), POSE))
+    pose = np.empty((len(q), POSE_COLUMN_COUNT))
     torque = np.empty(len(q))
     write_link_poses(table, 0, parent, q, pose)
     write_weight_torques(table, 0, parent, gravity, pose, torque)
@@ -374,7 +393,7 @@ def weight_torques(table: Array, parent: Counts, gravity: Array, q: Array) -> Ar
 
 
 @kernel("matrix", "counts", "vector", "vector", "vector", "vector")
-def rigid_body_torques(table: Array, parent: Counts, gravity: Array, q: Array, dq: Array, ddq: Array) -> Array:
+def rigid_body_torques(table: Array, parent: IndexArray, gravity: Array, q: Array, dq: Array, ddq: Array) -> Array:
     """Return the joint torques (n,) of inertia and weight [N m], see ``write_newton_euler``."""
     torque = np.empty(len(q))
     write_newton_euler(table, 0, parent, gravity, q, dq, ddq, torque)
@@ -382,7 +401,7 @@ def rigid_body_torques(table: Array, parent: Counts, gravity: Array, q: Array, d
 
 
 @kernel("matrix", "counts", "vector")
-def inertia_matrix(table: Array, parent: Counts, q: Array) -> Array:
+def inertia_matrix(table: Array, parent: IndexArray, q: Array) -> Array:
     """Return the mass matrix (n, n) [kg m2] at joint angles q (n,) [rad], with armature.
 
     Column k contains the torques that a unit acceleration of joint k needs, at rest and without
@@ -404,12 +423,12 @@ def inertia_matrix(table: Array, parent: Counts, q: Array) -> Array:
 
 
 @kernel("matrix", "counts", "vector", "count", "real")
-def tip_levers(table: Array, parent: Counts, q: Array, touched: int, along: float) -> Array:
+def tip_levers(table: Array, parent: IndexArray, q: Array, touched: int, along: float) -> Array:
     """Return the levers (n,) [m] of a force on a link about the joints of its chain, see ``write_levers``.
 
     The levers about joints beyond the link are 0.
     """
-    pose = np.empty((len(q), POSE))
+    pose = np.empty((len(q), POSE_COLUMN_COUNT))
     lever = np.zeros(len(q))
     write_link_poses(table, 0, parent, q, pose)
     write_levers(pose, 0, touched, along, lever)

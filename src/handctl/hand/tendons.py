@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handctl.hand.digit import Array, DigitModel, Values
+from handctl.hand.digit import Array, DigitModel, JointValues
 from handctl.hand.file.sections import Tendon
 
 CAPSTAN_FRICTION_SPEED = 1e-3
@@ -49,7 +49,7 @@ class TendonElasticity:
             damping=tendon.damping_N_s_per_m,
         )
 
-    def elastic(self, stretch: float) -> float:
+    def elastic_tension(self, stretch: float) -> float:
         """Return the tension [N] at a constant stretch [m]."""
         excess = stretch - self.knee / self.stiffness
         if excess <= 0.0:
@@ -65,7 +65,7 @@ class TendonElasticity:
         """
         if stretch <= 0.0:
             return 0.0
-        return max(0.0, self.elastic(stretch) + self.damping * stretch_rate)
+        return max(0.0, self.elastic_tension(stretch) + self.damping * stretch_rate)
 
     def tangent_stiffness(self, stretch: float) -> float:
         """Return the slope of the elastic tension over the stretch [N/m].
@@ -78,7 +78,7 @@ class TendonElasticity:
         return self.stiffness if excess <= 0.0 else self._slope(excess)
 
     def stretch(self, tension: float) -> float:
-        """Return the stretch [m] at a constant tension. This is the inverse of ``elastic``.
+        """Return the stretch [m] at a constant tension. This is the inverse of ``elastic_tension``.
 
         Beyond the knee, Newton's method starts from the stretch of a linear tendon. Its steps
         approach the solution from one side, because the curvature has the same sign everywhere.
@@ -114,7 +114,7 @@ NEWTON_STEPS = 100
 """Largest number of Newton steps. About six steps are usual."""
 
 
-def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
+def pulley_factors(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
     """Return the ratio of tension at each joint pulley to tension at the load cell: exp(-mu phi_i tanh(v / v0)).
 
     phi_i is the wrap angle before the first joint plus the angles of the crossed joints up to and
@@ -136,7 +136,7 @@ def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
     return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + passed)))
 
 
-def effective_moment_arms(digit: DigitModel, q: Values, speed: Values) -> Array:
+def effective_moment_arms(digit: DigitModel, q: JointValues, speed: JointValues) -> Array:
     """Return the moment arms R times the friction factors, (n_t, n) [m].
 
     The transpose of the result times the tensions at the load cells gives the joint torques.
@@ -144,7 +144,7 @@ def effective_moment_arms(digit: DigitModel, q: Values, speed: Values) -> Array:
     return digit.arms_at(q) * pulley_factors(digit, q, speed)
 
 
-def excursions(digit: DigitModel, q: Values) -> Array:
+def excursions(digit: DigitModel, q: JointValues) -> Array:
     """Return the excursion of each tendon at given joint angles, (n_t,) [m].
 
     It is the integral of R.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from handctl.hand import rigid_body
 from handctl.hand.description import Hand
-from handctl.hand.digit import Array, DigitModel, Values
+from handctl.hand.digit import Array, DigitModel, JointValues
 from handctl.hand.kinematics import joint_positions, link_rotations
 
 
@@ -60,11 +60,11 @@ class HandTree:
             preload=np.concatenate([digit.spring_preload for digit in digits]),
         )
 
-    def poses(self, q: Values) -> Array:
+    def poses(self, q: JointValues) -> Array:
         """Return the poses of all links, (J, rigid_body.POSE), at joint angles q (J,) [rad]."""
         return rigid_body.link_poses(self.table, self.parent, np.asarray(q, dtype=np.float64))
 
-    def points(self, q: Values) -> tuple[Array, ...]:
+    def points(self, q: JointValues) -> tuple[Array, ...]:
         """Return the positions of the joints and the tip of each digit, (n + 1, 3) in the palm frame [m]."""
         poses = self.poses(q)
         result = []
@@ -74,16 +74,16 @@ class HandTree:
             result.append(np.vstack((joint_positions(own), tip)))
         return tuple(result)
 
-    def mass_matrix(self, q: Values) -> Array:
+    def mass_matrix(self, q: JointValues) -> Array:
         """Return the mass matrix of all joints, including their armature, (J, J) [kg m2]."""
         return rigid_body.inertia_matrix(self.table, self.parent, np.asarray(q, dtype=np.float64))
 
-    def inverse_dynamics(self, q: Values, dq: Values, ddq: Values) -> Array:
+    def inverse_dynamics(self, q: JointValues, dq: JointValues, ddq: JointValues) -> Array:
         """Return the joint torques that a motion needs against inertia and weight, (J,) [N m]."""
         rows = (np.asarray(values, dtype=np.float64) for values in (q, dq, ddq))
         return rigid_body.rigid_body_torques(self.table, self.parent, self.gravity, *rows)
 
-    def static_torque(self, q: Values) -> Array:
+    def static_torque(self, q: JointValues) -> Array:
         """Return the joint torques that hold the hand at rest against weight and return springs, (J,) [N m]."""
         angles = np.asarray(q, dtype=np.float64)
         weight = rigid_body.weight_torques(self.table, self.parent, self.gravity, angles)

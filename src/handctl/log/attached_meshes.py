@@ -10,7 +10,7 @@ from pathlib import Path
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, mesh_sizes, meshes_of, read_meshes
+from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, mesh_sizes, meshes_of_hand, read_meshes
 
 MAX_BYTES = 4 << 20
 """Largest total size of the mesh files in a log [bytes].
@@ -52,7 +52,7 @@ def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[s
         return {}, [f"the meshes have {sizes}, and are not stored in the log: its views show capsules"]
     mistakes = list(mesh_mistakes(hand, folder))
     wrong = {mistake.where for mistake in mistakes}
-    files = [mesh.file for mesh in meshes_of(hand) if mesh.key not in wrong]
+    files = [mesh.file for mesh in meshes_of_hand(hand) if mesh.key not in wrong]
     lines = [f"{mistake.where}: {mistake.what}; expected {mistake.right}" for mistake in mistakes]
     return {attachment_name(file): data for file, data in read_meshes(files, folder).items()}, lines
 
@@ -66,7 +66,7 @@ def attached_meshes(hand: Hand, attachments: Mapping[str, bytes]) -> tuple[dict[
     """
     found: dict[str, AttachedMesh] = {}
     missing = []
-    for mesh in meshes_of(hand):
+    for mesh in meshes_of_hand(hand):
         data = attachments.get(attachment_name(mesh.file), b"")
         try:
             found[mesh.link] = AttachedMesh(mesh, data, mesh.place(mesh_triangles(data, mesh.suffix)))

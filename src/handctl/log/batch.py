@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TELEMETRY_FIRST
 from handctl.log.header import RunHeader
-from handctl.log.record import FIXED, FRAME_SIZE, SIZES, TickRecord, message_layout, unpack_tick
+from handctl.log.record import FRAME_SIZE, TICK_HEAD_STRUCT, TICK_SIZES_STRUCT, TickRecord, message_layout, unpack_tick
 
 FRAME_DTYPE = np.dtype(
     [
@@ -26,7 +26,7 @@ FIXED_DTYPE = np.dtype(
         "names": ["k", "t_ns", "late_ns", "state_hash", "mode", "action"],
         "formats": ["<i8", "<i8", "<i8", "V8", "u1", "u1"],
         "offsets": [0, 8, 16, 24, 32, 33],
-        "itemsize": FIXED.size,
+        "itemsize": TICK_HEAD_STRUCT.size,
     }
 )
 """Layout of the first part of a Tick message, which has a constant length.
@@ -55,7 +55,7 @@ class FrameBatch(NamedTuple):
     long_data: bytes
 
 
-class Batch(NamedTuple):
+class TickBatch(NamedTuple):
     """Data of n ticks as arrays.
 
     Attributes:
@@ -137,7 +137,7 @@ class _FrameCollector:
         return FrameBatch(np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_parts))
 
 
-class Batcher:
+class TickBatcher:
     """Collector for tick records. Method `take` returns the collected ticks as a batch.
 
     Attributes:
@@ -178,9 +178,9 @@ class Batcher:
         Args:
             body: body of a tick record, see `handctl.log.record`.
         """
-        size, *sizes = SIZES.unpack_from(body)
-        message = body[SIZES.size : SIZES.size + size]
-        numbers = body[SIZES.size + size :]
+        size, *sizes = TICK_SIZES_STRUCT.unpack_from(body)
+        message = body[TICK_SIZES_STRUCT.size : TICK_SIZES_STRUCT.size + size]
+        numbers = body[TICK_SIZES_STRUCT.size + size :]
         if tuple(sizes) != self._sizes or len(numbers) != 8 * self._width:
             self.misshapen += 1
             numbers = np.full(self._width, np.nan).tobytes()
@@ -188,7 +188,7 @@ class Batcher:
         self._add_frames(message)
         self._messages.append(message)
         self.size += len(body)
-        return int(FIXED.unpack_from(message, 4)[1])
+        return int(TICK_HEAD_STRUCT.unpack_from(message, 4)[1])
 
     def _add_frames(self, message: bytes) -> None:
         """Append the received and the sent frames of a Tick message, and process the rest of the message."""
@@ -230,12 +230,14 @@ class Batcher:
                 self._phase_of_tail[tail] = phase
         self._phases.append(phase)
 
-    def take(self) -> Batch:
+    def take(self) -> TickBatch:
         """Return the batch of all ticks added since the last call, and begin another batch."""
         # Four bytes of CDR encapsulation precede the part of constant length in each message.
-        fixed = np.frombuffer(b"".join([message[4 : 4 + FIXED.size] for message in self._messages]), FIXED_DTYPE)
+        fixed = np.frombuffer(
+            b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]), FIXED_DTYPE
+        )
         numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(len(fixed), self._width)
-        batch = Batch(
+        batch = TickBatch(
             self._messages, fixed["k"], fixed["t_ns"], fixed["late_ns"], fixed["mode"], fixed["action"], self._phases,
             numbers, self._received.frames(), self._sent.frames(), self._ticks_with_events,
         )  # fmt: skip

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """Encapsulation header of little-endian plain CDR."""
 
-_U32 = struct.Struct("<I")
-_I64 = struct.Struct("<q")
+_UINT32_STRUCT = struct.Struct("<I")
+_INT64_STRUCT = struct.Struct("<q")
 
 
 class CdrWriter:
@@ -105,12 +105,12 @@ class CdrReader:
     def count(self) -> int:
         """Read the length of a sequence."""
         self.align(4)
-        return int(_U32.unpack(self.take(4))[0])
+        return int(_UINT32_STRUCT.unpack(self.take(4))[0])
 
     def i64(self) -> int:
         """Read a signed 64-bit integer."""
         self.align(8)
-        return int(_I64.unpack(self.take(8))[0])
+        return int(_INT64_STRUCT.unpack(self.take(8))[0])
 
     def text(self) -> str:
         """Read a string."""
@@ -121,7 +121,7 @@ class CdrReader:
 
 
 @dataclass(frozen=True, slots=True)
-class Template:
+class MessageTemplate:
     """Encoded message of constant layout in which only the listed fields change.
 
     Attributes:
@@ -180,6 +180,6 @@ class TemplateWriter(CdrWriter):
         if number:
             self.place(name, "<f8", number)
 
-    def template(self) -> Template:
+    def template(self) -> MessageTemplate:
         """Return the finished template."""
-        return Template(self.message(), tuple(self._stamps), dict(self._places))
+        return MessageTemplate(self.message(), tuple(self._stamps), dict(self._places))

@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 from mcap.records import ChunkIndex
 
-_CHUNK = struct.Struct("<QQQQQQQQ")
+_CHUNK_ROW_STRUCT = struct.Struct("<QQQQQQQQ")
 """Layout of a row: the fields of ChunkEntry, then the number of the arrangement of message indexes."""
-_CHANNEL = struct.Struct("<HQ")
+_CHANNEL_STRUCT = struct.Struct("<HQ")
 """Layout of one channel in an arrangement: channel id, distance from the chunk's end to the channel's message index."""
-BLOCK_CHUNKS = 512
+CHUNKS_PER_BLOCK = 512
 """Number of chunks in one compressed block of the table."""
 
 
@@ -54,7 +54,7 @@ class ChunkTable:
 
     def __len__(self) -> int:
         """Return the number of chunks."""
-        return BLOCK_CHUNKS * len(self._packed) + len(self._latest) // _CHUNK.size
+        return CHUNKS_PER_BLOCK * len(self._packed) + len(self._latest) // _CHUNK_ROW_STRUCT.size
 
     def add(self, chunk: ChunkEntry, index_offsets: dict[int, int]) -> None:
         """Append a chunk to the table.
@@ -64,16 +64,16 @@ class ChunkTable:
             index_offsets: distance from the chunk's end to each channel's message index [bytes], by
                 channel.
         """
-        layout = b"".join([_CHANNEL.pack(*item) for item in index_offsets.items()])
+        layout = b"".join([_CHANNEL_STRUCT.pack(*item) for item in index_offsets.items()])
         # `setdefault` numbers the arrangements in the order of their first use.
-        self._latest += _CHUNK.pack(*chunk, self._layouts.setdefault(layout, len(self._layouts)))
-        if len(self._latest) == BLOCK_CHUNKS * _CHUNK.size:
+        self._latest += _CHUNK_ROW_STRUCT.pack(*chunk, self._layouts.setdefault(layout, len(self._layouts)))
+        if len(self._latest) == CHUNKS_PER_BLOCK * _CHUNK_ROW_STRUCT.size:
             self._packed.append(zlib.compress(self._latest))
             self._latest.clear()
 
     def indexes(self) -> Iterator[ChunkIndex]:
         """Yield the MCAP ChunkIndex record of each chunk."""
-        layouts = [tuple(_CHANNEL.iter_unpack(layout)) for layout in self._layouts]
+        layouts = [tuple(_CHANNEL_STRUCT.iter_unpack(layout)) for layout in self._layouts]
         for *fields, layout in self._stored_rows():
             chunk = ChunkEntry(*fields)
             end = chunk.start + chunk.length
@@ -92,4 +92,4 @@ class ChunkTable:
     def _stored_rows(self) -> Iterator[tuple[int, ...]]:
         """Yield the stored row of numbers of each chunk."""
         for block in (*map(zlib.decompress, self._packed), bytes(self._latest)):
-            yield from _CHUNK.iter_unpack(block)
+            yield from _CHUNK_ROW_STRUCT.iter_unpack(block)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 CONTROL_PACKAGES = ("hand", "drives", "safety", "core", "programs", "controller")
 """Packages of handctl whose code runs when a log is re-executed."""
-UNKNOWN = "?"
+UNKNOWN_IDENTITY = "?"
 """Code identity reported for a log without a code identity."""
 
 

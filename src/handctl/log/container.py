@@ -45,15 +45,15 @@ from numpy.typing import NDArray
 from handctl.log.chunk_table import ChunkEntry, ChunkTable
 
 MAGIC = b"\x89MCAP0\r\n"
-MESSAGE = struct.Struct("<BQHIQQ")
+MESSAGE_STRUCT = struct.Struct("<BQHIQQ")
 """Layout of the start of a Message record: opcode, length, channel, sequence, log time [ns], publish time [ns]."""
-_RECORD = struct.Struct("<BQ")
+_RECORD_STRUCT = struct.Struct("<BQ")
 """Layout of the start of every record: opcode, length."""
-_CHUNK = struct.Struct("<QQQII3sQ")
-"""Layout of the fields of a Chunk record after `_RECORD`, for the compression "lz4"."""
-_INDEX = struct.Struct("<BQHI")
+_CHUNK_STRUCT = struct.Struct("<QQQII3sQ")
+"""Layout of the fields of a Chunk record after `_RECORD_STRUCT`, for the compression "lz4"."""
+_MESSAGE_INDEX_STRUCT = struct.Struct("<BQHI")
 """Layout of the start of a MessageIndex record: opcode, length, channel, size of the entries."""
-_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
+_INDEX_ENTRY_DTYPE = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
 class MessageBlock(NamedTuple):
@@ -61,7 +61,7 @@ class MessageBlock(NamedTuple):
 
     Attributes:
         channel: id of the channel.
-        data: the records. Each begins with the layout `MESSAGE`.
+        data: the records. Each begins with the layout `MESSAGE_STRUCT`.
         log_times: (n,) uint64, log time of each message [ns].
         offsets: (n,) start of each record within data [bytes].
     """
@@ -81,7 +81,7 @@ def records_as_bytes(records: Iterable[McapRecord]) -> bytes:
 
 
 @dataclass(slots=True)
-class _Summary:
+class _SummarySection:
     """Contents of the file's summary section.
 
     The contents are collected while the file is written.
@@ -97,7 +97,7 @@ class _Summary:
     last: int = 0
 
 
-class Container:
+class McapContainer:
     """MCAP file that is being written, without a buffer.
 
     Attributes:
@@ -119,7 +119,7 @@ class Container:
         self._crc = 0
         self._at = 0
         self.complete_size = 0
-        self._summary = _Summary()
+        self._summary = _SummarySection()
         self._write_bytes(MAGIC + records_as_bytes([Header("ros2", "handctl")]))
 
     @property
@@ -184,8 +184,8 @@ class Container:
         packed = lz4.frame.compress(content)
         first = min((int(block.log_times.min()) for block in blocks), default=0)
         last = max((int(block.log_times.max()) for block in blocks), default=0)
-        fields = _CHUNK.pack(first, last, len(content), zlib.crc32(content), 3, b"lz4", len(packed))
-        chunk = _RECORD.pack(Opcode.CHUNK, len(fields) + len(packed)) + fields + packed
+        fields = _CHUNK_STRUCT.pack(first, last, len(content), zlib.crc32(content), 3, b"lz4", len(packed))
+        chunk = _RECORD_STRUCT.pack(Opcode.CHUNK, len(fields) + len(packed)) + fields + packed
         indexes, index_offsets = _message_indexes(blocks, len(head))
         start = self._write_bytes(chunk + indexes)
         at = ChunkEntry(start, len(chunk), len(packed), len(content), first, last, len(indexes))
@@ -256,7 +256,7 @@ def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, 
     """
     entries: dict[int, list[NDArray[np.void]]] = {}
     for block in blocks:
-        part = np.empty(len(block.offsets), _INDEX_ENTRY)
+        part = np.empty(len(block.offsets), _INDEX_ENTRY_DTYPE)
         part["log_time"] = block.log_times
         part["offset"] = block.offsets + np.uint64(base)
         entries.setdefault(block.channel, []).append(part)
@@ -267,6 +267,6 @@ def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, 
     for channel, parts in entries.items():
         raw = b"".join(part.tobytes() for part in parts)
         offsets[channel] = at
-        out.append(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(raw), channel, len(raw)) + raw)
+        out.append(_MESSAGE_INDEX_STRUCT.pack(Opcode.MESSAGE_INDEX, 6 + len(raw), channel, len(raw)) + raw)
         at += len(out[-1])
     return b"".join(out), offsets

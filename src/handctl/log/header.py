@@ -17,7 +17,7 @@ Commissioning before the run advances the simulator's time.
 """
 PERIOD_RANGE_NS = (10_000, 10_000_000_000)
 """Shortest and longest accepted tick period in a log [ns]."""
-LATEST_NS = 1 << 62
+MAX_LOG_TIME_NS = 1 << 62
 """Latest accepted time in a log [ns].
 
 The sum of two accepted times fits into 64 bits. As a UNIX time, the limit lies in the year 2116.
@@ -112,7 +112,7 @@ class RunHeader:
             attachments.get("hand.toml", b"").decode(),
             **names,
             period_ns=_checked_integer("period_ns", run["period_ns"], *PERIOD_RANGE_NS),
-            offset_ns=_checked_integer("offset_ns", run["offset_ns"], 0, LATEST_NS),
+            offset_ns=_checked_integer("offset_ns", run["offset_ns"], 0, MAX_LOG_TIME_NS),
             metadata=metadata.get("handctl", {}),
             gains=metadata.get("handctl.gains", {}),
             attachments=attachments,
@@ -128,8 +128,8 @@ class RunHeader:
             LogError: the value in the log is not a time.
         """
         text = self.metadata.get(TRUTH_OFFSET_KEY, "0")
-        if not (text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= LATEST_NS):
-            raise LogError(f"{TRUTH_OFFSET_KEY} = {text}", "the log", f"a whole number from 0 to {LATEST_NS}")
+        if not (text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= MAX_LOG_TIME_NS):
+            raise LogError(f"{TRUTH_OFFSET_KEY} = {text}", "the log", f"a whole number from 0 to {MAX_LOG_TIME_NS}")
         return int(text)
 
     def axis(self, name: str) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ alone.
 from handctl.core.types import Mode
 from handctl.safety.action import Action
 
-PHASES = {
+PHASE_NUMBERS = {
     name: number
     for number, name in enumerate((
         "idle", "start", "home", "tighten", "move", "close", "hold", "release", "open", "end", "live", "preshape",
@@ -18,7 +18,7 @@ PHASES = {
     ))
 }  # fmt: skip
 """Number of each grasp phase. A phase of a task with any other name is logged as OTHER_PHASE."""
-OTHER_PHASE = 255
+OTHER_PHASE_NUMBER = 255
 
 
 def _constant_lines(values: dict[str, int]) -> str:
@@ -26,30 +26,32 @@ def _constant_lines(values: dict[str, int]) -> str:
     return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
 
 
-_HEADER = "std_msgs/Header header\n"
+_HEADER_FIELD = "std_msgs/Header header\n"
 
-DEFINITIONS = {
+MESSAGE_DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
     "std_msgs/String": "string data\n",
     "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
     "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
     "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
-    "geometry_msgs/TransformStamped": _HEADER + "string child_frame_id\ngeometry_msgs/Transform transform\n",
+    "geometry_msgs/TransformStamped": _HEADER_FIELD + "string child_frame_id\ngeometry_msgs/Transform transform\n",
     "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n",
-    "geometry_msgs/WrenchStamped": _HEADER + "geometry_msgs/Wrench wrench\n",
+    "geometry_msgs/WrenchStamped": _HEADER_FIELD + "geometry_msgs/Wrench wrench\n",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
-    "sensor_msgs/JointState": _HEADER + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
-    "sensor_msgs/Temperature": _HEADER + "float64 temperature\nfloat64 variance\n",
-    "can_msgs/Frame": _HEADER + "uint32 id\nbool is_rtr\nbool is_extended\nbool is_error\nuint8 dlc\nuint8[8] data\n",
-    "ros2_socketcan_msgs/FdFrame": _HEADER
+    "sensor_msgs/JointState": _HEADER_FIELD
+    + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
+    "sensor_msgs/Temperature": _HEADER_FIELD + "float64 temperature\nfloat64 variance\n",
+    "can_msgs/Frame": _HEADER_FIELD
+    + "uint32 id\nbool is_rtr\nbool is_extended\nbool is_error\nuint8 dlc\nuint8[8] data\n",
+    "ros2_socketcan_msgs/FdFrame": _HEADER_FIELD
     + "uint32 id\nbool is_extended\nbool is_error\nuint8 len\nuint8[<=64] data\n",
-    "pal_statistics_msgs/StatisticsNames": _HEADER + "string[] names\nuint32 names_version\n",
-    "pal_statistics_msgs/StatisticsValues": _HEADER + "float64[] values\nuint32 names_version\n",
+    "pal_statistics_msgs/StatisticsNames": _HEADER_FIELD + "string[] names\nuint32 names_version\n",
+    "pal_statistics_msgs/StatisticsValues": _HEADER_FIELD + "float64[] values\nuint32 names_version\n",
     "diagnostic_msgs/KeyValue": "string key\nstring value\n",
     "diagnostic_msgs/DiagnosticStatus": "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\n"
     "byte level\nstring name\nstring message\nstring hardware_id\ndiagnostic_msgs/KeyValue[] values\n",
-    "diagnostic_msgs/DiagnosticArray": _HEADER + "diagnostic_msgs/DiagnosticStatus[] status\n",
+    "diagnostic_msgs/DiagnosticArray": _HEADER_FIELD + "diagnostic_msgs/DiagnosticStatus[] status\n",
     "rcl_interfaces/Log": "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
     "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line\n",
     "rcl_interfaces/ParameterValue": "uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\n"
@@ -59,37 +61,37 @@ DEFINITIONS = {
     "rcl_interfaces/ParameterEvent": "builtin_interfaces/Time stamp\nstring node\n"
     "rcl_interfaces/Parameter[] new_parameters\nrcl_interfaces/Parameter[] changed_parameters\n"
     "rcl_interfaces/Parameter[] deleted_parameters\n",
-    "handctl_msgs/GraspPhase": _constant_lines(PHASES | {"other": OTHER_PHASE})
-    + _HEADER
+    "handctl_msgs/GraspPhase": _constant_lines(PHASE_NUMBERS | {"other": OTHER_PHASE_NUMBER})
+    + _HEADER_FIELD
     + "uint8 phase\nstring name\n",
     "handctl_msgs/Mode": _constant_lines({mode.name: mode.value for mode in Mode})
-    + _HEADER
+    + _HEADER_FIELD
     + "uint8 mode\nstring name\n",
     "handctl_msgs/Action": _constant_lines({one.name: one.value for one in Action})
-    + _HEADER
+    + _HEADER_FIELD
     + "uint8 action\nstring name\n",
     "handctl_msgs/CycleStats": "# period: start of this tick since the start of the last one [s]; late: start\n"
     "# after the schedule [s]; last_reply: latest frame since the last tick's start [s]; missed: ticks\n"
     "# skipped before this one; stale: age of each motor's feedback [s].\n"
-    + _HEADER
+    + _HEADER_FIELD
     + "float64 period\nfloat64 late\nfloat64 last_reply\nuint32 missed\nuint8 mode\nuint8 action\nfloat64[] stale\n",
-    "handctl_msgs/Estimate": _HEADER + "string[] name\nfloat64[] value\nfloat64[] variance\nstring[] unit\n",
+    "handctl_msgs/Estimate": _HEADER_FIELD + "string[] name\nfloat64[] value\nfloat64[] variance\nstring[] unit\n",
     "handctl_msgs/CanFrame": "# flags: BRS 1, ESI 2, FDF 4; bus: index in the hand file; data: the first eight bytes.\n"
     "int64 t_ns\nuint32 can_id\nuint16 flags\nuint8 bus\nuint8 length\nuint8[8] data\n",
     "handctl_msgs/IoEvent": "string kind\nstring where\nint64 number\n",
     "handctl_msgs/Event": "string level\nstring name\nstring where\nstring text\n",
     "handctl_msgs/Chain": "# Hash of this tick's /tick and /controller/values and of the digest before it.\n"
-    + _HEADER
+    + _HEADER_FIELD
     + "uint8[8] digest\n",
     "handctl_msgs/ClockPair": "# Wall and monotonic clock at the same moment [ns]; a step of the wall shows here.\n"
-    + _HEADER
+    + _HEADER_FIELD
     + "int64 wall_ns\nint64 monotonic_ns\n",
     "handctl_msgs/StreamTarget": "# Target of a client as it arrived. number: rises with each target;\n"
     "# age: since it was sent [s]; name: joints, digits or tendons; value: angle [deg], tension or force [N].\n"
-    + _HEADER
+    + _HEADER_FIELD
     + "string stream\nint64 number\nfloat64 age\nstring[] name\nfloat64[] value\n",
     "handctl_msgs/Snapshot": "# The controller's state after tick k, for the code that wrote it.\n"
-    + _HEADER
+    + _HEADER_FIELD
     + "int64 k\nuint8[] data\n",
     "handctl_msgs/Tick": "# One tick exactly as the controller saw it (k .. late_ns, received, io_events,\n"
     "# requests) and decided it; what re-execution reads. long_data: bytes beyond the eighth of each longer\n"
@@ -100,7 +102,7 @@ DEFINITIONS = {
 }
 """Definition of each message type, by name."""
 
-_SEPARATOR = "=" * 80 + "\n"
+_DEFINITION_SEPARATOR = "=" * 80 + "\n"
 
 
 def _collect_dependencies(name: str, types: dict[str, None]) -> None:
@@ -110,11 +112,11 @@ def _collect_dependencies(name: str, types: dict[str, None]) -> None:
         name: name of the message type.
         types: the types collected so far, in order. The function adds further types.
     """
-    for line in DEFINITIONS[name].splitlines():
+    for line in MESSAGE_DEFINITIONS[name].splitlines():
         # In a line such as "uint8[<=64] data", the type stands before the bracket, and the field
         # name after it.
         field_type = line.split(" ")[0].split("[")[0]
-        if field_type in DEFINITIONS and field_type not in types:
+        if field_type in MESSAGE_DEFINITIONS and field_type not in types:
             types[field_type] = None
             _collect_dependencies(field_type, types)
 
@@ -127,7 +129,9 @@ def schema_text(name: str) -> str:
     """
     types: dict[str, None] = {}
     _collect_dependencies(name, types)
-    return DEFINITIONS[name] + "".join(f"{_SEPARATOR}MSG: {other}\n{DEFINITIONS[other]}" for other in types)
+    return MESSAGE_DEFINITIONS[name] + "".join(
+        f"{_DEFINITION_SEPARATOR}MSG: {other}\n{MESSAGE_DEFINITIONS[other]}" for other in types
+    )
 
 
 def schema_name(name: str) -> str:

@@ -33,42 +33,49 @@ from numpy.typing import NDArray
 from handctl.core.types import (
     TELEMETRY_AXES,
     TELEMETRY_FIELDS,
-    Event,
     IoEvent,
     Mode,
     PackedTelemetry,
     Telemetry,
+    TickEvent,
     TickIn,
     TickOut,
 )
-from handctl.drives.records import NO_FRAMES, RECORD, SHORT_RECORD_BYTES, Frames, Records, frames_as_records
+from handctl.drives.records import (
+    FRAME_RECORD_DTYPE,
+    NO_FRAMES,
+    SHORT_RECORD_BYTES,
+    Frames,
+    RecordArray,
+    frames_as_records,
+)
 from handctl.log.cdr import ENCAPSULATION, CdrReader, CdrWriter
 from handctl.safety.action import Action
 
-FRAMING = struct.Struct("<II")
-HEADER = 1
+RECORD_FRAMING_STRUCT = struct.Struct("<II")
+HEADER_RECORD_KIND = 1
 """Kind of the record with the header of a run, from `RunHeader.dump`."""
-TICK = 2
+TICK_RECORD_KIND = 2
 """Kind of the record of one tick."""
-END = 3
+END_RECORD_KIND = 3
 """Kind of the record with the reason for the end of the run, as JSON."""
-SNAPSHOT = 4
+SNAPSHOT_RECORD_KIND = 4
 """Kind of the record with the controller's state after a tick."""
-FILE = 5
+FILE_RECORD_KIND = 5
 """Kind of the first record, as JSON: path of the log, and free disk space at which the log ends early [bytes]."""
-SNAPSHOT_HEAD = struct.Struct("<qq")
+SNAPSHOT_HEAD_STRUCT = struct.Struct("<qq")
 """Layout of the start of a snapshot record: number and time [ns] of the tick.
 
 The controller's state after this tick follows.
 """
 
-SIZES = struct.Struct("<IHHHH")
+TICK_SIZES_STRUCT = struct.Struct("<IHHHH")
 """Layout of the start of the body of a tick's record: size of the Tick message, lengths of the telemetry axes."""
-FIXED = struct.Struct("<qqq8sBB2xI")
+TICK_HEAD_STRUCT = struct.Struct("<qqq8sBB2xI")
 """Layout of a Tick message's first part: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
 FRAME_SIZE = SHORT_RECORD_BYTES
-"""Size of a CAN frame in a Tick message [bytes]: the first part of a RECORD, with eight data bytes."""
-_BEGINNING = np.dtype(f"V{SHORT_RECORD_BYTES}")
+"""Size of a CAN frame in a Tick message [bytes]: the first part of a record, with eight data bytes."""
+_SHORT_FRAME_DTYPE = np.dtype(f"V{SHORT_RECORD_BYTES}")
 """numpy type of a frame in a Tick message, as raw bytes."""
 _LENGTH_AT = 15
 """Offset of the length byte in a frame of a Tick message."""
@@ -78,26 +85,26 @@ _DATA_WORD = np.dtype("<u8")
 """numpy type of the eight data bytes of a frame, as one word."""
 _SHORT_DATA = 8
 """Number of data bytes in a frame of a Tick message."""
-_LONGEST = 64
+_MAX_DATA_BYTES = 64
 """Number of data bytes in the longest CAN FD frame."""
-_MASKS = np.array([(1 << 8 * length) - 1 for length in range(_SHORT_DATA + 1)], np.uint64)
+_DATA_MASKS = np.array([(1 << 8 * length) - 1 for length in range(_SHORT_DATA + 1)], np.uint64)
 """Mask of the used bytes in the data word, for each payload length from 0 to 8 bytes."""
-_LONG_INDEX = np.arange(_SHORT_DATA, _LONGEST)
+_LONG_INDEX = np.arange(_SHORT_DATA, _MAX_DATA_BYTES)
 """Indexes of the payload bytes after the eighth."""
-_FRAMES_AT = FIXED.size + 4
+_FRAMES_AT = TICK_HEAD_STRUCT.size + 4
 """Offset of the received frames in a Tick message [bytes]."""
-_Fixed = tuple[int, int, int, bytes, int, int, int]
+_TickHead = tuple[int, int, int, bytes, int, int, int]
 """Values of the first part of a Tick message."""
-_MODES = {mode.value: mode for mode in Mode}
-_ACTIONS = {action.value: action for action in Action}
+_MODE_BY_VALUE = {mode.value: mode for mode in Mode}
+_ACTION_BY_VALUE = {action.value: action for action in Action}
 """Members of the enumerations Mode and Action by value.
 
 A dictionary finds a member four times as fast as a call of the enumeration.
 """
 new_tuple = tuple.__new__
 """Function that creates a named tuple faster than the constructor of the tuple."""
-_COUNT = struct.Struct("<I")
-_NO_LONG_DATA = _COUNT.pack(0)
+_COUNT_STRUCT = struct.Struct("<I")
+_NO_LONG_DATA = _COUNT_STRUCT.pack(0)
 _FIELD_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
 """A telemetry field of each axis, in the order joint, tendon, motor, digit."""
 
@@ -116,16 +123,16 @@ class TickRecord(NamedTuple):
     mode: Mode
     phase: str
     action: Action
-    events: tuple[Event, ...]
+    events: tuple[TickEvent, ...]
     state_hash: bytes
 
 
 def record_bytes(kind: int, body: bytes) -> bytes:
     """Return a record of the given kind."""
-    return FRAMING.pack(len(body), kind) + body
+    return RECORD_FRAMING_STRUCT.pack(len(body), kind) + body
 
 
-def _long_mask(records: Records) -> NDArray[np.bool_]:
+def _long_mask(records: RecordArray) -> NDArray[np.bool_]:
     """Return a mask (n, 56) of the bytes after the eighth in n frames.
 
     True marks a byte of the payload.
@@ -133,7 +140,7 @@ def _long_mask(records: Records) -> NDArray[np.bool_]:
     return np.asarray(records["length"][:, np.newaxis] > _LONG_INDEX)
 
 
-def _long_data(records: Records) -> bytes:
+def _long_data(records: RecordArray) -> bytes:
     """Return the payload bytes after the eighth of all frames, in order."""
     return bytes(records["data"][:, _SHORT_DATA:][_long_mask(records)].tobytes())
 
@@ -151,7 +158,7 @@ def _tail_without_events(phase: str) -> bytes:
     return bytes(out.data)
 
 
-def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[Event, ...]) -> bytes:
+def _message_end(start: int, phase: str, tick_in: TickIn, events: tuple[TickEvent, ...]) -> bytes:
     """Return the end of a Tick message, which has phase, io events, requests and events.
 
     Args:
@@ -186,7 +193,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     sent = frames_as_records(out.frames).records
     if len(out.state_hash) != 8:
         raise ValueError(f"state hash of {len(out.state_hash)} bytes; expected 8")
-    fixed = FIXED.pack(
+    fixed = TICK_HEAD_STRUCT.pack(
         tick_in.k,
         tick_in.t_ns,
         tick_in.late_ns,
@@ -195,12 +202,12 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
         out.action,
         len(received),
     )
-    beginnings = [records.getfield(_BEGINNING).tobytes() for records in (received, sent)]
+    beginnings = [records.getfield(_SHORT_FRAME_DTYPE).tobytes() for records in (received, sent)]
     long_part = _NO_LONG_DATA
     # The slice with a stride reads the length bytes of all frames, without decoding the frames.
     if max(b"".join([part[_LENGTH_AT::FRAME_SIZE] for part in beginnings]), default=0) > _SHORT_DATA:
         long_data = _long_data(received) + _long_data(sent)
-        long_part = _COUNT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
+        long_part = _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
     # The first member of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. An empty
     # sequence has no padding.
     padding = b"\0\0\0\0" if len(sent) else b""
@@ -208,7 +215,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
         ENCAPSULATION,
         fixed,
         beginnings[0],
-        _COUNT.pack(len(sent)),
+        _COUNT_STRUCT.pack(len(sent)),
         padding,
         beginnings[1],
         long_part,
@@ -224,13 +231,15 @@ def pack_tick_record(tick_in: TickIn, out: TickOut) -> bytes:
     """Encode a tick as a record for the pipe. The errors are those of `pack_tick`."""
     message = pack_tick(tick_in, out)
     values = out.telemetry.packed()
-    sizes = SIZES.pack(len(message), *_axis_lengths(out.telemetry))
-    return b"".join((FRAMING.pack(12 + len(message) + len(values), TICK), sizes, message, values))
+    sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(out.telemetry))
+    return b"".join(
+        (RECORD_FRAMING_STRUCT.pack(12 + len(message) + len(values), TICK_RECORD_KIND), sizes, message, values)
+    )
 
 
 def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
     """Encode the controller's state after a tick as a record for the pipe."""
-    return record_bytes(SNAPSHOT, SNAPSHOT_HEAD.pack(tick_in.k, tick_in.t_ns) + data)
+    return record_bytes(SNAPSHOT_RECORD_KIND, SNAPSHOT_HEAD_STRUCT.pack(tick_in.k, tick_in.t_ns) + data)
 
 
 def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> list[int]:
@@ -261,14 +270,14 @@ def message_layout(message: bytes) -> MessageLayout:
     Raises:
         struct.error: the message ends early.
     """
-    (received,) = _COUNT.unpack_from(message, FIXED.size)
-    start = FIXED.size + 4
-    end = FIXED.size + 4 + FRAME_SIZE * received
-    (sent,) = _COUNT.unpack_from(message, end)
+    (received,) = _COUNT_STRUCT.unpack_from(message, TICK_HEAD_STRUCT.size)
+    start = TICK_HEAD_STRUCT.size + 4
+    end = TICK_HEAD_STRUCT.size + 4 + FRAME_SIZE * received
+    (sent,) = _COUNT_STRUCT.unpack_from(message, end)
     # Padding to 8 bytes precedes the sent frames. An empty sequence of frames has no padding.
     sent_start = end + 8 if sent else end + 4
     sent_end = sent_start + FRAME_SIZE * sent
-    (size,) = _COUNT.unpack_from(message, sent_end)
+    (size,) = _COUNT_STRUCT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
     # The long bytes may end at any offset. The text that follows them is aligned to 4 bytes.
     return MessageLayout(slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4)
@@ -288,11 +297,11 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     count = len(beginnings) // FRAME_SIZE
     if not count:
         return NO_FRAMES, long_data
-    records = np.zeros(count, RECORD)
-    records.setfield(np.frombuffer(beginnings, _BEGINNING), _BEGINNING, 0)
+    records = np.zeros(count, FRAME_RECORD_DTYPE)
+    records.setfield(np.frombuffer(beginnings, _SHORT_FRAME_DTYPE), _SHORT_FRAME_DTYPE, 0)
     longest = max(lengths)
-    if longest > _LONGEST:
-        raise ValueError(f"payload of {longest} bytes, expected at most {_LONGEST}")
+    if longest > _MAX_DATA_BYTES:
+        raise ValueError(f"payload of {longest} bytes, expected at most {_MAX_DATA_BYTES}")
     if lengths.count(_SHORT_DATA) < count:
         _zero_unused_bytes(records)
     if longest > _SHORT_DATA:
@@ -305,10 +314,10 @@ def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
     return Frames(records), long_data
 
 
-def _zero_unused_bytes(records: Records) -> None:
+def _zero_unused_bytes(records: RecordArray) -> None:
     """Set the unused data bytes of short payloads to zero, because a bad file may have any values there."""
     words = records.getfield(_DATA_WORD, _DATA_AT)
-    words &= _MASKS[np.minimum(records["length"], _SHORT_DATA)]
+    words &= _DATA_MASKS[np.minimum(records["length"], _SHORT_DATA)]
 
 
 @functools.lru_cache(maxsize=256)
@@ -332,12 +341,12 @@ def unpack_tick(message: bytes) -> TickRecord:
         frames_out, rest = _decode_frames(message[parts.sent], rest)
         if rest:
             raise ValueError("more data than frames")
-        return _build_tick(FIXED.unpack_from(message, 4), frames_in, frames_out, message, parts.tail)
+        return _build_tick(TICK_HEAD_STRUCT.unpack_from(message, 4), frames_in, frames_out, message, parts.tail)
     except struct.error as error:
         raise ValueError(f"the message ends early: {error}") from None
 
 
-def _build_tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: int) -> TickRecord:
+def _build_tick(fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail: int) -> TickRecord:
     """Build a tick from the parts of a Tick message, and return the tick.
 
     Args:
@@ -356,17 +365,17 @@ def _build_tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, t
     phase = reader.text()
     io_events = tuple(IoEvent(reader.text(), reader.text(), reader.i64()) for _ in range(reader.count()))
     requests = tuple(reader.text() for _ in range(reader.count()))
-    events = tuple(Event(reader.text(), reader.text(), reader.text(), reader.text()) for _ in range(reader.count()))
+    events = tuple(TickEvent(reader.text(), reader.text(), reader.text(), reader.text()) for _ in range(reader.count()))
     tick_in = TickIn(k, t_ns, late_ns, received, io_events, requests)
     return TickRecord(tick_in, sent, Mode(mode), phase, Action(action), events, state_hash)
 
 
-def _tick_without_events(fixed: _Fixed, received: Frames, sent: Frames, phase: str) -> TickRecord:
+def _tick_without_events(fixed: _TickHead, received: Frames, sent: Frames, phase: str) -> TickRecord:
     """Return a tick that has no io events, no requests and no events."""
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     tick_in = new_tuple(TickIn, (k, t_ns, late_ns, received, (), ()))
-    mode_member = _MODES.get(mode) or Mode(mode)
-    action_member = _ACTIONS.get(action) or Action(action)
+    mode_member = _MODE_BY_VALUE.get(mode) or Mode(mode)
+    action_member = _ACTION_BY_VALUE.get(action) or Action(action)
     return new_tuple(TickRecord, (tick_in, sent, mode_member, phase, action_member, (), state_hash))
 
 
@@ -389,16 +398,16 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
     """
     parts = list[bytes]()
     ends = [0]
-    fixed = list[_Fixed]()
+    fixed = list[_TickHead]()
     tails = list[int]()
     end = 0
     for message in messages:
         if message[:4] != ENCAPSULATION:
             return None
         try:
-            constant_part = FIXED.unpack_from(message, 4)
+            constant_part = TICK_HEAD_STRUCT.unpack_from(message, 4)
             sent_count = _FRAMES_AT + FRAME_SIZE * constant_part[6]
-            (sent,) = _COUNT.unpack_from(message, sent_count)
+            (sent,) = _COUNT_STRUCT.unpack_from(message, sent_count)
         except struct.error:
             return None
         start = sent_count + 8 if sent else sent_count + 4
@@ -426,11 +435,11 @@ def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:
     Raises:
         ValueError: the bytes are not the record of a tick.
     """
-    length, kind = FRAMING.unpack_from(record)
-    if kind != TICK or length != len(record) - FRAMING.size:
+    length, kind = RECORD_FRAMING_STRUCT.unpack_from(record)
+    if kind != TICK_RECORD_KIND or length != len(record) - RECORD_FRAMING_STRUCT.size:
         raise ValueError("not the record of a tick")
-    size, *axes = SIZES.unpack_from(record, FRAMING.size)
-    start = FRAMING.size + SIZES.size
+    size, *axes = TICK_SIZES_STRUCT.unpack_from(record, RECORD_FRAMING_STRUCT.size)
+    start = RECORD_FRAMING_STRUCT.size + TICK_SIZES_STRUCT.size
     tick = unpack_tick(record[start : start + size])
     lengths = dict(zip(("joint", "tendon", "motor", "digit"), axes, strict=True))
     ends = np.cumsum([lengths[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS])

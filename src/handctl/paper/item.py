@@ -22,7 +22,7 @@ class ErrataVerdict(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class ErrataItem:
     """Row of the errata.
 
     Attributes:

@@ -8,14 +8,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from handctl.paper.item import Item
-from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, PageSection, count_by_verdict
+from handctl.paper.item import ErrataItem
+from handctl.paper.sections import INTRODUCTION_TEXT, PAGE_TITLE, PAPER_CITATION, PageSection, count_by_verdict
 
-FIGURES = "../figures"
+FIGURES_FOLDER = "../figures"
 """Folder of the figures, relative to the folder of the Markdown page."""
-PREFIX = "paper-"
+FIGURE_FILE_PREFIX = "paper-"
 """Prefix of the names of the figure files."""
-REGENERATE = (
+REGENERATE_COMMAND = (
     "handctl paper --markdown --figures docs/figures --results docs/evidence/paper-results.json"
 )
 """Command that generates the page again."""
@@ -23,7 +23,7 @@ MEASURED_MARK = (
     "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
 )
 """Comment in the page before sections whose content differs from machine to machine."""
-CAPTIONS = {
+FIGURE_CAPTIONS = {
     "fig1-hand": "Fig. 1: the hand from its description, half closed.",
     "fig2-model": "Fig. 2: kinematic model of a finger, with relative angles q and absolute angles θ.",
     "fig3-path": "Fig. 3: path of the tip (Eq. 1-2) and workspace, finger and thumb.",
@@ -36,7 +36,7 @@ CAPTIONS = {
 """Caption of each figure."""
 
 
-def items_as_json(items: Sequence[Item]) -> list[dict[str, Any]]:
+def items_as_json(items: Sequence[ErrataItem]) -> list[dict[str, Any]]:
     """Return the items as plain values for JSON."""
     return [
         {**asdict(item), "verdict": item.verdict.value, "evidence": list(item.evidence)}
@@ -44,7 +44,7 @@ def items_as_json(items: Sequence[Item]) -> list[dict[str, Any]]:
     ]
 
 
-def value_text(item: Item) -> str:
+def value_text(item: ErrataItem) -> str:
     """Return the correct value of an item as text.
 
     The text is a number of seven digits with its unit, or an expression.
@@ -56,14 +56,14 @@ def value_text(item: Item) -> str:
 
 
 def page_as_markdown(parts: Sequence[PageSection]) -> str:
-    """Return the page as Markdown. The figures must be in the folder `FIGURES`."""
+    """Return the page as Markdown. The figures must be in the folder `FIGURES_FOLDER`."""
     rows = [item for part in parts for item in part.items]
     lines = [
-        f"# {TITLE}",
+        f"# {PAGE_TITLE}",
         "",
-        _wrap_paragraph(REFERENCE),
+        _wrap_paragraph(PAPER_CITATION),
         "",
-        _wrap_paragraph(INTRODUCTION),
+        _wrap_paragraph(INTRODUCTION_TEXT),
         "",
         _wrap_paragraph(_summary_text(rows)),
         "",
@@ -75,9 +75,9 @@ def page_as_markdown(parts: Sequence[PageSection]) -> str:
             lines += [_wrap_paragraph(paragraph), ""]
         for name in part.figures:
             lines += [
-                f"![{CAPTIONS[name]}]({FIGURES}/{PREFIX}{name}.png)",
+                f"![{FIGURE_CAPTIONS[name]}]({FIGURES_FOLDER}/{FIGURE_FILE_PREFIX}{name}.png)",
                 "",
-                f"*{CAPTIONS[name]}*",
+                f"*{FIGURE_CAPTIONS[name]}*",
                 "",
             ]
         lines += _markdown_table(part.table)
@@ -100,17 +100,17 @@ def _markdown_table(table: Sequence[Sequence[str]]) -> list[str]:
     return [titles, "|" + "---|" * len(table[0]), *rows, ""]
 
 
-def _summary_text(rows: list[Item]) -> str:
+def _summary_text(rows: list[ErrataItem]) -> str:
     """Return a text with the number of items for each verdict, and the command that generates the page again."""
     counts = ", ".join(f"{count} {verdict}" for verdict, count in count_by_verdict(rows).items())
     return (
         f"Of {len(rows)} items: {counts}. The verdict `bound` means that the paper states a lower bound and a larger "
-        f"value was reached. Regenerate this page with `{REGENERATE}`. Without the file of results the experiments run "
-        "again."
+        f"value was reached. Regenerate this page with `{REGENERATE_COMMAND}`. "
+        "Without the file of results the experiments run again."
     )
 
 
-def _item_cells(item: Item) -> tuple[str, ...]:
+def _item_cells(item: ErrataItem) -> tuple[str, ...]:
     """Return the cells of an item in its row of the table."""
     off = (
         f" (deviation {item.deviation:.2g})"
@@ -137,7 +137,7 @@ def _wrap_paragraph(paragraph: str) -> str:
     return textwrap.fill(paragraph, 118, break_long_words=False, break_on_hyphens=False)
 
 
-STYLE = """
+PAGE_STYLE = """
 :root { color-scheme: light dark; --line: #8884; --soft: #8881; }
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.9rem; margin-bottom: .2rem } h2 { margin-top: 2.5rem; border-bottom: 1px solid var(--line) }
@@ -164,7 +164,7 @@ def page_as_html(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> s
         f"{_html_badge(verdict)} {count}" for verdict, count in count_by_verdict(rows).items()
     )
     body = [
-        f"<h1>{TITLE}</h1><p>{html.escape(REFERENCE)}</p><p>{html.escape(INTRODUCTION)}</p><p>{counts}</p>"
+        f"<h1>{PAGE_TITLE}</h1><p>{html.escape(PAPER_CITATION)}</p><p>{html.escape(INTRODUCTION_TEXT)}</p><p>{counts}</p>"
     ]
     for part in parts:
         body.append(f"<h2>{html.escape(part.title)}</h2>")
@@ -172,8 +172,8 @@ def page_as_html(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> s
         body += [_html_figure(name, figures[name]) for name in part.figures]
         body += [_html_numbers(part.table)] if part.table else []
         body.append(_html_items(part.items))
-    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{TITLE}</title>'
-    head = f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>'
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{PAGE_TITLE}</title>'
+    head = f'<!doctype html>\n<html lang="en"><head>{head}<style>{PAGE_STYLE}</style></head>'
     return f"{head}<body>{''.join(body)}</body></html>\n"
 
 
@@ -192,7 +192,7 @@ def _html_paragraph(paragraph: str) -> str:
 def _html_figure(name: str, path: Path) -> str:
     """Return a figure as HTML."""
     data = base64.b64encode(path.read_bytes()).decode()
-    caption = html.escape(CAPTIONS[name])
+    caption = html.escape(FIGURE_CAPTIONS[name])
     image = f'<img alt="{caption}" src="data:image/svg+xml;base64,{data}">'
     return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
 
@@ -206,7 +206,7 @@ def _html_numbers(table: Sequence[Sequence[str]]) -> str:
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
-def _html_items(items: Sequence[Item]) -> str:
+def _html_items(items: Sequence[ErrataItem]) -> str:
     """Return a table of items as HTML."""
     titles = "".join(
         f"<th>{name}</th>" for name in ("id", "where", "printed", "right", "verdict", "why")

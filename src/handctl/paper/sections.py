@@ -5,15 +5,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from handctl.paper.bench import force_displacement, payload
-from handctl.paper.item import ErrataVerdict, Item
+from handctl.paper.item import ErrataItem, ErrataVerdict
 from handctl.paper.model import assumptions, kinematics, lagrange, motion, statics, text
 
-TITLE = "Source paper"
-REFERENCE = (
+PAGE_TITLE = "Source paper"
+PAPER_CITATION = (
     'S. Hussain and M. Suhaib, "Mathematical Modeling Of Four Finger Robotic Grippers", Department of Mechanical '
     "Engineering, Jamia Millia Islamia, New Delhi."
 )
-INTRODUCTION = (
+INTRODUCTION_TEXT = (
     "The hand `jamia` of this project comes from this paper. The model of the paper is mostly right, but the printed "
     "formulas and numbers have many errors. Each item below is one printed statement: a term of an equation, a number, "
     "a claim. The correct value beside it is computed from the paper's own lengths, radii and forces. The verdict "
@@ -39,7 +39,7 @@ class PageSection:
     title: str
     text: tuple[str, ...]
     figures: tuple[str, ...]
-    items: tuple[Item, ...]
+    items: tuple[ErrataItem, ...]
     measured: bool = False
     table: tuple[tuple[str, ...], ...] = ()
 
@@ -66,12 +66,12 @@ def page_sections(measured: Mapping[str, Any] | None) -> tuple[PageSection, ...]
     )
 
 
-def page_items(measured: Mapping[str, Any] | None) -> list[Item]:
+def page_items(measured: Mapping[str, Any] | None) -> list[ErrataItem]:
     """Return all items of the page."""
     return [item for section in page_sections(measured) for item in section.items]
 
 
-def count_by_verdict(rows: list[Item]) -> dict[str, int]:
+def count_by_verdict(rows: list[ErrataItem]) -> dict[str, int]:
     """Return the number of items for each verdict."""
     return {
         verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict

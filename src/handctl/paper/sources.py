@@ -16,11 +16,11 @@ GRIP_FINGER_N = Fraction(6)
 """Force with which each finger presses [N]."""
 GRIP_THUMB_N = Fraction(10)
 """Force with which the thumb presses [N]."""
-FINGERS = 3
+FINGER_COUNT = 3
 """Number of fingers."""
-FRICTION = Fraction(1, 2)
+FRICTION_COEFFICIENT = Fraction(1, 2)
 """Coefficient of friction between digits and object."""
-GRAVITY = Fraction(981, 100)
+GRAVITY_M_PER_S2 = Fraction(981, 100)
 """Acceleration of gravity [m/s^2]."""
 STRESS_MPA = Fraction(190)
 """Allowable stress of the wire [MPa]. Source: section 5."""
@@ -46,7 +46,7 @@ def paper_thumb() -> Digit:
     return paper_hand().digit_named("thumb")
 
 
-def millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
+def exact_millimetres(lengths_m: tuple[float, ...]) -> tuple[Fraction, ...]:
     """Return lengths from a hand file as exact numbers [mm].
 
     The conversion is exact, because the file contains decimal numbers.
@@ -59,7 +59,7 @@ def levers_mm(digit: Digit) -> tuple[Fraction, ...]:
 
     It equals the moment per newton of force at the tip.
     """
-    lengths = millimetres(digit.link_length_m)
+    lengths = exact_millimetres(digit.link_length_m)
     return tuple(sum(lengths[i:], Fraction(0)) for i in range(len(lengths)))
 
 
@@ -70,7 +70,7 @@ def tension_per_newton(digit: Digit) -> Fraction:
 
 def tension_of_payload_kg(mass: int) -> Fraction:
     """Return the tension of each finger's tendon at which the friction of three fingers holds a mass [kg] [N]."""
-    return mass * GRAVITY / (FINGERS * FRICTION) * tension_per_newton(paper_finger())
+    return mass * GRAVITY_M_PER_S2 / (FINGER_COUNT * FRICTION_COEFFICIENT) * tension_per_newton(paper_finger())
 
 
 def wire_diameter_mm(tension_n: Fraction | float) -> float:
@@ -85,4 +85,4 @@ def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
 
 def payload_kg(normal_n: Fraction) -> Fraction:
     """Return the mass that the friction of a contact with a normal force holds [kg]."""
-    return FRICTION * normal_n / GRAVITY
+    return FRICTION_COEFFICIENT * normal_n / GRAVITY_M_PER_S2

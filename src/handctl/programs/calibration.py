@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator
 
-from handctl.core.identified import Identified, check_identified
+from handctl.core.identified import IdentifiedParameters, check_identified
 from handctl.core.types import Vector
 from handctl.document import Document, validate_content
 from handctl.drives.sensors.node import TARE_MAX_N, TARE_MIN_N
@@ -52,7 +52,7 @@ class Calibration(Document):
 
     Empty in files of earlier versions.
     """
-    identified: dict[str, Identified] = Field(default_factory=dict)
+    identified: dict[str, IdentifiedParameters] = Field(default_factory=dict)
     """Identified parameters of each tendon. Missing parameters have the values of the hand file."""
 
     @field_validator("made")

@@ -20,15 +20,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, Measured
+from handctl.core.estimate import Estimate, TickMeasurements
 from handctl.core.law.allocation import tensions_for_torque
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Vector
+from handctl.core.types import TickEvent, Vector
 from handctl.drives.sensors.node import TARE_MAX_N, TARE_MIN_N
 from handctl.hand.dynamics import static_torque
 from handctl.programs.calibration import Calibration, TendonCalibration
-from handctl.programs.program import TARE_PHASE, Progress, ProgressAndEvents
+from handctl.programs.program import TARE_PHASE, ProgramProgress, ProgressAndEvents
 
 PULL_N = 3.0
 """Tension of a pull [N]."""
@@ -60,14 +60,14 @@ MIN_ANSWER_FRACTION = 0.6
 MAX_CROSSTALK_FRACTION = 0.3
 """Largest accepted response of any other load cell, as a fraction of the pull."""
 
-TARE_SUM, TARE_SAMPLES, ZERO, ANSWER, CROSSTALK, PULL_SUM, REST_SUM, REST_SAMPLES = range(8)
-COLUMNS = 8
-"""Number of columns of the table in `Progress.record`.
+TARE_SUM, TARE_SAMPLES, ZERO_COLUMN, ANSWER_COLUMN, CROSSTALK_COLUMN, PULL_SUM, REST_SUM, REST_SAMPLES = range(8)
+COLUMN_COUNT = 8
+"""Number of columns of the table in `ProgramProgress.record`.
 
 The constants above are the indices of its columns.
 """
 BEFORE_PULL = -1
-"""Value of `Progress.touching[0]` before a pull.
+"""Value of `ProgramProgress.touching[0]` before a pull.
 
 The value is 0 until the tendon is taut, then 1 more than the number of readings.
 """
@@ -77,25 +77,25 @@ The value is 0 until the tendon is taut, then 1 more than the number of readings
 class CommissionProgram:
     """Program with a step for the tares and a step for each tendon.
 
-    Step 0 tares all load cells, step i + 1 pulls tendon i. `Progress.record` is a table with a row
+    Step 0 tares all load cells, step i + 1 pulls tendon i. `ProgramProgress.record` is a table with a row
     for each tendon: sum of tare samples, their number, motor zero [rad], response [N], crosstalk
     [N], sum of samples during the present pull, sum and number of samples just before it.
     """
 
-    def initial(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress at the start: no torque, and a table of zeros."""
-        empty = (0.0,) * (COLUMNS * model.tendon_count)
-        return replace(Progress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty)
+        empty = (0.0,) * (COLUMN_COUNT * model.tendon_count)
+        return replace(ProgramProgress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty)
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Advance commissioning by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.since < 0.0:
             return replace(progress, since=t), (
-                Event("info", "phase", "", "tare: all motors limp"),
+                TickEvent("info", "phase", "", "tare: all motors limp"),
             )
         if progress.step == 0:
             return self._tare_cells(model, progress, measured, t)
@@ -106,10 +106,10 @@ class CommissionProgram:
         return self._pull(model, progress, estimate, measured, t)
 
     def _tare_cells(
-        self, model: HandModel, progress: Progress, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         table = _table_of(progress)
-        tension = _tensions(model, measured)
+        tension = _known_tensions(model, measured)
         if not np.isnan(tension).any():
             table[:, TARE_SUM] += tension
             table[:, TARE_SAMPLES] += 1.0
@@ -118,7 +118,7 @@ class CommissionProgram:
             return progress, ()
         return self._check_tare(model, progress) or self._next(model, _with_new_tare(progress), t)
 
-    def _check_tare(self, model: HandModel, progress: Progress) -> ProgressAndEvents | None:
+    def _check_tare(self, model: HandModel, progress: ProgramProgress) -> ProgressAndEvents | None:
         """Return a failed progress if a tare is near an end of its cell's range, or None if all tares are usable."""
         tare = _tares_of(_table_of(progress))
         worst = int(np.maximum(tare - TARE_MAX_N, TARE_MIN_N - tare).argmax())
@@ -131,7 +131,7 @@ class CommissionProgram:
         )
 
     def _rest(
-        self, model: HandModel, progress: Progress, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Read all load cells without torque, renew the tare of the present tendon, then pull this tendon.
 
@@ -139,7 +139,7 @@ class CommissionProgram:
         a tendon that was pulled before. These are the tare of the present tendon, or all tares of a
         digit without springs.
         """
-        tension = _tensions(model, measured)
+        tension = _known_tensions(model, measured)
         if t - progress.since < REST_SETTLE_S or np.isnan(tension).any():
             return progress, ()
         i = progress.step - 1
@@ -167,11 +167,11 @@ class CommissionProgram:
         pulling = replace(
             progress, since=t, goals=goals, phase=f"pull {name}", touching=(0,) * len(goals)
         )
-        event = Event("info", "phase", name, f"pulling {name} with {PULL_N:g} N")
+        event = TickEvent("info", "phase", name, f"pulling {name} with {PULL_N:g} N")
         return self._check_tare(model, progress) or (pulling, (event,))
 
     def _begin_hold(
-        self, model: HandModel, progress: Progress, t: float, taut: bool
+        self, model: HandModel, progress: ProgramProgress, t: float, taut: bool
     ) -> ProgressAndEvents:
         """Press the digit of the present tendon on its lower joint limits, with all tendons taut.
 
@@ -195,11 +195,11 @@ class CommissionProgram:
         )
         digit = model.hand.digit_names[model.digit_of[i]]
         return holding, () if taut else (
-            Event("info", "phase", digit, f"{phase}: all its tendons together"),
+            TickEvent("info", "phase", digit, f"{phase}: all its tendons together"),
         )
 
     def _hold(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Wait until the held digit rests, read all load cells and the motor zeros, then pull the present tendon."""
         i = progress.step - 1
@@ -218,9 +218,9 @@ class CommissionProgram:
             slack = own.start + int(np.flatnonzero(estimate.slack[own])[0])
             return self._refuse(model, progress, slack, _no_answer_text(model, measured))
         excursion = np.where(
-            model.hand.covered, measured.excursion, model.redundancy.open_excursion
+            model.hand.tendons_with_encoders, measured.excursion, model.redundancy.open_excursion
         )[own]
-        tension = _tensions(model, measured, estimate)
+        tension = _known_tensions(model, measured, estimate)
         missing = np.isnan(tension).any() or np.isnan(measured.travel[own] + excursion).any()
         if t - progress.since < HOLD_SETTLE_S or missing:
             return progress, ()
@@ -230,7 +230,7 @@ class CommissionProgram:
         first = i == own.start
         if first:
             stretch = tension[own] / model.space.stiffness[own]
-            table[own, ZERO] += (measured.travel[own] - stretch - excursion) / model.space.spool[
+            table[own, ZERO_COLUMN] += (measured.travel[own] - stretch - excursion) / model.space.spool[
                 own
             ]
         progress = replace(
@@ -239,7 +239,7 @@ class CommissionProgram:
         if waiting * model.period < MEASURE_S:
             return progress, ()
         if first:
-            table[own, ZERO] /= waiting
+            table[own, ZERO_COLUMN] /= waiting
         more = np.zeros(model.tendon_count)
         more[i] = PULL_N
         name = model.hand.tendon_names[i]
@@ -250,10 +250,10 @@ class CommissionProgram:
             phase=f"pull {name}",
             touching=(1,) * len(progress.goals),
         )
-        return pulling, (Event("info", "phase", name, f"pulling {name} with {PULL_N:g} N more"),)
+        return pulling, (TickEvent("info", "phase", name, f"pulling {name} with {PULL_N:g} N more"),)
 
     def _pull(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Pull the present tendon: wait until it is taut, let it settle, and measure its response."""
         i = progress.step - 1
@@ -267,14 +267,14 @@ class CommissionProgram:
                 if late
                 else (progress, ())
             )
-        tension = _tensions(model, measured, estimate)
+        tension = _known_tensions(model, measured, estimate)
         if t - progress.since < SETTLE_S or np.isnan(tension).any() or np.isnan(measured.travel[i]):
             return progress, ()
         table = _table_of(progress)
         table[:, PULL_SUM] += tension
         if model.redundancy.sprung[i]:
             # The travel [m] divided by the spool's radius is the motor angle [rad].
-            table[i, ZERO] += measured.travel[i] / model.space.spool[i]
+            table[i, ZERO_COLUMN] += measured.travel[i] / model.space.spool[i]
         samples = progress.touching[0]
         if samples * model.period >= MEASURE_S:
             return self._judge(
@@ -284,9 +284,9 @@ class CommissionProgram:
             _with_table(progress, table), touching=(samples + 1, *progress.touching[1:])
         ), ()
 
-    def _judge(self, model: HandModel, progress: Progress, i: int, t: float) -> ProgressAndEvents:
+    def _judge(self, model: HandModel, progress: ProgramProgress, i: int, t: float) -> ProgressAndEvents:
         """Accept the measured response of tendon i, or refuse the hand."""
-        answer, crosstalk = _table_of(progress)[i, [ANSWER, CROSSTALK]]
+        answer, crosstalk = _table_of(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
         if answer < MIN_ANSWER_FRACTION * PULL_N:
             return self._refuse(
                 model, progress, i, f"load cell answers {answer:.2f} N to a pull of {PULL_N:g} N"
@@ -294,7 +294,7 @@ class CommissionProgram:
         if crosstalk > MAX_CROSSTALK_FRACTION * PULL_N:
             text = f"another load cell answers {crosstalk:.2f} N: swapped, or two tendons touch"
             return self._refuse(model, progress, i, text)
-        event = Event(
+        event = TickEvent(
             "info",
             "commission",
             model.hand.tendon_names[i],
@@ -303,7 +303,7 @@ class CommissionProgram:
         progress, entered = self._next(model, progress, t)
         return progress, (event, *entered)
 
-    def _next(self, model: HandModel, progress: Progress, t: float) -> ProgressAndEvents:
+    def _next(self, model: HandModel, progress: ProgramProgress, t: float) -> ProgressAndEvents:
         """Release the present tendon, then rest before the next tendon, or finish."""
         step = progress.step + 1
         same_digit = (
@@ -314,7 +314,7 @@ class CommissionProgram:
         passive = (DigitGoal(),) * len(model.digits)
         if step > model.tendon_count:
             finished = replace(progress, finished=True, phase="end", goals=passive)
-            return finished, (Event("info", "phase", "", "commissioned"),)
+            return finished, (TickEvent("info", "phase", "", "commissioned"),)
         return replace(
             progress,
             step=step,
@@ -325,7 +325,7 @@ class CommissionProgram:
             touching=(BEFORE_PULL,) * len(passive),
         ), ()
 
-    def _refuse(self, model: HandModel, progress: Progress, i: int, text: str) -> ProgressAndEvents:
+    def _refuse(self, model: HandModel, progress: ProgramProgress, i: int, text: str) -> ProgressAndEvents:
         """End the program with a failure of tendon i."""
         name = model.hand.tendon_names[i]
         failed = replace(
@@ -334,10 +334,10 @@ class CommissionProgram:
             failure=f"{name}: {text}",
             goals=(DigitGoal(),) * len(progress.goals),
         )
-        return failed, (Event("error", "commission", name, text),)
+        return failed, (TickEvent("error", "commission", name, text),)
 
 
-def _no_answer_text(model: HandModel, measured: Measured) -> str:
+def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
     """Return the reason why a tendon's load cell does not respond.
 
     Another load cell may respond instead.
@@ -358,10 +358,10 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
         return DigitGoal()
     tension = np.zeros(tendons.stop - tendons.start)
     tension[i - tendons.start] = PULL_N
-    return DigitGoal(Kind.TENSION, tension=tension, rate=20.0, force_limit=PULL_FORCE_LIMIT_N)
+    return DigitGoal(GoalKind.TENSION, tension=tension, rate=20.0, force_limit=PULL_FORCE_LIMIT_N)
 
 
-def _tensions(model: HandModel, measured: Measured, estimate: Estimate | None = None) -> Vector:
+def _known_tensions(model: HandModel, measured: TickMeasurements, estimate: Estimate | None = None) -> Vector:
     """Return the tensions (N,) of a tick [N]: readings of load cells, and estimates of tendons without load cell.
 
     If no estimate is given, a tendon without load cell counts as slack.
@@ -394,16 +394,16 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
     limit = float(np.abs(tension).max()) + PULL_FORCE_LIMIT_N
-    goal = DigitGoal(Kind.TENSION, tension=tension + more[tendons], rate=20.0, force_limit=limit)
+    goal = DigitGoal(GoalKind.TENSION, tension=tension + more[tendons], rate=20.0, force_limit=limit)
     return tuple(goal if d == held else DigitGoal() for d in range(len(model.digits)))
 
 
-def _table_of(progress: Progress) -> Vector:
+def _table_of(progress: ProgramProgress) -> Vector:
     """Return the table (N, COLUMNS) of a commissioning progress."""
-    return np.array(progress.record).reshape(-1, COLUMNS)
+    return np.array(progress.record).reshape(-1, COLUMN_COUNT)
 
 
-def _with_table(progress: Progress, table: Vector) -> Progress:
+def _with_table(progress: ProgramProgress, table: Vector) -> ProgramProgress:
     """Return a copy of a progress with another table."""
     return replace(progress, record=tuple(table.ravel().tolist()))
 
@@ -413,7 +413,7 @@ def _tares_of(table: Vector) -> Vector:
     return np.asarray(table[:, TARE_SUM] / np.maximum(table[:, TARE_SAMPLES], 1.0))
 
 
-def _with_new_tare(progress: Progress) -> Progress:
+def _with_new_tare(progress: ProgramProgress) -> ProgramProgress:
     """Return a copy of a progress in which the tares of its table apply, from the next reading on."""
     return replace(progress, tare=tuple(_tares_of(_table_of(progress)).tolist()))
 
@@ -426,23 +426,23 @@ def _with_results(model: HandModel, table: Vector, i: int, samples: int) -> Vect
         # The pull stretches the tendon, so the motor turns further than to the position at which
         # the tendon becomes taut.
         stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
-        table[i, ZERO] = (
-            table[i, ZERO] / samples
+        table[i, ZERO_COLUMN] = (
+            table[i, ZERO_COLUMN] / samples
             - stretch
             - model.redundancy.open_excursion[i] / model.space.spool[i]
         )
-    table[i, ANSWER] = rise[i]
+    table[i, ANSWER_COLUMN] = rise[i]
     tendons = np.arange(model.tendon_count)
     # Friction holds tension in a tendon that was pulled before. This tension falls by itself, so
     # only a rise counts as crosstalk.
     held = np.where(model.redundancy.sprung & (tendons < i), np.maximum(rest, 0.0), 0.0)
     others = model.hand.has_cell & (tendons != i)
-    table[i, CROSSTALK] = np.maximum(rise, -rise - held)[others].max(initial=0.0)
+    table[i, CROSSTALK_COLUMN] = np.maximum(rise, -rise - held)[others].max(initial=0.0)
     table[:, [PULL_SUM, REST_SUM, REST_SAMPLES]] = 0.0
     return table
 
 
-def calibration_of_result(model: HandModel, progress: Progress, made: str) -> Calibration:
+def calibration_of_result(model: HandModel, progress: ProgramProgress, made: str) -> Calibration:
     """Return the calibration of a finished commissioning.
 
     Args:
@@ -455,9 +455,9 @@ def calibration_of_result(model: HandModel, progress: Progress, made: str) -> Ca
     rows = {
         name: TendonCalibration(
             tare_N=float(tare[i]),
-            zero_rad=float(table[i, ZERO]),
-            answer_N=float(table[i, ANSWER]),
-            crosstalk_N=float(table[i, CROSSTALK]),
+            zero_rad=float(table[i, ZERO_COLUMN]),
+            answer_N=float(table[i, ANSWER_COLUMN]),
+            crosstalk_N=float(table[i, CROSSTALK_COLUMN]),
         )
         for i, name in enumerate(model.hand.tendon_names)
     }

@@ -47,9 +47,9 @@ A joint that opens by 90 deg then moves at 140 deg/s at most.
 """
 EXTENSOR_FACTOR = 1.5
 """Tension of an extensor in a hold divided by ``tension_floor_N``."""
-SCENE = "cylinder"
+CYLINDER_SCENE = "cylinder"
 """Scene with an object of 35 mm in front of the palm, for digits that flex in parallel planes."""
-BALL = "sphere"
+SPHERE_SCENE = "sphere"
 """Scene for digits that flex in other planes."""
 MAX_AXIAL_COMPONENT = 0.1
 """Largest component along the cylinder of a direction of flexion that counts as normal to the cylinder."""
@@ -77,7 +77,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
     floor = max(tendon.tension_floor_N for tendon in hand.tendon)
     opened = {name: np.zeros_like(_closed_angles_deg(hand, name)).tolist() for name in hand.digit_names}
     # A digit that carries other digits, such as a wrist, keeps its angle.
-    closing = [name for name in hand.digit_names if name not in hand.carriers]
+    closing = [name for name in hand.digit_names if name not in hand.carrier_digits]
     content: dict[str, Any] = {
         "schema": 1,
         "name": "close, hold, open",
@@ -111,7 +111,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
     """Return the angles of the coordinates of a closed digit (n_c,) [deg]."""
     _, high = coordinate_range_deg(hand.digit_named(name))
-    sideways = DigitModel.of(hand, name).sideways
+    sideways = DigitModel.of(hand, name).sideways_coordinates
     closed = np.where(sideways, 0.0, np.minimum(CLOSED_FRACTION * high, LARGEST_CLOSED_DEG))
     return np.asarray(np.round(closed, 1))
 
@@ -122,11 +122,11 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     With these factors the forces on an object are in balance. Otherwise, for example, two fingers
     would push a thumb open.
     """
-    balance = _balance(hand)
+    balance = _balance_factors(hand)
     if balance is not None:
         return balance
     # The palm or friction balances the forces. Both sides press with equal force.
-    opposed = _opposed(hand)
+    opposed = _are_digits_opposed(hand)
     count = len(opposed)
     behind = sum(opposed.values())
     if behind == 0:
@@ -134,9 +134,9 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     return {name: count / 2 / (behind if is_opposed else count - behind) for name, is_opposed in opposed.items()}
 
 
-def _balance(hand: Hand) -> dict[str, float] | None:
+def _balance_factors(hand: Hand) -> dict[str, float] | None:
     """Return the factors nearest to 1, with mean 1, for which the digits' directions sum to zero, or None."""
-    directions = _directions(hand)
+    directions = _flexion_directions(hand)
     rows = np.array(list(directions.values()))
     factors = 1.0 - rows @ np.linalg.pinv(rows.T @ rows) @ rows.sum(axis=0)
     if factors.min() < MIN_BALANCE_FACTOR:
@@ -144,19 +144,21 @@ def _balance(hand: Hand) -> dict[str, float] | None:
     return dict(zip(directions, (factors / factors.mean()).tolist(), strict=True))
 
 
-def _directions(hand: Hand) -> dict[str, Array]:
+def _flexion_directions(hand: Hand) -> dict[str, Array]:
     """Return the direction in which the tip of each closing digit flexes, (3,) in the palm frame.
 
     It is the y axis of the last link at joint angles of 0.
     """
     tree = HandTree.of(hand)
     turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
-    return {digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carriers}
+    return {
+        digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carrier_digits
+    }
 
 
-def _opposed(hand: Hand) -> dict[str, bool]:
+def _are_digits_opposed(hand: Hand) -> dict[str, bool]:
     """Return for each closing digit True if it is opposed to the first closing digit."""
-    directions = _directions(hand)
+    directions = _flexion_directions(hand)
     first = next(iter(directions.values()))
     return {name: bool(direction @ first < 0.0) for name, direction in directions.items()}
 
@@ -201,7 +203,7 @@ def _pressing_tension(hand: Hand, name: str) -> float:
 def grasp_warnings(hand: Hand) -> tuple[str, ...]:
     """Return warnings about a hand that is too weak or too one-sided for the default task, one line per warning."""
     warnings = []
-    opposed = _opposed(hand)
+    opposed = _are_digits_opposed(hand)
     if len(set(opposed.values())) == 1:
         warnings.append(
             f"{shortened_list(list(opposed))}: no digit closes against another: the default task lifts no object; "
@@ -225,17 +227,21 @@ def default_scene(hand: Hand) -> str:
     digits would meet around thin objects. A hand whose digits cannot balance their forces, such as
     an anthropomorphic hand, gets the scene with the object of 35 mm.
     """
-    directions = _directions(hand)
+    directions = _flexion_directions(hand)
     parallel = all(abs(direction[2]) < MAX_AXIAL_COMPONENT for direction in directions.values())
-    if not parallel and _balance(hand) is None:
-        return SCENE
-    shape = SCENE if parallel else BALL
+    if not parallel and _balance_factors(hand) is None:
+        return CYLINDER_SCENE
+    shape = CYLINDER_SCENE if parallel else SPHERE_SCENE
     longest = 1e3 * max(sum(hand.digit_named(name).link_length_m) for name in directions)
-    free = 1e3 * _largest_object(hand, ball=shape == BALL)
+    free = 1e3 * _largest_object(hand, ball=shape == SPHERE_SCENE)
     diameter = max(SMALLEST_OBJECT_MM, min(OBJECT_DIAMETER_RATIO * longest, free - CLEARANCE_MM))
     if diameter > free:
         diameter = free - CLEARANCE_MM
-    return SCENE if (shape, round(diameter)) == (SCENE, SMALLEST_OBJECT_MM) else f"{shape}:{max(diameter, 1.0):.0f}"
+    return (
+        CYLINDER_SCENE
+        if (shape, round(diameter)) == (CYLINDER_SCENE, SMALLEST_OBJECT_MM)
+        else f"{shape}:{max(diameter, 1.0):.0f}"
+    )
 
 
 def _largest_object(hand: Hand, ball: bool) -> float:

@@ -10,13 +10,13 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from handctl.core.estimate import Estimate, Measured
-from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.trajectory import Chirp, MinimumJerk
+from handctl.core.estimate import Estimate, TickMeasurements
+from handctl.core.law.goal import DigitGoal, GoalKind
+from handctl.core.law.trajectory import ChirpTrajectory, MinimumJerk
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Vector
+from handctl.core.types import TickEvent, Vector
 from handctl.document import Document
-from handctl.programs.program import Progress, ProgressAndEvents, coordinates_by_excursion
+from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_by_excursion
 
 TAUT_TIMEOUT_S = 4.0
 """Longest time that a healthy tendon takes to become taut [s]."""
@@ -56,7 +56,7 @@ class ExciteStep(Document):
 
 
 @dataclass(frozen=True, slots=True)
-class Swing:
+class SwingTrajectory:
     """Oscillation of all coordinates in phase, each about its own angle.
 
     Attributes:
@@ -67,7 +67,7 @@ class Swing:
 
     centre: Vector
     amplitude: Vector
-    chirp: Chirp
+    chirp: ChirpTrajectory
 
     @property
     def duration(self) -> float:
@@ -91,12 +91,12 @@ class ExciteProgram:
 
     steps: tuple[ExciteStep, ...]
 
-    def initial(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress before the first step: no torque."""
-        return replace(Progress.initial(len(model.digits), "start"), step=-1)
+        return replace(ProgramProgress.initial(len(model.digits), "start"), step=-1)
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Advance the excitation by one tick. See `Program`."""
         if progress.finished:
@@ -112,13 +112,13 @@ class ExciteProgram:
             text = f"not taut after {TAUT_TIMEOUT_S:g} s"
             limp = (DigitGoal(),) * len(progress.goals)
             failed = replace(progress, finished=True, failure=f"{step.digit}: {text}", goals=limp)
-            return failed, (Event("error", "identify", step.digit, text),)
+            return failed, (TickEvent("error", "identify", step.digit, text),)
         if elapsed < step.duration_s:
             return progress, ()
         return self._enter(model, progress, estimate, t, progress.step + 1)
 
     def _enter(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float, index: int
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float, index: int
     ) -> ProgressAndEvents:
         """Enter a step, or finish after the last step."""
         goals = [DigitGoal()] * len(model.digits)
@@ -130,19 +130,19 @@ class ExciteProgram:
                 goals=tuple(goals),
                 contact=(False,) * len(goals),
             )
-            return done, (Event("info", "phase", "", "excitation complete"),)
+            return done, (TickEvent("info", "phase", "", "excitation complete"),)
         step = self.steps[index]
         d = model.hand.digit_names.index(step.digit)
-        goals[d] = _goal(model, d, step, estimate, t)
+        goals[d] = _digit_goal(model, d, step, estimate, t)
         phase = f"{step.digit} {step.name}"
         same_phase = phase == progress.phase
         contact = tuple(i == d and step.held for i in range(len(goals)))
         progress = replace(progress, step=index, since=t, phase=phase, goals=tuple(goals), contact=contact)
         # Consecutive steps with the same name are one phase in the log.
-        return progress, () if same_phase else (Event("info", "phase", step.digit, phase),)
+        return progress, () if same_phase else (TickEvent("info", "phase", step.digit, phase),)
 
 
-def _goal(model: HandModel, d: int, step: ExciteStep, estimate: Estimate, t: float) -> DigitGoal:
+def _digit_goal(model: HandModel, d: int, step: ExciteStep, estimate: Estimate, t: float) -> DigitGoal:
     """Return the goal of digit d in a step."""
     digit = model.digits[d]
     tendons = model.digit_tendons[d]
@@ -150,13 +150,15 @@ def _goal(model: HandModel, d: int, step: ExciteStep, estimate: Estimate, t: flo
     targets = np.array(step.targets) if step.targets else None
     if step.kind == "move":
         path = MinimumJerk(here, np.full_like(here, step.target) if targets is None else targets, step.duration_s)
-        return DigitGoal(Kind.MOTION, path, since=t)
+        return DigitGoal(GoalKind.MOTION, path, since=t)
     if step.kind == "chirp":
         amplitudes = step.amplitudes or (step.amplitude,) * len(here)
-        chirp = Chirp(0.0, 1.0, step.low_Hz, step.high_Hz, step.duration_s, 1)
-        swing = Swing(np.full_like(here, step.target) if targets is None else targets, np.array(amplitudes), chirp)
-        return DigitGoal(Kind.MOTION, swing, since=t)
+        chirp = ChirpTrajectory(0.0, 1.0, step.low_Hz, step.high_Hz, step.duration_s, 1)
+        swing = SwingTrajectory(
+            np.full_like(here, step.target) if targets is None else targets, np.array(amplitudes), chirp
+        )
+        return DigitGoal(GoalKind.MOTION, swing, since=t)
     if step.kind == "limp":
         return DigitGoal()
     tension = np.full(tendons.stop - tendons.start, step.target) if targets is None else targets
-    return DigitGoal(Kind.TENSION, tension=tension, rate=step.rate)
+    return DigitGoal(GoalKind.TENSION, tension=tension, rate=step.rate)

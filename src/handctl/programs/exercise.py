@@ -3,12 +3,12 @@
 import math
 from dataclasses import dataclass, replace
 
-from handctl.core.estimate import Estimate, Measured
+from handctl.core.estimate import Estimate, TickMeasurements
 from handctl.core.law.goal import DigitGoal
 from handctl.core.model import HandModel
-from handctl.core.types import Event
+from handctl.core.types import TickEvent
 from handctl.programs.live import LiveProgram
-from handctl.programs.program import Progress, ProgressAndEvents, motion_to, pull_tensions, tension_goal
+from handctl.programs.program import ProgramProgress, ProgressAndEvents, motion_to, pull_tensions, tension_goal
 
 REST_S = 0.15
 """Time at the end of every move, in which the digit may still oscillate [s]."""
@@ -47,7 +47,7 @@ class ExerciseStage:
     rest: float = REST_S
 
 
-def stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseStage, ...]:
+def exercise_stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseStage, ...]:
     """Return the stages of the exercise at one amplitude.
 
     Args:
@@ -70,7 +70,7 @@ def stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[ExerciseSta
 
 
 @dataclass(frozen=True, slots=True)
-class Exercise:
+class ExerciseProgram:
     """Program that tightens, then runs the exercise once for each amplitude.
 
     Attributes:
@@ -82,7 +82,7 @@ class Exercise:
     @property
     def stages(self) -> tuple[ExerciseStage, ...]:
         """Return the stages of all amplitudes, in the order of execution."""
-        return tuple(stage for amplitude in self.amplitudes for stage in stages(amplitude))
+        return tuple(stage for amplitude in self.amplitudes for stage in exercise_stages(amplitude))
 
     def stages_of(self, model: HandModel) -> tuple[ExerciseStage, ...]:
         """Return all stages for a hand. Digits of spool pairs first close gently."""
@@ -91,12 +91,12 @@ class Exercise:
         gentle = ExerciseStage("close", GENTLE_CLOSE_S, tension=GENTLE_CLOSE_N)
         return tuple(part for stage in self.stages for part in ((gentle, stage) if stage.name == "close" else (stage,)))
 
-    def initial(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
         return LiveProgram().initial(model)
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Advance the exercise by one tick. See `Program`."""
         if progress.phase in ("start", "tighten"):
@@ -106,23 +106,23 @@ class Exercise:
         if t - progress.since < parts[progress.step].duration:
             return progress, ()
         if progress.step + 1 == len(parts):
-            return replace(progress, finished=True, phase="end"), (Event("info", "phase", "", "exercise complete"),)
+            return replace(progress, finished=True, phase="end"), (TickEvent("info", "phase", "", "exercise complete"),)
         return self._enter(model, progress, estimate, progress.step + 1, t)
 
     def _enter(
-        self, model: HandModel, progress: Progress, estimate: Estimate, step: int, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, step: int, t: float
     ) -> ProgressAndEvents:
         """Enter a stage of the exercise."""
         parts = self.stages_of(model)
         stage = parts[step]
-        goals = tuple(_goal(model, d, stage, estimate, t) for d in range(len(model.digits)))
-        event = Event("info", "phase", "", f"{stage.name} {step + 1} of {len(parts)}")
+        goals = tuple(_digit_goal(model, d, stage, estimate, t) for d in range(len(model.digits)))
+        event = TickEvent("info", "phase", "", f"{stage.name} {step + 1} of {len(parts)}")
         # In `hold` every digit rests on its closed stop.
         blocked = (stage.name == "hold",) * len(goals)
         return replace(progress, step=step, since=t, phase=stage.name, goals=goals, contact=blocked), (event,)
 
 
-def _goal(model: HandModel, d: int, stage: ExerciseStage, estimate: Estimate, t: float) -> DigitGoal:
+def _digit_goal(model: HandModel, d: int, stage: ExerciseStage, estimate: Estimate, t: float) -> DigitGoal:
     """Return the goal of digit d in a stage."""
     if not math.isnan(stage.angle):
         return motion_to(model.digits[d], estimate, stage.angle, stage.duration - stage.rest, t)

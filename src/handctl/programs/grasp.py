@@ -6,19 +6,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, Measured
+from handctl.core.estimate import Estimate, TickMeasurements
 from handctl.core.estimation.tip import joint_lever, reduced_tip_lever
 from handctl.core.law.allocation import tensions_for_torque
-from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.trajectory import Curve, duration_for
+from handctl.core.law.goal import DigitGoal, GoalKind
+from handctl.core.law.trajectory import CurveTrajectory, duration_for
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Vector
+from handctl.core.types import TickEvent, Vector
 from handctl.hand.digit import DigitModel
-from handctl.programs.grip import Grip, GripPlan, advance_grip
+from handctl.programs.grip import GripPlan, GripState, advance_grip
 from handctl.programs.program import (
     TIGHTEN_S,
     TIGHTEN_TIMEOUT_S,
-    Progress,
+    ProgramProgress,
     ProgressAndEvents,
     coordinates_by_excursion,
     motion_to,
@@ -30,11 +30,11 @@ from handctl.programs.program import (
 )
 from handctl.programs.task import (
     SHORTEST_MOVE_S,
-    Close,
-    Follow,
-    Hold,
-    Move,
-    Release,
+    ClosePhase,
+    FollowPhase,
+    HoldPhase,
+    MovePhase,
+    ReleasePhase,
     Task,
     curve_through,
     end_angles,
@@ -74,32 +74,32 @@ class TaskProgram:
 
     task: Task
 
-    def initial(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
-        return Progress.initial(len(model.digits), "start")
+        return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Advance the task by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.phase == "start":
             progress = replace(progress, since=t, phase="tighten", goals=tightening_goals(model))
-            return progress, (Event("info", "phase", "", "tighten: taking up slack"),)
+            return progress, (TickEvent("info", "phase", "", "tighten: taking up slack"),)
         if progress.phase == "tighten" and progress.step == 0:
             return self._tighten(model, progress, estimate, t)
         return self._carry_out(model, progress, estimate, t)
 
     def begin(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Begin with the first phase of the task, for a hand whose tendons are taut."""
         untouched = (0,) * len(model.digits)
         return self._enter(model, replace(progress, step=0, touching=untouched), estimate, t)
 
     def _carry_out(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Advance the present phase of the task by one tick."""
         progress, events = self._detect_contact(model, progress, estimate, t)
@@ -112,7 +112,7 @@ class TaskProgram:
         return progress, events
 
     def _tighten(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Wait until all tendons have been taut for a while.
 
@@ -129,52 +129,52 @@ class TaskProgram:
         if t - progress.since > TIGHTEN_TIMEOUT_S:
             text = f"not taut after {TIGHTEN_TIMEOUT_S:g} s: {', '.join(slack) or 'now one tendon, now another'}"
             return replace(progress, finished=True, failure=text), (
-                Event("error", "tighten", "", text),
+                TickEvent("error", "tighten", "", text),
             )
         return progress, ()
 
     def _enter(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Enter the next phase of the task, or finish."""
         step = progress.step + 1
         if step > len(self.task.phase):
             return replace(progress, finished=True, phase="end"), (
-                Event("info", "phase", "", "task complete"),
+                TickEvent("info", "phase", "", "task complete"),
             )
         phase = self.task.phase[step - 1]
         # A motion begins without contact, and so does the phase after a release.
-        free = isinstance(phase, Move | Follow) or (
-            step > 1 and isinstance(self.task.phase[step - 2], Release)
+        free = isinstance(phase, MovePhase | FollowPhase) or (
+            step > 1 and isinstance(self.task.phase[step - 2], ReleasePhase)
         )
         contact = (False,) * len(model.digits) if free else progress.contact
         progress = replace(progress, step=step, since=t, phase=phase.name, contact=contact)
         names = model.hand.digit_names
-        if isinstance(phase, Follow) and (error := _distance_error(model, phase, estimate)):
+        if isinstance(phase, FollowPhase) and (error := _distance_error(model, phase, estimate)):
             return replace(progress, finished=True, failure=error), (
-                Event("error", "phase", "", error),
+                TickEvent("error", "phase", "", error),
             )
         goals = tuple(
             self._goal(model, progress, d, names[d], estimate, t) for d in range(len(names))
         )
-        events = [Event("info", "phase", "", phase.name)]
-        if isinstance(phase, Hold) and not any(contact):
-            events.append(Event("warn", "phase", "", f"{phase.name}: no digit is in contact"))
+        events = [TickEvent("info", "phase", "", phase.name)]
+        if isinstance(phase, HoldPhase) and not any(contact):
+            events.append(TickEvent("warn", "phase", "", f"{phase.name}: no digit is in contact"))
         grip = (
-            Grip.of(model, goals, estimate, t) if isinstance(phase, Hold) and any(contact) else None
+            GripState.of(model, goals, estimate, t) if isinstance(phase, HoldPhase) and any(contact) else None
         )
         untouched = (0,) * len(names)
         progress = replace(progress, goals=goals, touching=untouched, grip=grip)
         return replace(progress, closing=_closing_digits(phase, progress)), tuple(events)
 
     def _goal(
-        self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, d: int, name: str, estimate: Estimate, t: float
     ) -> DigitGoal:
         """Return the goal of digit d at the beginning of the present phase."""
         phase = self.task.phase[progress.step - 1]
         previous = progress.goals[d]
         digit = model.digits[d]
-        if isinstance(phase, Move):
+        if isinstance(phase, MovePhase):
             angle = end_angles(
                 phase.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
             )
@@ -183,10 +183,10 @@ class TaskProgram:
                 if angle is None
                 else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
             )
-        if isinstance(phase, Follow):
+        if isinstance(phase, FollowPhase):
             curve = _curve_of_digit(phase, digit, estimate)
-            return previous if curve is None else DigitGoal(Kind.MOTION, curve, since=t)
-        if isinstance(phase, Close):
+            return previous if curve is None else DigitGoal(GoalKind.MOTION, curve, since=t)
+        if isinstance(phase, ClosePhase):
             angle = end_angles(
                 phase.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
             )
@@ -199,7 +199,7 @@ class TaskProgram:
             return motion_to(digit, estimate, np.radians(angle), duration, t)
         if not progress.contact[d]:
             return previous
-        if isinstance(phase, Release):
+        if isinstance(phase, ReleasePhase):
             target = released_tensions(model, d, phase.tension_N)
             return tension_goal(model, d, target, phase.rate_N_per_s, estimate)
         tension = self._hold_tension(model, phase, d, name, estimate)
@@ -210,7 +210,7 @@ class TaskProgram:
         )
 
     def _hold_tension(
-        self, model: HandModel, phase: Hold, d: int, name: str, estimate: Estimate
+        self, model: HandModel, phase: HoldPhase, d: int, name: str, estimate: Estimate
     ) -> Vector | None:
         """Return the tension targets (n_t,) of a digit that holds [N], from a tension or from a tip force.
 
@@ -235,11 +235,11 @@ class TaskProgram:
         return tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
     def _hold_on(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Update the grip during a hold, and raise its tensions after slip."""
         phase = self.task.phase[progress.step - 1]
-        if progress.grip is None or not isinstance(phase, Hold):
+        if progress.grip is None or not isinstance(phase, HoldPhase):
             return progress, ()
         limit = phase.slip_limit_N
         plan = _grip_plan(
@@ -253,20 +253,20 @@ class TaskProgram:
         return replace(progress, grip=grip, goals=goals), events
 
     def _detect_contact(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Detect the contact of closing digits, and let these digits hold their tension."""
         phase = self.task.phase[progress.step - 1]
-        if not isinstance(phase, Close):
+        if not isinstance(phase, ClosePhase):
             return progress, ()
         gains = model.gains.contact
         forces = estimate.contact_force.tolist()
         goals = list(progress.goals)
         contact = list(progress.contact)
         touching = list(progress.touching)
-        events: list[Event] = []
+        events: list[TickEvent] = []
         for d, tendons in enumerate(model.digit_tendons):
-            closing = goals[d].kind == Kind.MOTION and not contact[d]
+            closing = goals[d].kind == GoalKind.MOTION and not contact[d]
             threshold = contact_threshold(
                 goals[d], model.digits[d].joint_count, gains.threshold_N, t
             )
@@ -283,7 +283,7 @@ class TaskProgram:
                 goals[d] = tension_goal(model, d, start, model.gains.tension.rate_N_per_s, estimate)
                 name = model.hand.digit_names[d]
                 events.append(
-                    Event("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip")
+                    TickEvent("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip")
                 )
         if not events and tuple(touching) == progress.touching:
             return progress, ()
@@ -293,20 +293,20 @@ class TaskProgram:
         return replace(changed, closing=_closing_digits(phase, changed)), tuple(events)
 
     def _phase_over(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> bool:
         """Return True if the present phase of the task has ended."""
         phase = self.task.phase[progress.step - 1]
         elapsed = t - progress.since
-        if isinstance(phase, Move | Hold):
+        if isinstance(phase, MovePhase | HoldPhase):
             return elapsed >= phase.duration_s
-        if isinstance(phase, Follow):
+        if isinstance(phase, FollowPhase):
             return elapsed >= phase.time_s[-1]
-        if isinstance(phase, Close):
+        if isinstance(phase, ClosePhase):
             moving = [
                 goal
                 for goal in progress.goals
-                if goal.kind == Kind.MOTION and goal.trajectory is not None
+                if goal.kind == GoalKind.MOTION and goal.trajectory is not None
             ]
             longest = max(
                 (goal.trajectory.duration for goal in moving if goal.trajectory), default=0.0
@@ -320,37 +320,37 @@ class TaskProgram:
         )
 
     def _not_released(
-        self, model: HandModel, progress: Progress, estimate: Estimate
-    ) -> tuple[Event, ...]:
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate
+    ) -> tuple[TickEvent, ...]:
         """Return warnings at the end of a release, for digits that are still under tension."""
         phase = self.task.phase[progress.step - 1]
-        if not isinstance(phase, Release):
+        if not isinstance(phase, ReleasePhase):
             return ()
         waited = max(phase.settle_s, RELEASE_TIMEOUT_S)
         text = f"{phase.name}: above {phase.tension_N:g} N after {waited:g} s, and going on"
         return tuple(
             [
-                Event("warn", "phase", name, text)
+                TickEvent("warn", "phase", name, text)
                 for name in _still_tensioned(model, progress, phase, estimate)
             ]
         )
 
 
 def _closing_digits(
-    phase: Move | Follow | Close | Hold | Release, progress: Progress
+    phase: MovePhase | FollowPhase | ClosePhase | HoldPhase | ReleasePhase, progress: ProgramProgress
 ) -> tuple[bool, ...]:
     """Return for each digit True if it closes until contact.
 
     In other phases than close, the result is empty.
     """
-    if not isinstance(phase, Close):
+    if not isinstance(phase, ClosePhase):
         return ()
     rows = zip(progress.goals, progress.contact, strict=True)
-    return tuple([goal.kind == Kind.MOTION and not in_contact for goal, in_contact in rows])
+    return tuple([goal.kind == GoalKind.MOTION and not in_contact for goal, in_contact in rows])
 
 
 def _still_tensioned(
-    model: HandModel, progress: Progress, phase: Release, estimate: Estimate
+    model: HandModel, progress: ProgramProgress, phase: ReleasePhase, estimate: Estimate
 ) -> list[str]:
     """Return the names of tension-controlled digits whose tension is still above that of a release."""
     limit = np.maximum(phase.tension_N, model.redundancy.balance) + RELEASED_WITHIN_N
@@ -358,7 +358,7 @@ def _still_tensioned(
     return [
         name
         for name, goal, tendons in rows
-        if goal.kind == Kind.TENSION and (estimate.tension >= limit)[tendons].any()
+        if goal.kind == GoalKind.TENSION and (estimate.tension >= limit)[tendons].any()
     ]
 
 
@@ -382,7 +382,7 @@ def _grip_plan(
     return GripPlan(1e3 * stiffness_N_per_mm, limit)
 
 
-def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
+def _distance_error(model: HandModel, phase: FollowPhase, estimate: Estimate) -> str:
     """Return a message if a digit is too far from the start of its curve, else an empty text."""
     for digit in model.digits:
         angle = np.degrees(coordinates_by_excursion(digit, estimate))
@@ -400,7 +400,7 @@ def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
     return ""
 
 
-def _curve_of_digit(phase: Follow, digit: DigitModel, estimate: Estimate) -> Curve | None:
+def _curve_of_digit(phase: FollowPhase, digit: DigitModel, estimate: Estimate) -> CurveTrajectory | None:
     """Return the curve of a digit, None if the phase gives it no angle.
 
     Joints without angles keep their positions.
@@ -417,7 +417,7 @@ def _curve_of_digit(phase: Follow, digit: DigitModel, estimate: Estimate) -> Cur
     points = [
         digit.with_joint_angles(dict(zip(given, np.radians(row), strict=True)), now) for row in rows
     ]
-    return Curve.through(phase.time_s, np.array(points), count)
+    return CurveTrajectory.through(phase.time_s, np.array(points), count)
 
 
 @functools.lru_cache(maxsize=64)

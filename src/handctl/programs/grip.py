@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.core.estimate import Estimate
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Vector
+from handctl.core.types import TickEvent, Vector
 
 SLIP_EXCURSION_M = 20e-6
 """Excursion difference that counts as slip [m].
@@ -36,7 +36,7 @@ The rate is high, because slip is faster than the closing of a grasp.
 """
 
 
-class Grip(NamedTuple):
+class GripState(NamedTuple):
     """State of the grip during a hold. Arrays are (N,), and NaN for tendons of digits that do not hold.
 
     Attributes:
@@ -55,18 +55,18 @@ class Grip(NamedTuple):
     limited: bool = False
 
     @staticmethod
-    def of(model: HandModel, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float) -> "Grip":
+    def of(model: HandModel, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float) -> "GripState":
         """Return the grip at the beginning of a hold, for goals that have just been set."""
         tension = np.full(model.tendon_count, np.nan)
         settling_s = 0.0
         for tendons, goal in zip(model.digit_tendons, goals, strict=True):
-            if goal.kind == Kind.TENSION and goal.tension is not None:
+            if goal.kind == GoalKind.TENSION and goal.tension is not None:
                 tension[tendons] = goal.tension
                 settling_s = max(
                     settling_s,
                     float(np.abs(goal.tension - estimate.tension[tendons]).max()) / goal.rate,
                 )
-        return Grip(tension, np.full_like(tension, np.nan), t + settling_s + NO_DETECTION_S)
+        return GripState(tension, np.full_like(tension, np.nan), t + settling_s + NO_DETECTION_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +91,12 @@ def grip_excursions(model: HandModel, estimate: Estimate) -> Vector:
 
 def advance_grip(
     model: HandModel,
-    grip: Grip,
+    grip: GripState,
     plan: GripPlan,
     goals: tuple[DigitGoal, ...],
     estimate: Estimate,
     t: float,
-) -> tuple[Grip, tuple[DigitGoal, ...], tuple[Event, ...]]:
+) -> tuple[GripState, tuple[DigitGoal, ...], tuple[TickEvent, ...]]:
     """Advance a grip by one tick.
 
     Args:
@@ -110,7 +110,7 @@ def advance_grip(
     Returns:
         The grip, the goals, and the events.
     """
-    events: tuple[Event, ...] = ()
+    events: tuple[TickEvent, ...] = ()
     judged = t >= grip.ready
     settled = not math.isnan(grip.anchor[0])
     if judged and not settled:
@@ -127,8 +127,8 @@ def advance_grip(
 
 
 def _raise_after_slip(
-    model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: float
-) -> tuple[Grip, tuple[Event, ...]]:
+    model: HandModel, grip: GripState, plan: GripPlan, opening: Vector, t: float
+) -> tuple[GripState, tuple[TickEvent, ...]]:
     """Raise the tensions of a grip after slip, as far as the task allows."""
     worst = int(np.argmax(opening))
     digit = next(
@@ -145,13 +145,13 @@ def _raise_after_slip(
     max_factor = float(np.nanmax(np.append(room, 1.0)))
     if grip.raised < max_factor:
         grip = grip._replace(raised=min(grip.raised * RAISE_FACTOR, max_factor))
-        return grip, (Event("warn", "slip", digit, f"{moved}: force x {grip.raised:.2f}"),)
-    refused = Event("warn", "slip", digit, f"{moved}; the task allows no more force")
+        return grip, (TickEvent("warn", "slip", digit, f"{moved}: force x {grip.raised:.2f}"),)
+    refused = TickEvent("warn", "slip", digit, f"{moved}; the task allows no more force")
     return grip._replace(limited=True), () if grip.limited else (refused,)
 
 
 def _held_goals(
-    model: HandModel, grip: Grip, plan: GripPlan, goals: tuple[DigitGoal, ...], excursion: Vector
+    model: HandModel, grip: GripState, plan: GripPlan, goals: tuple[DigitGoal, ...], excursion: Vector
 ) -> tuple[DigitGoal, ...]:
     """Return the goals with the tensions that slip and stiffness require, but at least the floor."""
     limit = np.fmax(plan.limit, grip.tension)

@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, Measured
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.estimate import Estimate, TickMeasurements
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.trajectory import PEAK_SPEED
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Vector
+from handctl.core.types import TickEvent, Vector
 from handctl.errors import ConfigError
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import (
     TIGHTEN_TIMEOUT_S,
-    Progress,
+    ProgramProgress,
     ProgressAndEvents,
     coordinates_by_excursion,
     motion_to,
@@ -27,8 +27,8 @@ from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.streams import continued_move
 from handctl.programs.task import (
     FOLLOW_SPEED_DEG_S,
-    Hold,
-    Move,
+    HoldPhase,
+    MovePhase,
     Task,
     end_angles,
     joint_values,
@@ -53,27 +53,27 @@ def preload_spline() -> None:
 class LiveProgram:
     """Program that tightens the tendons, then waits for requests until a stop."""
 
-    def initial(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
-        return Progress.initial(len(model.digits), "start")
+        return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Advance the session by one tick. See `Program`."""
         if progress.task is not None:
             return _carry_out_task(model, progress, progress.task, estimate, measured, t)
         if progress.phase == "start":
             progress = replace(progress, since=t, phase="tighten", goals=tightening_goals(model))
-            return progress, (Event("info", "phase", "", "tighten: taking up slack"),)
+            return progress, (TickEvent("info", "phase", "", "tighten: taking up slack"),)
         if progress.phase == "tighten" and not slack_tendons(model, estimate):
             return replace(progress, phase="live"), (
-                Event("info", "phase", "", "live: waiting for requests"),
+                TickEvent("info", "phase", "", "live: waiting for requests"),
             )
         if progress.phase == "tighten" and t - progress.since > TIGHTEN_TIMEOUT_S:
             text = f"not taut after {TIGHTEN_TIMEOUT_S:g} s: {', '.join(slack_tendons(model, estimate))}"
             return replace(progress, finished=True, failure=text), (
-                Event("error", "tighten", "", text),
+                TickEvent("error", "tighten", "", text),
             )
         return progress, ()
 
@@ -87,10 +87,10 @@ It is the longest hold that a task allows.
 
 def _carry_out_task(
     model: HandModel,
-    progress: Progress,
+    progress: ProgramProgress,
     task: Task,
     estimate: Estimate,
-    measured: Measured,
+    measured: TickMeasurements,
     t: float,
 ) -> ProgressAndEvents:
     """Advance the task of a live session.
@@ -101,7 +101,7 @@ def _carry_out_task(
     return (end_task(progress) if progress.finished else progress), events
 
 
-def end_task(progress: Progress) -> Progress:
+def end_task(progress: ProgramProgress) -> ProgramProgress:
     """Return the progress of a live session without its task. Digits keep their goals."""
     return replace(
         progress, step=0, phase="live", finished=False, failure="", task=None, closing=(), grip=None,
@@ -110,7 +110,7 @@ def end_task(progress: Progress) -> Progress:
 
 
 def begin_task(
-    model: HandModel, progress: Progress, task: Task, estimate: Estimate, t: float
+    model: HandModel, progress: ProgramProgress, task: Task, estimate: Estimate, t: float
 ) -> ProgressAndEvents:
     """Begin a task up to its first hold, which lasts until ``release_task``, at most an hour.
 
@@ -120,21 +120,21 @@ def begin_task(
     try:
         check_task_for_hand(task, model.hand, "task", model.digits)
     except ConfigError as error:
-        return progress, (Event("warn", "request", "", f"refused: {error}"),)
+        return progress, (TickEvent("warn", "request", "", f"refused: {error}"),)
     first = task.phase[0]
-    if isinstance(first, Move) and (refusal := _start_refusal(model, first, estimate)):
+    if isinstance(first, MovePhase) and (refusal := _start_refusal(model, first, estimate)):
         return progress, (refusal,)
-    at = next((i for i, phase in enumerate(task.phase) if isinstance(phase, Hold)), None)
+    at = next((i for i, phase in enumerate(task.phase) if isinstance(phase, HoldPhase)), None)
     if at is not None:
         held = task.phase[at].model_copy(update={"duration_s": LONGEST_HOLD_S})
         task = task.model_copy(update={"phase": (*task.phase[:at], held, *task.phase[at + 1 :])})
     progress, events = TaskProgram(task).begin(model, replace(progress, task=task), estimate, t)
     if progress.finished:
         progress = end_task(progress)
-    return progress, (Event("info", "request", "", f"grasp {task.name}"), *events)
+    return progress, (TickEvent("info", "request", "", f"grasp {task.name}"), *events)
 
 
-def _start_refusal(model: HandModel, first: Move, estimate: Estimate) -> Event | None:
+def _start_refusal(model: HandModel, first: MovePhase, estimate: Estimate) -> TickEvent | None:
     """Return an event if the first move is too fast from the present angles, or None if it is slow enough."""
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
@@ -145,18 +145,18 @@ def _start_refusal(model: HandModel, first: Move, estimate: Estimate) -> Event |
             continue
         end = np.broadcast_to(np.array(angle, dtype=float), (digit.coupling.shape[1],))
         if reason := _out_of_reach(model, d, estimate, end, first.duration_s):
-            return Event("warn", "request", name, f"refused: {name} {reason}")
+            return TickEvent("warn", "request", name, f"refused: {name} {reason}")
     return None
 
 
-def release_task(progress: Progress) -> ProgressAndEvents:
+def release_task(progress: ProgramProgress) -> ProgressAndEvents:
     """End the hold of a task, so that the phases after the hold follow."""
     phase = progress.task.phase[progress.step - 1] if progress.task else None
-    if not isinstance(phase, Hold):
+    if not isinstance(phase, HoldPhase):
         return progress, (
-            Event("info", "request", "", "refused: no hold of a task, expected grasp first"),
+            TickEvent("info", "request", "", "refused: no hold of a task, expected grasp first"),
         )
-    event = Event("info", "request", "", f"release after {phase.name}")
+    event = TickEvent("info", "request", "", f"release after {phase.name}")
     return replace(progress, since=progress.since - LONGEST_HOLD_S), (event,)
 
 
@@ -172,12 +172,12 @@ class JogProgram:
     request: MoveDigits | HoldTension
     duration: float
 
-    def initial(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
         return LiveProgram().initial(model)
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Advance the jog by one tick. See `Program`."""
         progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
@@ -197,7 +197,7 @@ class JogProgram:
 
 def apply_goal(
     model: HandModel,
-    progress: Progress,
+    progress: ProgramProgress,
     request: MoveDigits | HoldTension,
     estimate: Estimate,
     t: float,
@@ -228,32 +228,32 @@ def apply_goal(
             if unknown
             else "the hand is not ready yet"
         )
-        return progress, (Event("warn", "request", "", f"refused: {reason}"),)
+        return progress, (TickEvent("warn", "request", "", f"refused: {reason}"),)
     goals = list(progress.goals)
     contact = list(progress.contact)
     for d, name in enumerate(names):
-        start = None if reference is None or goals[d].kind != Kind.MOTION else reference[d]
+        start = None if reference is None or goals[d].kind != GoalKind.MOTION else reference[d]
         if isinstance(request, MoveDigits):
             end = _end_of_move(model, d, request.angle_deg, estimate if start is None else start[0])
             if isinstance(end, str):
-                return progress, (Event("warn", "request", name, f"refused: {end}"),)
+                return progress, (TickEvent("warn", "request", name, f"refused: {end}"),)
             if end is None:
                 continue
             if reason := _out_of_reach(model, d, estimate, end, request.duration_s):
-                return progress, (Event("warn", "request", name, f"refused: {name} {reason}"),)
-            goals[d] = _move(model, d, estimate, start, np.radians(end), request.duration_s, t)
+                return progress, (TickEvent("warn", "request", name, f"refused: {name} {reason}"),)
+            goals[d] = _move_goal(model, d, estimate, start, np.radians(end), request.duration_s, t)
             contact[d] = False
         elif name in values:
             value, tendons = values[name], model.digit_tendons[d]
             limit = float(model.ceiling[tendons].min())
             if value > limit:
                 text = f"refused: {value:g} N on {name}, expected at most {limit:g} N"
-                return progress, (Event("warn", "request", name, text),)
+                return progress, (TickEvent("warn", "request", name, text),)
             target = pull_tensions(model, d, value, estimate)
             goals[d] = tension_goal(model, d, target, request.rate_N_per_s, estimate)
     text = f"{request.do} " + ", ".join(f"{name} {value:g}" for name, value in values.items())
     return replace(progress, goals=tuple(goals), contact=tuple(contact)), (
-        Event("info", "request", "", text),
+        TickEvent("info", "request", "", text),
     )
 
 
@@ -293,7 +293,7 @@ def _end_of_move(
     return end
 
 
-def _move(
+def _move_goal(
     model: HandModel,
     d: int,
     estimate: Estimate,
@@ -305,7 +305,7 @@ def _move(
     """Return a move of a digit from its present reference (3, n), or from the estimate if there is no reference."""
     if start is None:
         return motion_to(model.digits[d], estimate, end, duration, t)
-    return DigitGoal(Kind.MOTION, continued_move(start, end, duration, model.digits[d].reach), since=t)
+    return DigitGoal(GoalKind.MOTION, continued_move(start, end, duration, model.digits[d].reach), since=t)
 
 
 def _out_of_reach(

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, Measured
-from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.trajectory import MinimumJerk, Sample
+from handctl.core.estimate import Estimate, TickMeasurements
+from handctl.core.law.goal import DigitGoal, GoalKind
+from handctl.core.law.trajectory import MinimumJerk, SampledTrajectory
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Vector
+from handctl.core.types import TickEvent, Vector
 from handctl.programs.live import LiveProgram
-from handctl.programs.program import Progress, ProgressAndEvents, coordinates_by_excursion
+from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_by_excursion
 
 APPROACH_S = 2.0
 """Duration of the slow move to the first pose of the recording [s]."""
@@ -25,7 +25,7 @@ The recorded setpoints already have a limited rate.
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RecordedGoals:
     """Recorded goals, with one row per tick of the controller that repeats them.
 
     Attributes:
@@ -47,7 +47,7 @@ class Recording:
         return base64.b64encode(table.astype("<f8").tobytes()).decode()
 
     @staticmethod
-    def read(text: str, joints: int, tendons: int) -> "Recording":
+    def read(text: str, joints: int, tendons: int) -> "RecordedGoals":
         """Read the text of a recording.
 
         Raises:
@@ -55,7 +55,7 @@ class Recording:
         """
         table = np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(-1, 3 * joints + tendons)
         q, dq, ddq, tension = np.split(table, [joints, 2 * joints, 3 * joints], axis=1)
-        return Recording(q, dq, ddq, tension)
+        return RecordedGoals(q, dq, ddq, tension)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,15 +69,15 @@ class PlaybackProgram:
             a free finger by 12 degrees against its springs.
     """
 
-    recording: Recording
+    recording: RecordedGoals
     raw: bool = False
 
-    def initial(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
         return LiveProgram().initial(model)
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Advance the playback by one tick. See `Program`."""
         if progress.finished:
@@ -89,12 +89,14 @@ class PlaybackProgram:
             return progress, ()
         if progress.phase == "approach":
             progress = replace(progress, phase="playback", since=t, step=0)
-            return self._follow(model, progress), (Event("info", "phase", "", "playback"),)
+            return self._follow(model, progress), (TickEvent("info", "phase", "", "playback"),)
         if progress.step + 1 >= len(self.recording.q):
-            return replace(progress, finished=True, phase="end"), (Event("info", "phase", "", "recording complete"),)
+            return replace(progress, finished=True, phase="end"), (
+                TickEvent("info", "phase", "", "recording complete"),
+            )
         return self._follow(model, replace(progress, step=progress.step + 1)), ()
 
-    def _approach(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
+    def _approach(self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float) -> ProgressAndEvents:
         """Start the slow move to the first pose of the recording."""
         goals = []
         for d, digit in enumerate(model.digits):
@@ -102,15 +104,15 @@ class PlaybackProgram:
             first = self.recording.q[0, digit.joints]
             if np.isnan(first).any():
                 tension = self.recording.tension[0, tendons]
-                goals.append(DigitGoal(Kind.TENSION, tension=tension, rate=APPROACH_RATE_N_PER_S))
+                goals.append(DigitGoal(GoalKind.TENSION, tension=tension, rate=APPROACH_RATE_N_PER_S))
             else:
                 end = np.asarray(digit.joints_to_coordinates @ first)
                 path = MinimumJerk(coordinates_by_excursion(digit, estimate), end, APPROACH_S)
-                goals.append(DigitGoal(Kind.MOTION, path, since=t))
+                goals.append(DigitGoal(GoalKind.MOTION, path, since=t))
         progress = replace(progress, goals=tuple(goals), phase="approach", since=t)
-        return progress, (Event("info", "phase", "", "approach: slowly to the first pose"),)
+        return progress, (TickEvent("info", "phase", "", "approach: slowly to the first pose"),)
 
-    def _follow(self, model: HandModel, progress: Progress) -> Progress:
+    def _follow(self, model: HandModel, progress: ProgramProgress) -> ProgramProgress:
         """Set the goals of the present row of the recording."""
         i = progress.step
         rows = self.recording
@@ -124,10 +126,10 @@ class PlaybackProgram:
                 np.asarray(digit.joints_to_coordinates @ signal[i, digit.joints])
                 for signal in (rows.q, rows.dq, rows.ddq)
             )
-            reference = None if holding else Sample(q, dq, ddq)
+            reference = None if holding else SampledTrajectory(q, dq, ddq)
             if reference is not None and not self.raw:
-                goals.append(DigitGoal(Kind.MOTION, reference))
+                goals.append(DigitGoal(GoalKind.MOTION, reference))
                 continue
             tension = rows.tension[i, model.digit_tendons[d]]
-            goals.append(DigitGoal(Kind.TENSION, reference, tension=tension, rate=FOLLOW_RATE_N_PER_S))
+            goals.append(DigitGoal(GoalKind.TENSION, reference, tension=tension, rate=FOLLOW_RATE_N_PER_S))
         return replace(progress, goals=tuple(goals), contact=tuple(contact))

@@ -5,19 +5,19 @@ from typing import Protocol
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, Measured
+from handctl.core.estimate import Estimate, TickMeasurements
 from handctl.core.estimation.tip import joint_lever
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
-from handctl.core.types import Event, Vector
+from handctl.core.types import TickEvent, Vector
 from handctl.hand.dynamics import DigitModel
-from handctl.programs.grip import Grip
+from handctl.programs.grip import GripState
 from handctl.programs.task import Task
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class ProgramProgress:
     """State of a program, with the same fields for all programs. The hash of the controller's state includes it.
 
     Attributes:
@@ -48,28 +48,28 @@ class Progress:
     record: tuple[float, ...] = ()
     tare: tuple[float, ...] = ()
     closing: tuple[bool, ...] = ()
-    grip: Grip | None = None
+    grip: GripState | None = None
     task: Task | None = None
 
     @staticmethod
-    def initial(digits: int, phase: str) -> "Progress":
+    def initial(digits: int, phase: str) -> "ProgramProgress":
         """Return the progress before the first step: no torque, no contact."""
-        return Progress(0, 0.0, (DigitGoal(),) * digits, (False,) * digits, (0,) * digits, phase)
+        return ProgramProgress(0, 0.0, (DigitGoal(),) * digits, (False,) * digits, (0,) * digits, phase)
 
 
-ProgressAndEvents = tuple[Progress, tuple[Event, ...]]
+ProgressAndEvents = tuple[ProgramProgress, tuple[TickEvent, ...]]
 """Progress of a program after a tick, and the events of the tick."""
 
 
 class Program(Protocol):
-    """Interface of a program. A program is immutable, and all changes are in its `Progress`."""
+    """Interface of a program. A program is immutable, and all changes are in its `ProgramProgress`."""
 
-    def initial(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress before the hand is armed."""
         ...
 
     def advance(
-        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
     ) -> ProgressAndEvents:
         """Advance the program by one tick while the hand is active.
 
@@ -105,7 +105,7 @@ TIGHTEN_TIMEOUT_S = 4.0
 def tightening_goals(model: HandModel) -> tuple[DigitGoal, ...]:
     """Return goals that take up the slack of every tendon."""
     return tuple(
-        DigitGoal(Kind.TENSION, tension=_tightening_tension(model, tendons), rate=40.0)
+        DigitGoal(GoalKind.TENSION, tension=_tightening_tension(model, tendons), rate=40.0)
         for tendons in model.digit_tendons
     )
 
@@ -146,9 +146,9 @@ def tension_goal(model: HandModel, d: int, tension: Vector, rate: float, estimat
     Spool pairs that move the digit sideways hold their position.
     """
     if model.redundancy.side[model.digit_tendons[d]].all():
-        return DigitGoal(Kind.TENSION, tension=tension, rate=rate)
+        return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
     here = coordinates_by_excursion(model.digits[d], estimate)
-    return DigitGoal(Kind.TENSION, MinimumJerk(here, here, HOLD_STILL_S), tension=tension, rate=rate)
+    return DigitGoal(GoalKind.TENSION, MinimumJerk(here, here, HOLD_STILL_S), tension=tension, rate=rate)
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
@@ -185,4 +185,4 @@ def coordinates_by_excursion(digit: DigitModel, estimate: Estimate) -> Vector:
 def motion_to(digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float) -> DigitGoal:
     """Return a goal that moves all coordinates of a digit to one angle, or each to its angle [rad], in a time [s]."""
     start = coordinates_by_excursion(digit, estimate)
-    return DigitGoal(Kind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t)
+    return DigitGoal(GoalKind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t)

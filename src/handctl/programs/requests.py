@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from pydantic import Field, TypeAdapter, ValidationError
 
 from handctl.document import Document
-from handctl.programs.task import SHORTEST_MOVE_S, Angle, Task, Tension
+from handctl.programs.task import SHORTEST_MOVE_S, AngleDeg, Task, TensionN
 
 MAX_TARGET_VALUES = 64
 """Largest number of values of a streamed target."""
@@ -28,25 +28,25 @@ class RequestBase(Document):
     """
 
 
-class Arm(RequestBase):
+class ArmRequest(RequestBase):
     """Enable the drives once every node has replied."""
 
     do: Literal["arm"]
 
 
-class Stop(RequestBase):
+class StopRequest(RequestBase):
     """Relax the tensions, disable the drives, confirm that they are disabled, and end the run."""
 
     do: Literal["stop"]
 
 
-class Cut(RequestBase):
+class CutRequest(RequestBase):
     """Remove the torque at once."""
 
     do: Literal["cut"]
 
 
-class Clear(RequestBase):
+class ClearRequest(RequestBase):
     """Clear latched faults. A hand that was disarmed by these faults stays disarmed."""
 
     do: Literal["clear"]
@@ -69,7 +69,7 @@ class CommandBase(RequestBase):
     time the hand relaxes. If it is not given, the last goal applies without a time limit."""
 
 
-class Alive(RequestBase):
+class AliveRequest(RequestBase):
     """Send a sign of life of a client. This renews the `lease_s` of its last command."""
 
     do: Literal["alive"]
@@ -81,12 +81,12 @@ class MoveDigits(CommandBase):
     """Move digits or joints to angles. The angle of a digit applies to all its joints."""
 
     do: Literal["move"]
-    angle_deg: dict[str, Angle] = Field(min_length=1)
+    angle_deg: dict[str, AngleDeg] = Field(min_length=1)
     """Angle by the name of a digit, or by the name of a joint in the hand file."""
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=600)
 
 
-class Stay(CommandBase):
+class StayRequest(CommandBase):
     """Bring the moving digits to rest at their present positions.
 
     Digits that hold a tension continue.
@@ -95,7 +95,7 @@ class Stay(CommandBase):
     do: Literal["stay"]
 
 
-class Leave(CommandBase):
+class LeaveRequest(CommandBase):
     """Give the command back. The digits come to rest, and another client may command."""
 
     do: Literal["leave"]
@@ -128,7 +128,7 @@ class OpenStream(CommandBase):
     """Damping ratio of joints with this stiffness, as a multiple of the damping ratio of the gains."""
 
 
-class Grasp(CommandBase):
+class GraspRequest(CommandBase):
     """Carry out a task up to its first hold, and hold until the request ``release``."""
 
     do: Literal["grasp"]
@@ -154,7 +154,7 @@ class HoldTension(CommandBase):
     """Hold tensions. The tension of a digit applies to all its tendons."""
 
     do: Literal["hold"]
-    tension_N: dict[str, Tension] = Field(min_length=1)
+    tension_N: dict[str, TensionN] = Field(min_length=1)
     rate_N_per_s: float = Field(100.0, gt=0, le=5000)
 
 
@@ -167,12 +167,13 @@ class SetGains(RequestBase):
 
 
 Request = (
-    Arm | Stop | Cut | Clear | MoveDigits | HoldTension | Stay | Leave | Grasp | ReleaseGrasp | OpenStream
-    | CloseStream | Alive | SetGains
+    ArmRequest | StopRequest | CutRequest | ClearRequest | MoveDigits | HoldTension | StayRequest | LeaveRequest
+    | GraspRequest | ReleaseGrasp | OpenStream
+    | CloseStream | AliveRequest | SetGains
 )  # fmt: skip
 
 _ACCEPTED_PREFIX = "asked: "
-_ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
+_REQUEST_ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 LONGEST_LINE = 200
 """Largest length of a line with the reason for refusing a request [characters]."""
@@ -206,7 +207,7 @@ def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str
     return texts
 
 
-class Target(NamedTuple):
+class StreamTarget(NamedTuple):
     """Target of a stream.
 
     Attributes:
@@ -222,38 +223,39 @@ class Target(NamedTuple):
     values: tuple[float, ...]
 
 
-_TARGET = '{"do": "target", '
+_TARGET_START = '{"do": "target", '
 """Start of the text of a target, for a quick test. Targets come hundreds of times a second."""
 
 
 def target_text(stream: str, number: int, sent_ns: int, values: Sequence[float]) -> str:
-    """Return a target as the text of a request, see ``Target``.
+    """Return a target as the text of a request, see ``StreamTarget``.
 
     Values are written to the last bit.
     """
-    return f'{_TARGET}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {json.dumps(list(values))}}}'
+    listed = json.dumps(list(values))
+    return f'{_TARGET_START}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {listed}}}'
 
 
 def is_target(text: str) -> bool:
     """Return True if a request is a target of a stream."""
-    return text.startswith(_TARGET)
+    return text.startswith(_TARGET_START)
 
 
-_ALIVE = '{"do": "alive", '
-"""Start of the text of ``Alive``."""
+_ALIVE_START = '{"do": "alive", '
+"""Start of the text of ``AliveRequest``."""
 
 
 def alive_text(client: str) -> str:
-    """Return the text of the request that renews the lease of a client, see ``Alive``."""
-    return f'{_ALIVE}"client": "{client}"}}'
+    """Return the text of the request that renews the lease of a client, see ``AliveRequest``."""
+    return f'{_ALIVE_START}"client": "{client}"}}'
 
 
 def is_routine(text: str) -> bool:
     """Return True if clients send a request many times in a run: a target, or a sign of life."""
-    return is_target(text) or text.startswith(_ALIVE)
+    return is_target(text) or text.startswith(_ALIVE_START)
 
 
-def parse_target(text: str) -> Target | None:
+def parse_target(text: str) -> StreamTarget | None:
     """Parse the text of a target. Return None for a text of another form."""
     try:
         fields = json.loads(text)
@@ -262,7 +264,7 @@ def parse_target(text: str) -> Target | None:
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         return None
     right = isinstance(stream, str) and type(number) is int and type(sent_ns) is int
-    return Target(stream, number, sent_ns, values) if right else None
+    return StreamTarget(stream, number, sent_ns, values) if right else None
 
 
 def parse_request(text: str) -> Request | str:
@@ -271,7 +273,7 @@ def parse_request(text: str) -> Request | str:
     The line contains printable characters only, whatever the datagram contained.
     """
     try:
-        return _ADAPTER.validate_json(text)
+        return _REQUEST_ADAPTER.validate_json(text)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from handctl.core.estimation.tip import reduced_tip_lever
 from handctl.core.law.allocation import tensions_for_torque
-from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.trajectory import Blend, MinimumJerk, Streamed
+from handctl.core.law.goal import DigitGoal, GoalKind
+from handctl.core.law.trajectory import BlendTrajectory, MinimumJerk, StreamedTrajectory
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import static_torque
-from handctl.programs.program import Progress
+from handctl.programs.program import ProgramProgress
 from handctl.programs.requests import OpenStream
 
 MOTION_MARGIN_TICKS = 2
@@ -32,7 +32,7 @@ MAX_TARGET_VALUES_BY_SPACE = {"joint": 720.0, "digit": 720.0, "tension": 5000.0,
 
 A larger value is a mistake of the client, and is refused.
 """
-UNITS = {"joint": "deg", "digit": "deg", "tension": "N", "tip_force": "N"}
+TARGET_UNIT_BY_SPACE = {"joint": "deg", "digit": "deg", "tension": "N", "tip_force": "N"}
 """Unit of the values of a target, by space of the stream."""
 MIN_STIFFNESS_FRACTION = 0.05
 """Smallest fraction of the gains' stiffness.
@@ -72,7 +72,7 @@ class StreamPlan:
     @property
     def moves(self) -> bool:
         """Return True for a stream of angles, False for a stream of tensions or forces."""
-        return UNITS[self.space] == "deg"
+        return TARGET_UNIT_BY_SPACE[self.space] == "deg"
 
 
 class StreamStatus(NamedTuple):
@@ -167,7 +167,7 @@ def stream_problem(model: HandModel, request: OpenStream) -> str:
             tendons, joints = model.digits[hand.digit_names.index(name)].moment_arms.shape
             if tendons < joints:
                 return f"{name} has {tendons} tendons for {joints} joints, expected a stream of tension"
-    if request.stiffness_N_m_per_rad is not None and UNITS[request.space] != "deg":
+    if request.stiffness_N_m_per_rad is not None and TARGET_UNIT_BY_SPACE[request.space] != "deg":
         return f"a stiffness in a stream of {request.space}, expected one of angles"
     return ""
 
@@ -293,8 +293,8 @@ def tensions_of(
 
 
 def streamed_goals(
-    progress: Progress, digits: tuple[int, ...], tension: tuple[Vector, ...] | None
-) -> Progress:
+    progress: ProgramProgress, digits: tuple[int, ...], tension: tuple[Vector, ...] | None
+) -> ProgramProgress:
     """Return the progress with goals of digits that follow a stream.
 
     Args:
@@ -307,10 +307,10 @@ def streamed_goals(
     contact = list(progress.contact)
     for d in digits:
         if tension is None:
-            goals[d] = DigitGoal(Kind.MOTION, Streamed())
+            goals[d] = DigitGoal(GoalKind.MOTION, StreamedTrajectory())
             contact[d] = False
         else:
-            goals[d] = DigitGoal(Kind.TENSION, tension=tension[d].copy(), rate=STREAMED_RATE)
+            goals[d] = DigitGoal(GoalKind.TENSION, tension=tension[d].copy(), rate=STREAMED_RATE)
     return replace(progress, goals=tuple(goals), contact=tuple(contact))
 
 
@@ -322,13 +322,13 @@ It has no effect, because the targets contain the setpoints.
 
 
 def progress_at_rest(
-    progress: Progress,
+    progress: ProgramProgress,
     reference: tuple[Vector, ...],
     tension: tuple[Vector, ...],
     t: float,
     reach: tuple[tuple[Vector, Vector], ...],
     only_streamed: bool,
-) -> Progress:
+) -> ProgramProgress:
     """Return the progress with goals that bring moving digits to rest.
 
     Args:
@@ -341,22 +341,22 @@ def progress_at_rest(
     """
     goals = list(progress.goals)
     for d, goal in enumerate(goals):
-        if goal.kind == Kind.TENSION and goal.rate == STREAMED_RATE:
-            goals[d] = DigitGoal(Kind.TENSION, tension=tension[d].copy())
-        if goal.kind == Kind.MOTION and (
-            isinstance(goal.trajectory, Streamed) or not only_streamed
+        if goal.kind == GoalKind.TENSION and goal.rate == STREAMED_RATE:
+            goals[d] = DigitGoal(GoalKind.TENSION, tension=tension[d].copy())
+        if goal.kind == GoalKind.MOTION and (
+            isinstance(goal.trajectory, StreamedTrajectory) or not only_streamed
         ):
             position, rate, _ = reference[d]
             end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *reach[d])
             goals[d] = DigitGoal(
-                Kind.MOTION, continued_move(reference[d], end, STOP_DURATION_S, reach[d]), since=t
+                GoalKind.MOTION, continued_move(reference[d], end, STOP_DURATION_S, reach[d]), since=t
             )
     return replace(progress, goals=tuple(goals))
 
 
 SHORTEST_BLEND_S = 0.05
 """Shortest time in which an earlier motion fades [s]."""
-_SHARES = np.linspace(0.0, 1.0, 33)[1:]
+_CHECKED_FRACTIONS = np.linspace(0.0, 1.0, 33)[1:]
 """Instants at which the positions of a move are checked, as fractions of its duration."""
 
 
@@ -380,8 +380,8 @@ def continued_move(
         return MinimumJerk(position, end, duration)
     blend = duration
     while True:
-        move = MinimumJerk(position, end, duration, Blend(rate, acceleration, blend))
-        course = np.array([move.at(share * blend)[0] for share in _SHARES])
+        move = MinimumJerk(position, end, duration, BlendTrajectory(rate, acceleration, blend))
+        course = np.array([move.at(share * blend)[0] for share in _CHECKED_FRACTIONS])
         inside = (course >= np.minimum(reach[0], position)).all() and (
             course <= np.maximum(reach[1], position)
         ).all()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from handctl.core.law.trajectory import Curve
+from handctl.core.law.trajectory import CurveTrajectory
 from handctl.core.types import Vector
 from handctl.document import Document, load_document, validate_content
 from handctl.errors import ConfigError
@@ -20,14 +20,14 @@ from handctl.hand.load import read_toml
 if TYPE_CHECKING:  # imported for types only, because it imports numba, which the reading of a task does not need
     from handctl.hand.digit import DigitModel
 
-Angle = Annotated[float, Field(ge=-30, le=150)]
-Tension = Annotated[float, Field(ge=0, le=1000)]
-Force = Annotated[float, Field(ge=0, le=200)]
-Angles = Angle | Annotated[tuple[Angle, ...], Field(min_length=1)]
+AngleDeg = Annotated[float, Field(ge=-30, le=150)]
+TensionN = Annotated[float, Field(ge=0, le=1000)]
+ForceN = Annotated[float, Field(ge=0, le=200)]
+DigitAnglesDeg = AngleDeg | Annotated[tuple[AngleDeg, ...], Field(min_length=1)]
 """Angles of a digit: one for all its joints, or one for each of its coordinates."""
-Tensions = Tension | Annotated[tuple[Tension, ...], Field(min_length=1)]
+DigitTensionsN = TensionN | Annotated[tuple[TensionN, ...], Field(min_length=1)]
 """Tensions of a digit: one for all its tendons, or one for each tendon."""
-Duration = Annotated[float, Field(gt=0, le=3600)]
+DurationS = Annotated[float, Field(gt=0, le=3600)]
 
 
 FOLLOW_SPEED_DEG_S = 700.0
@@ -47,7 +47,7 @@ The controller itself uses them, for the start of a program and for load cells w
 """
 
 
-class Move(Document):
+class MovePhase(Document):
     """Move to joint angles along a minimum-jerk path.
 
     Digits without an angle keep their positions.
@@ -55,7 +55,7 @@ class Move(Document):
 
     kind: Literal["move"]
     name: str = "move"
-    angle_deg: Angle | dict[str, Angles]
+    angle_deg: AngleDeg | dict[str, DigitAnglesDeg]
     """One angle for all joints, or one angle for each digit or joint (``index``, ``index_j1``).
 
     The angle of a digit with one tendon is its mean joint angle. A digit with a tendon for each
@@ -65,20 +65,20 @@ class Move(Document):
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=3600)
 
 
-class Close(Document):
+class ClosePhase(Document):
     """Close until contact. A digit in contact holds its tension while the other digits continue."""
 
     kind: Literal["close"]
     name: str = "close"
-    angle_deg: Angle | dict[str, Angles] = 90.0
+    angle_deg: AngleDeg | dict[str, DigitAnglesDeg] = 90.0
     """Angle at which a digit or joint without contact stops."""
     speed_deg_s: float = Field(60.0, gt=0, le=FOLLOW_SPEED_DEG_S)
-    contact_tension_N: Tension = 8.0
+    contact_tension_N: TensionN = 8.0
     """Smallest tension of a digit in contact."""
-    timeout_s: Duration = 10.0
+    timeout_s: DurationS = 10.0
 
 
-class Hold(Document):
+class HoldPhase(Document):
     """Hold a tension or a tip force with the digits in contact.
 
     The other digits keep their positions.
@@ -86,9 +86,9 @@ class Hold(Document):
 
     kind: Literal["hold"]
     name: str = "hold"
-    tension_N: Tension | dict[str, Tensions] | None = None
-    tip_force_N: Force | dict[str, Force] | None = None
-    slip_limit_N: Tension | dict[str, Tension] | None = None
+    tension_N: TensionN | dict[str, DigitTensionsN] | None = None
+    tip_force_N: ForceN | dict[str, ForceN] | None = None
+    slip_limit_N: TensionN | dict[str, TensionN] | None = None
     """Tension up to which slip raises the tensions. Without this limit, slip is only reported."""
     stiffness_N_per_mm: float = Field(0.0, ge=0, le=50)
     """Additional tension per millimetre that a tendon is pulled out after the grip has settled.
@@ -96,16 +96,16 @@ class Hold(Document):
     With 0, the tension is constant.
     """
     rate_N_per_s: float = Field(60.0, gt=0, le=5000)
-    duration_s: Duration = 3.0
+    duration_s: DurationS = 3.0
 
     @model_validator(mode="after")
-    def _one_of(self) -> "Hold":
+    def _one_of(self) -> "HoldPhase":
         if (self.tension_N is None) == (self.tip_force_N is None):
             raise ValueError("give either tension_N or tip_force_N")
         return self
 
 
-class Release(Document):
+class ReleasePhase(Document):
     """Lower the tensions.
 
     From the next phase on, the digits count as free, and need a new contact to hold.
@@ -113,12 +113,12 @@ class Release(Document):
 
     kind: Literal["release"]
     name: str = "release"
-    tension_N: Tension = 8.0
+    tension_N: TensionN = 8.0
     rate_N_per_s: float = Field(100.0, gt=0, le=5000)
     settle_s: float = Field(0.3, ge=0, le=60)
 
 
-class Follow(Document):
+class FollowPhase(Document):
     """Follow a curve through given angles, from rest to rest.
 
     The digits must already be at the start.
@@ -128,14 +128,14 @@ class Follow(Document):
     name: str = "follow"
     time_s: tuple[Annotated[float, Field(ge=0, le=3600)], ...] = Field(min_length=2, max_length=100_000)
     """Times of the given angles, rising from 0."""
-    angle_deg: dict[str, tuple[Angle, ...]] = Field(min_length=1)
+    angle_deg: dict[str, tuple[AngleDeg, ...]] = Field(min_length=1)
     """Angles of each digit or joint, one for each time.
 
     Digits and joints without angles keep their positions.
     """
 
     @model_validator(mode="after")
-    def _rising(self) -> "Follow":
+    def _rising(self) -> "FollowPhase":
         if self.time_s[0] != 0.0 or any(b <= a for a, b in pairwise(self.time_s)):
             raise ValueError("time_s must rise from 0")
         for digit, angles in self.angle_deg.items():
@@ -159,16 +159,16 @@ def _peak_speed(times: tuple[float, ...], angles: tuple[float, ...]) -> float:
 
 
 @functools.lru_cache(maxsize=32)
-def curve_through(times: tuple[float, ...], angles: tuple[float, ...]) -> Curve:
+def curve_through(times: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
     """Return the curve of one coordinate through angles [rad] at times [s].
 
     The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
     later tick, and takes the curves from the cache.
     """
-    return Curve.through(times, angles, 1)
+    return CurveTrajectory.through(times, angles, 1)
 
 
-Phase = Annotated[Move | Close | Hold | Release | Follow, Field(discriminator="kind")]
+TaskPhase = Annotated[MovePhase | ClosePhase | HoldPhase | ReleasePhase | FollowPhase, Field(discriminator="kind")]
 
 
 class Task(Document):
@@ -180,7 +180,7 @@ class Task(Document):
     schema_: int = Field(alias="schema", ge=1, le=1)
     name: str
     description: str = ""
-    phase: tuple[Phase, ...] = Field(min_length=1)
+    phase: tuple[TaskPhase, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _named(self) -> "Task":
@@ -291,7 +291,7 @@ def check_task(
             for name in sorted(per_digit.keys() & joints.keys()):
                 if joints[name] in per_digit:
                     raise ConfigError(f"{joints[name]} and {name}", key_path, "either the digit or its joints")
-            if key.endswith("deg") and isinstance(phase, Follow):
+            if key.endswith("deg") and isinstance(phase, FollowPhase):
                 continue
             for digit, setting in per_digit.items():
                 _check_count(digit, setting, digit_shapes, key_path)
@@ -337,7 +337,9 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
     return {j: value[name] for j, name in enumerate(digit.joint_names) if name in value}
 
 
-def end_angles(value: float | dict[str, Angles], digit: "DigitModel", now: Vector) -> Angles | Vector | None:
+def end_angles(
+    value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", now: Vector
+) -> DigitAnglesDeg | Vector | None:
     """Return the coordinates of a digit at the end of a phase [deg], None if the phase gives the digit no angle.
 
     Args:

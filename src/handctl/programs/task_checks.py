@@ -14,12 +14,12 @@ from handctl.hand.file.sections import Digit
 from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.task import (
     FOLLOW_SPEED_DEG_S,
-    Close,
-    Follow,
-    Hold,
-    Move,
-    Phase,
+    ClosePhase,
+    FollowPhase,
+    HoldPhase,
+    MovePhase,
     Task,
+    TaskPhase,
     check_task,
     end_angles,
     joint_values,
@@ -27,7 +27,7 @@ from handctl.programs.task import (
     value_for_digit,
 )
 
-Span = tuple[Vector, Vector]
+CoordinateRange = tuple[Vector, Vector]
 """Lowest and highest value of the coordinates of a digit [deg]."""
 
 
@@ -69,7 +69,9 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
     """
     digits = {model.name: model for model in models}
     zeros = {name: np.zeros(model.coupling.shape[1]) for name, model in digits.items()}
-    spans: dict[str, Span] = {name: (zero, zero) for name, zero in zeros.items()}  # the hand arms with open digits
+    spans: dict[str, CoordinateRange] = {
+        name: (zero, zero) for name, zero in zeros.items()
+    }  # the hand arms with open digits
     for i, phase in enumerate(task.phase):
         for digit, span in spans.items():
             low, high = span
@@ -77,24 +79,24 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
             from_high = _coordinates_after(phase, digits[digit], high)
             if from_low is None or from_high is None:
                 continue
-            if isinstance(phase, Move):
+            if isinstance(phase, MovePhase):
                 travel = float(np.maximum(np.abs(from_low - low), np.abs(high - from_high)).max())
                 min_duration = math.ceil(100.0 * duration_for(travel, FOLLOW_SPEED_DEG_S, 0.0)) / 100.0
                 if phase.duration_s < min_duration:
                     distance = f"{digit} may have {travel:g} deg to go, at {FOLLOW_SPEED_DEG_S:g} deg/s"
                     expected = f"at least {min_duration:g} s: {distance}"
                     raise ConfigError(f"{phase.duration_s:g}", f"{where}: phase[{i}].duration_s", expected)
-            touches = isinstance(phase, Close)  # a close phase may stop at any angle
+            touches = isinstance(phase, ClosePhase)  # a close phase may stop at any angle
             ends = (np.minimum(low, from_low), np.maximum(high, from_high)) if touches else (from_low, from_high)
             spans[digit] = ends
 
 
-def _coordinates_after(phase: Phase, digit: DigitModel, now: Vector) -> Vector | None:
+def _coordinates_after(phase: TaskPhase, digit: DigitModel, now: Vector) -> Vector | None:
     """Return the coordinates of a digit after a phase that begins at ``now`` [deg], None if the digit does not move."""
-    if isinstance(phase, Follow):
+    if isinstance(phase, FollowPhase):
         last = {name: angles[-1] for name, angles in phase.angle_deg.items()}
         given = end_angles(last, digit, now)  # type: ignore[arg-type]  # a dict of numbers
-    elif isinstance(phase, Move | Close):
+    elif isinstance(phase, MovePhase | ClosePhase):
         given = end_angles(phase.angle_deg, digit, now)
     else:
         return None
@@ -123,7 +125,7 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
     """
     reaches = {digit.name: np.degrees(digit.reach) for digit in digits}
     for i, phase in enumerate(task.phase):
-        if not isinstance(phase, Move | Close | Follow):
+        if not isinstance(phase, MovePhase | ClosePhase | FollowPhase):
             continue
         for digit in digits:
             _check_joints(phase, digit, hand.digit_named(digit.name), f"{where}: phase[{i}].angle_deg")
@@ -135,7 +137,7 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
                         raise ConfigError(f"{angle:g} deg for {name}", place, f"{lower:g} to {upper:g} deg")
 
 
-def _check_joints(phase: Move | Close | Follow, digit: DigitModel, described: Digit, place: str) -> None:
+def _check_joints(phase: MovePhase | ClosePhase | FollowPhase, digit: DigitModel, described: Digit, place: str) -> None:
     """Check that joint angles are within their limits, and that coupled joints can have these angles together."""
     given = joint_values(phase.angle_deg, digit)
     if not given:
@@ -172,7 +174,7 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
         ConfigError: A hold gives `tip_force_N` to a digit with fewer tendons than joints.
     """
     for i, phase in enumerate(task.phase):
-        if not isinstance(phase, Hold) or phase.tip_force_N is None:
+        if not isinstance(phase, HoldPhase) or phase.tip_force_N is None:
             continue
         for name in hand.digit_names:
             tendons = hand.digit_tendons[name]
@@ -197,7 +199,7 @@ def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
         ConfigError: A hold has a `slip_limit_N` below its `tension_N`.
     """
     for i, phase in enumerate(task.phase):
-        if not isinstance(phase, Hold) or phase.slip_limit_N is None or phase.tension_N is None:
+        if not isinstance(phase, HoldPhase) or phase.slip_limit_N is None or phase.tension_N is None:
             continue
         for name in hand.digit_names:
             limit = value_for_digit(phase.slip_limit_N, name)
@@ -207,9 +209,9 @@ def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
                 raise ConfigError(f"{np.max(limit):g}", f"{where}: phase[{i}].slip_limit_N", expected)
 
 
-def _reached_angles(phase: Move | Close | Follow, name: str) -> Iterable[float | tuple[float, ...]]:
+def _reached_angles(phase: MovePhase | ClosePhase | FollowPhase, name: str) -> Iterable[float | tuple[float, ...]]:
     """Return the angles of a phase that a digit must reach: one for all its coordinates, or one for each."""
-    if isinstance(phase, Follow):
+    if isinstance(phase, FollowPhase):
         angles = phase.angle_deg.get(name)
         return (min(angles), max(angles)) if angles else ()
     angle = value_for_digit(phase.angle_deg, name)

@@ -92,7 +92,7 @@ def _check_chain(log: RunLog) -> Iterator[str]:
     """Check the hash chain of the log, and name the first tick with a wrong hash."""
     before = first_hash_of_run(log.header)
     broken = list[int]()
-    ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.digests(), strict=False)
+    ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.tick_digests(), strict=False)
     for k, message, numbers, digest in ticks:
         if tick_hash(before, message, numbers) != digest:
             broken.append(k)

@@ -19,7 +19,7 @@ MAX_DELAY_S = 0.2
 """Largest delay between two signals that the comparison can find [s]."""
 MIN_MOTION = 0.05
 """Smallest range of a signal from which a delay is computed, as a fraction of the signal's largest value."""
-MAX_UNEXPLAINED = 0.1
+MAX_UNEXPLAINED_FRACTION = 0.1
 """Largest fraction of the first signal's variance that may remain as a difference after the shift by the delay.
 
 If a larger fraction remains, the delay found is a result of chance or noise.
@@ -27,7 +27,7 @@ If a larger fraction remains, the delay found is a result of chance or noise.
 MIN_REPORTED_DELAY_MS = 0.05
 """Delay below which "in time" is printed instead of the delay [ms]."""
 
-SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
+COMPARED_SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
 """Axis, factor from the field's unit to the printed unit, and printed unit, for each compared telemetry field."""
 
 
@@ -104,7 +104,7 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
     # `roll` moves rows from one end of the signal to the other end. `inner` excludes these rows.
     residual = np.array([np.var(np.roll(after, -shift)[inner] - before[inner]) for shift in range(-reach, reach + 1)])
     best = int(np.argmin(residual))
-    if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED * np.var(before[inner]):
+    if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(before[inner]):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
     # The bend is the second difference of the variance. If it is not positive, the minimum is flat,
@@ -140,7 +140,7 @@ def compare_runs(a: RunLog, start_a: float, b: RunLog, start_b: float, duration:
     period = a.header.period_ns * 1e-9
     times = np.asarray(np.arange(round(duration / period)) * period, np.float64)
     result: dict[str, Any] = {}
-    for field, (axis, factor, unit) in SIGNALS.items():
+    for field, (axis, factor, unit) in COMPARED_SIGNALS.items():
         before, after = (factor * resampled_field(*run, times) for run in ((a, field, start_a), (b, field, start_b)))
         result[f"{axis}_{unit}"] = compare_signals(a.header.axis(axis), before, after, period)
     return result

@@ -21,7 +21,7 @@ OTHER_COLOR = "#d9822b"
 """Colour of the line that shows the command of the other gains."""
 
 
-class Commands:
+class CommandCollector:
     """Collector for the commands of each executed tick.
 
     Pass the method `add` to `execute_log` as `observer`.
@@ -48,7 +48,7 @@ class Commands:
         return np.array(self._tension)
 
 
-def command_change(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, float]]]:
+def command_change(log: RunLog, commands: CommandCollector) -> dict[str, dict[str, dict[str, float]]]:
     """Return RMS and peak of the change against the logged command, for each motor [N m] and each tendon [N]."""
     torque = commands.torque - log.field("motor_torque_goal")
     tension = commands.tension - log.field("tension_goal")
@@ -58,7 +58,7 @@ def command_change(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[
     }
 
 
-def draw_commands(path: Path, log: RunLog, commands: Commands, title: str) -> None:
+def draw_commands(path: Path, log: RunLog, commands: CommandCollector, title: str) -> None:
     """Draw the logged commands and the commands of other gains as PNG: tension and torque of each tendon.
 
     Args:

@@ -10,10 +10,10 @@ from typing import NamedTuple
 from handctl.errors import LogError
 from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
-from handctl.log.read.reader import VALUES_END, VALUES_START
+from handctl.log.read.reader import VALUES_END_OFFSET, VALUES_START_OFFSET
 from handctl.log.read.record_scan import RecordScan
 from handctl.log.read.recover import scan_damaged
-from handctl.log.topics.chain import HASH_SIZE, TOPIC, tick_hash
+from handctl.log.topics.chain import CHAIN_TOPIC, HASH_SIZE, tick_hash
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
 
 NO_CHANNEL = -1
@@ -23,7 +23,7 @@ Logs of earlier versions, for example, lack the hash chain.
 """
 
 
-class _Tick(NamedTuple):
+class _StoredTick(NamedTuple):
     """Tick with the data stored in a log: number, Tick message, packed telemetry, chain hash."""
 
     k: int
@@ -83,10 +83,10 @@ def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
 def _channel_ids(content: bytes) -> tuple[int, ...]:
     """Return the channel numbers of the ticks, the telemetry and the chain hashes."""
     channels = {topic: number for number, _, topic, _, _ in schemas_and_channels(content).channels}
-    return tuple(channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, TOPIC))
+    return tuple(channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC))
 
 
-def _chunk_ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]) -> Iterator[_Tick]:
+def _chunk_ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]) -> Iterator[_StoredTick]:
     """Yield the ticks that a chunk contains.
 
     Raises:
@@ -104,7 +104,7 @@ def _chunk_ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]
     for message, values, digest in zip(messages, values_of, digests, strict=True):
         # The tick number follows the four bytes of CDR encapsulation in the message.
         k = int.from_bytes(message[4:12], "little", signed=True)
-        yield _Tick(k, message, values[VALUES_START:VALUES_END], digest[-HASH_SIZE:])
+        yield _StoredTick(k, message, values[VALUES_START_OFFSET:VALUES_END_OFFSET], digest[-HASH_SIZE:])
 
 
 def _position_text(before: bytes) -> str:
@@ -112,6 +112,6 @@ def _position_text(before: bytes) -> str:
     return f"after tick {int.from_bytes(before[:8], 'little', signed=True)}" if before else "before the first tick"
 
 
-def _tick_range_text(ticks: list[_Tick]) -> str:
+def _tick_range_text(ticks: list[_StoredTick]) -> str:
     """Return a text with the first and the last tick of a chunk."""
     return f"ticks {ticks[0].k} to {ticks[-1].k}" if ticks else "before the first tick"

@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.printing import printable_text
-from handctl.programs.playback import Recording
+from handctl.programs.playback import RecordedGoals
 from handctl.programs.task import FOLLOW_SPEED_DEG_S
 
 Array = NDArray[np.float64]
@@ -44,7 +44,9 @@ MAX_INFO_BYTES = 1 << 24
 """Largest accepted size of `info.json` [bytes]."""
 
 
-def find_episode(dataset: Path, episode: int, hand: Hand, period: float, speed_deg_s: float | None = None) -> Recording:
+def find_episode(
+    dataset: Path, episode: int, hand: Hand, period: float, speed_deg_s: float | None = None
+) -> RecordedGoals:
     """Return the motion of an episode: smooth joint angles with one value for each control period.
 
     Args:
@@ -208,7 +210,7 @@ def _limit_rate(angles: Array, step: float) -> Array:
     return slowed
 
 
-def _smooth_curve(angles: Array, rate: float, hand: Hand, period: float, where: str) -> Recording:
+def _smooth_curve(angles: Array, rate: float, hand: Hand, period: float, where: str) -> RecordedGoals:
     """Return a smooth curve through angles, with a point for each control period. The curve begins and ends at rest.
 
     Raises:
@@ -222,7 +224,7 @@ def _smooth_curve(angles: Array, rate: float, hand: Hand, period: float, where: 
         tick, joint = np.unravel_index(int(rates.argmax()), rates.shape)
         problem = f"{hand.joints[joint]} with {rates.max():.0f} deg/s after {at[tick]:.2f} s"
         raise ConfigError(problem, where, f"at most {FOLLOW_SPEED_DEG_S:g} deg/s, or a limit by --speed")
-    return Recording(curve(at), curve(at, 1), curve(at, 2), np.zeros((len(at), len(hand.tendon))))
+    return RecordedGoals(curve(at), curve(at, 1), curve(at, 2), np.zeros((len(at), len(hand.tendon))))
 
 
 def _value_text(value: object) -> str:

@@ -21,7 +21,7 @@ from handctl.replay.tick_difference import TickDifference
 
 
 @dataclass(frozen=True, slots=True)
-class Execution:
+class LogExecution:
     """Result of a re-execution.
 
     Attributes:
@@ -54,7 +54,7 @@ class Execution:
         return self.logged_s / self.wall_s if self.wall_s else math.inf
 
 
-def is_within_tolerance(execution: Execution, within: float) -> bool:
+def is_within_tolerance(execution: LogExecution, within: float) -> bool:
     """Return True if all decisions equal the logged ones, and no number differs from the log by more than `within`.
 
     A tolerance is useful because a machine of another kind may round differently.
@@ -69,7 +69,7 @@ def execute_log(
     observer: TickObserver | None = None,
     progress: ProgressCallback | None = None,
     workers: int = 1,
-) -> Execution:
+) -> LogExecution:
     """Execute the controller of a log on the inputs in the log.
 
     Args:
@@ -88,7 +88,7 @@ def execute_log(
     cpu_start = _cpu_seconds()
     done = 0
 
-    def more(ticks: int) -> None:
+    def add_progress(ticks: int) -> None:
         nonlocal done
         done += ticks
         if progress:
@@ -98,12 +98,12 @@ def execute_log(
         if workers > 1 and not gains and not observer:
             tally = run_parallel(runner, workers, progress or _ignore_progress)
         else:
-            _, tally = runner.run(0, len(log), runner.controller.initial(), observer, more)
+            _, tally = runner.run(0, len(log), runner.controller.initial(), observer, add_progress)
     wall = time.perf_counter() - start
     cpu = _cpu_seconds() - cpu_start
     length = float(log.times[-1]) if len(log) else 0.0
     parts = (tally.ticks, tally.differing, tally.different_decisions, tally.first, tally.state, tally.largest)
-    return Execution(*parts, wall, cpu, length)
+    return LogExecution(*parts, wall, cpu, length)
 
 
 def _ignore_progress(ticks: int) -> None:

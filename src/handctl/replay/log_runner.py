@@ -20,7 +20,7 @@ from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord
 from handctl.replay.rebuild import rebuild_controller
 from handctl.replay.tick_difference import (
-    Columns,
+    TelemetryColumns,
     TickDifference,
     are_decisions_equal,
     are_outputs_equal,
@@ -28,7 +28,7 @@ from handctl.replay.tick_difference import (
     state_difference,
 )
 
-PROGRESS_TICKS = 200
+TICKS_PER_PROGRESS_REPORT = 200
 """Number of ticks between two progress reports."""
 
 TickObserver = Callable[[TickIn, TickOut], None]
@@ -50,7 +50,7 @@ def relative_error(difference: TickDifference) -> float:
 
 
 @dataclass(slots=True)
-class Tally:
+class DifferenceTally:
     """Counts of the differences found so far. The class Execution explains the attributes."""
 
     ticks: int = 0
@@ -60,9 +60,9 @@ class Tally:
     state: TickDifference | None = None
     largest: TickDifference | None = None
 
-    def merged_with(self, later: "Tally") -> "Tally":
+    def merged_with(self, later: "DifferenceTally") -> "DifferenceTally":
         """Add the tally of a later part of the log to this tally, and return the sum."""
-        both = Tally(
+        both = DifferenceTally(
             self.ticks + later.ticks,
             self.differing + later.differing,
             self.different_decisions + later.different_decisions,
@@ -106,7 +106,7 @@ class LogRunner:
 
     log: RunLog
     controller: Controller
-    columns: Columns
+    columns: TelemetryColumns
     snapshots: Mapping[int, bytes]
 
     @staticmethod
@@ -118,7 +118,7 @@ class LogRunner:
         # With other gains, the states differ from the snapshots in the log, which are therefore not
         # used.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
-        return LogRunner(log, rebuild_controller(log, gains), Columns.of(log.header), snapshots)
+        return LogRunner(log, rebuild_controller(log, gains), TelemetryColumns.of(log.header), snapshots)
 
     def run(
         self,
@@ -127,7 +127,7 @@ class LogRunner:
         state: State,
         observer: TickObserver | None,
         progress: ProgressCallback | None,
-    ) -> tuple[State, Tally]:
+    ) -> tuple[State, DifferenceTally]:
         """Execute the controller on a part of the log.
 
         Args:
@@ -144,7 +144,7 @@ class LogRunner:
         Raises:
             LogError: the log is damaged, or the controller refuses an input in the log.
         """
-        tally = Tally()
+        tally = DifferenceTally()
         tick = self.controller.tick
         for logged, numbers in self._logged_ticks(start, stop):
             try:
@@ -152,8 +152,8 @@ class LogRunner:
             except ValueError as error:
                 raise refusal_error(error, logged.tick_in.k) from None
             tally.ticks += 1
-            if progress and tally.ticks % PROGRESS_TICKS == 0:
-                progress(PROGRESS_TICKS)
+            if progress and tally.ticks % TICKS_PER_PROGRESS_REPORT == 0:
+                progress(TICKS_PER_PROGRESS_REPORT)
             if observer:
                 observer(logged.tick_in, out)
             if not are_outputs_equal(logged, numbers, out):

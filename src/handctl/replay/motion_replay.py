@@ -9,7 +9,7 @@ from handctl.core.types import Mode
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
-from handctl.programs.playback import PlaybackProgram, Recording
+from handctl.programs.playback import PlaybackProgram, RecordedGoals
 from handctl.replay.compare import compare_runs
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def count_missing_ticks(log: RunLog) -> int:
     return int((log.k[at + 1] - log.k[at] - 1).sum())
 
 
-def recorded_targets(log: RunLog, period: float) -> Recording:
+def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     """Return the targets of a recorded run, resampled to another control period.
 
     If a neighbouring tick has no joint targets for a digit, because the digit held a tension, these
@@ -84,7 +84,7 @@ def recorded_targets(log: RunLog, period: float) -> Recording:
     q, dq, tension = (_interpolate_field(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal"))
     ddq = np.gradient(log.field("dq_goal"), log.times, axis=0)
     rate = _interpolate(log, ddq, times)
-    return Recording(q, dq, np.where(np.isnan(q), np.nan, np.nan_to_num(rate)), tension)
+    return RecordedGoals(q, dq, np.where(np.isnan(q), np.nan, np.nan_to_num(rate)), tension)
 
 
 def _interpolate_field(log: RunLog, name: str, times: Array) -> Array:

@@ -13,25 +13,25 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from handctl.controller.tick import Controller
-from handctl.core.types import Event
+from handctl.core.types import TickEvent
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import gc_disabled
-from handctl.replay.log_runner import PROGRESS_TICKS, refusal_error
+from handctl.replay.log_runner import TICKS_PER_PROGRESS_REPORT, refusal_error
 from handctl.replay.rebuild import rebuild_controller
 from handctl.safety.action import Action
-from handctl.safety.faults.table import BY_ID
-from handctl.safety.limits import MIN_SILENT_TICKS, MIN_STALLED_TICKS, Limits, ticks_for
+from handctl.safety.faults.table import FAULT_BY_ID
+from handctl.safety.limits import MIN_SILENT_TICKS, MIN_STALLED_TICKS, SafetyLimits, ticks_for
 
-Tension = Annotated[float, Field(gt=0, le=1000)]
+TensionLimit = Annotated[float, Field(gt=0, le=1000)]
 
 
 class NewLimits(Document):
     """Content of a limits file. A limit missing in the file keeps the value from the run."""
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
-    tension_trip_N: Tension | dict[str, Tension] | None = None
+    tension_trip_N: TensionLimit | dict[str, TensionLimit] | None = None
     """Tension limit, either one for all tendons or one for each tendon by name [N]."""
     silent_ms: float | None = Field(None, gt=0, le=10_000)
     stalled_ms: float | None = Field(None, gt=0, le=10_000)
@@ -62,7 +62,7 @@ class LimitStop(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Judgement:
+class LimitsJudgement:
     """Effect of other limits on a recorded run.
 
     Attributes:
@@ -81,7 +81,7 @@ class Judgement:
     by_fault: dict[str, int]
 
 
-def load_limits(path: Path, controller: Controller) -> Limits:
+def load_limits(path: Path, controller: Controller) -> SafetyLimits:
     """Return the limits of a controller, with the values of a limits file put in.
 
     Raises:
@@ -112,7 +112,7 @@ def load_limits(path: Path, controller: Controller) -> Limits:
     )
 
 
-def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | None = None) -> Judgement:
+def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | None = None) -> LimitsJudgement:
     """Judge every tick of a run by other limits, and return their effect. The logged run itself is not changed.
 
     Args:
@@ -131,8 +131,8 @@ def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | N
 
 
 def _judge_ticks(
-    log: RunLog, controller: Controller, limits: Limits, progress: Callable[[int], None] | None
-) -> Judgement:
+    log: RunLog, controller: Controller, limits: SafetyLimits, progress: Callable[[int], None] | None
+) -> LimitsJudgement:
     """Judge each tick from the state that the run had, with the debounce counters and latches of the other limits."""
     other = replace(controller, other_limits=limits)
     state = controller.initial()
@@ -153,13 +153,13 @@ def _judge_ticks(
             raise refusal_error(error, entry.k) from None
         logged_faults = {_fault_id(event) + event.where for event in out.events if event.name == "fault"}
         ticks += 1
-        if progress and ticks % PROGRESS_TICKS == 0:
+        if progress and ticks % TICKS_PER_PROGRESS_REPORT == 0:
             progress(ticks)
         stopped += verdict.action >= Action.HOLD
         stopped_logged += out.action >= Action.HOLD
         for event in verdict.events:
-            if event.name == "fault" and BY_ID[_fault_id(event)].action >= Action.HOLD:
-                fault = BY_ID[_fault_id(event)]
+            if event.name == "fault" and FAULT_BY_ID[_fault_id(event)].action >= Action.HOLD:
+                fault = FAULT_BY_ID[_fault_id(event)]
                 t_s = entry.t_ns / 1e9
                 # The text of a fault event ends with the reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
@@ -177,9 +177,9 @@ def _judge_ticks(
                     )
                 )
     counts = Counter(stop.fault for stop in stops)
-    return Judgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))
+    return LimitsJudgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))
 
 
-def _fault_id(event: Event) -> str:
+def _fault_id(event: TickEvent) -> str:
     """Return the fault id that a fault event names."""
     return event.text.partition(" ")[0]

@@ -23,12 +23,12 @@ from handctl.controller.snapshot import restore_state, snapshot_bytes
 from handctl.controller.state import State
 from handctl.errors import LogError
 from handctl.processes import run_in_copy
-from handctl.replay.log_runner import LogRunner, Tally
+from handctl.replay.log_runner import DifferenceTally, LogRunner
 from handctl.replay.tick_difference import TickDifference
 
 MIN_TICKS = 200
 """Smallest number of ticks for which a further process is started."""
-PROGRESS_S = 0.2
+PROGRESS_PERIOD_S = 0.2
 """Interval between reports of progress while the first process waits for the others [s]."""
 
 
@@ -68,19 +68,19 @@ class ProgressCounts:
         The function of the first process, which is the calling process, also reports progress.
         """
 
-        def count(ticks: int) -> None:
+        def count_ticks(ticks: int) -> None:
             self._done[process] += ticks
             if process == 0:
                 self.report()
 
-        return count
+        return count_ticks
 
     def report(self) -> None:
         """Report the number of ticks that all processes have executed."""
         self._progress(int(self._done.sum()))
 
 
-def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None]) -> Tally:
+def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None]) -> DifferenceTally:
     """Execute a whole log in several processes. The errors are those of `LogRunner.run`.
 
     Args:
@@ -163,7 +163,9 @@ def _result_json(runner: LogRunner, part: LogPart, count: Callable[[int], None])
     return json.dumps({"state": snapshot_bytes(state).hex(), "tally": astuple(tally)})
 
 
-def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts) -> tuple[State, Tally] | None:
+def _wait_for_result(
+    runner: LogRunner, worker: WorkerProcess, counts: ProgressCounts
+) -> tuple[State, DifferenceTally] | None:
     """Wait for a worker process, and return the state and the tally at the end of the worker's part.
 
     Returns:
@@ -171,7 +173,7 @@ def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressC
     """
     data = b""
     while True:
-        if select.select([worker.pipe], [], [], PROGRESS_S)[0]:
+        if select.select([worker.pipe], [], [], PROGRESS_PERIOD_S)[0]:
             more = os.read(worker.pipe, 1 << 20)
             if not more:
                 break
@@ -181,7 +183,7 @@ def _wait_for_result(runner: LogRunner, worker: WorkerProcess, counts: ProgressC
         return None
     result: dict[str, Any] = json.loads(data)
     *numbers, first, state, largest = result["tally"]
-    tally = Tally(
+    tally = DifferenceTally(
         *numbers,
         *(TickDifference(*worker) if worker else None for worker in (first, state, largest)),
     )

@@ -5,12 +5,12 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from handctl.controller.setup import SETUP_ATTACHMENT, Setup
+from handctl.controller.setup import SETUP_ATTACHMENT, RunSetup
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError, LogError
 from handctl.hand.description import Hand
-from handctl.log.code_identity import UNKNOWN, code_identity
+from handctl.log.code_identity import UNKNOWN_IDENTITY, code_identity
 from handctl.log.read.log_hand import described_hand
 from handctl.log.read.reader import RunLog
 from handctl.printing import printable_text
@@ -37,13 +37,13 @@ def logged_gains(log: RunLog) -> Gains:
     return _read_attachment(log, "gains.json", Gains)
 
 
-def logged_setup(log: RunLog) -> Setup:
+def logged_setup(log: RunLog) -> RunSetup:
     """Return the setup of the recorded run: control rate, tare of the load cells, zero of the motors, and program.
 
     Raises:
         LogError: the log was written by a version that did not record the setup.
     """
-    return _read_attachment(log, SETUP_ATTACHMENT, Setup)
+    return _read_attachment(log, SETUP_ATTACHMENT, RunSetup)
 
 
 def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
@@ -55,7 +55,7 @@ def rebuild_controller(log: RunLog, gains: Gains | None = None) -> Controller:
     return logged_setup(log).controller(logged_hand(log), gains or logged_gains(log))
 
 
-D = TypeVar("D", Gains, Setup)
+D = TypeVar("D", Gains, RunSetup)
 
 
 def _read_attachment(log: RunLog, name: str, model: type[D]) -> D:
@@ -78,6 +78,6 @@ def _read_attachment(log: RunLog, name: str, model: type[D]) -> D:
 def _versions_text(log: RunLog) -> tuple[str, str]:
     """Return the versions of handctl that wrote and read the log, as two texts for an error message."""
     metadata = log.header.metadata
-    wrote = f"handctl {metadata.get('version', UNKNOWN)}, code {metadata.get('code', UNKNOWN)}"
+    wrote = f"handctl {metadata.get('version', UNKNOWN_IDENTITY)}, code {metadata.get('code', UNKNOWN_IDENTITY)}"
     here = f"handctl {version('handctl')}, code {code_identity()}"
     return printable_text(f"the log, written by {wrote}"), f"a log that this one can execute: {here}"

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.controller.state import Decisions, State
 from handctl.core.plain import plain_bytes
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Event, TickOut
+from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.records import frames_as_records
 from handctl.log.header import RunHeader
@@ -37,17 +37,17 @@ class TickDifference(NamedTuple):
     ulps: int | None = None
 
 
-class Columns(NamedTuple):
+class TelemetryColumns(NamedTuple):
     """Names for the columns of `Telemetry.packed`: the telemetry field, and the joint, tendon, motor or digit."""
 
     field: tuple[str, ...]
     name: tuple[str, ...]
 
     @staticmethod
-    def of(header: RunHeader) -> "Columns":
+    def of(header: RunHeader) -> "TelemetryColumns":
         """Return the column names for a log with this header."""
         pairs = [(field, name) for field in TELEMETRY_FIELDS for name in header.axis(TELEMETRY_AXES[field])]
-        return Columns(tuple(field for field, _ in pairs), tuple(name for _, name in pairs))
+        return TelemetryColumns(tuple(field for field, _ in pairs), tuple(name for _, name in pairs))
 
 
 def distance_in_ulps(a: float, b: float) -> int:
@@ -55,10 +55,10 @@ def distance_in_ulps(a: float, b: float) -> int:
 
     Neighbouring float64 have distance 1.
     """
-    return abs(_ordinal(a) - _ordinal(b))
+    return abs(_float_ordinal(a) - _float_ordinal(b))
 
 
-def _ordinal(value: float) -> int:
+def _float_ordinal(value: float) -> int:
     """Return the position of a number in the ordered sequence of all float64.
 
     The position of both zeros is 0.
@@ -70,7 +70,7 @@ def _ordinal(value: float) -> int:
 
 
 def differing_fields(
-    columns: Columns, logged: TickRecord, numbers: bytes, computed: TickOut
+    columns: TelemetryColumns, logged: TickRecord, numbers: bytes, computed: TickOut
 ) -> Iterator[TickDifference]:
     """Yield every field that differs between the two ticks, decisions first and the state hash last.
 
@@ -153,7 +153,7 @@ def are_decisions_equal(logged: TickRecord, computed: TickOut) -> bool:
     )
 
 
-def _events_text(events: tuple[Event, ...]) -> str:
+def _events_text(events: tuple[TickEvent, ...]) -> str:
     """Return the events of a tick as one text, for a comparison."""
     return "; ".join(" ".join(filter(None, event)) for event in events)
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit, Tendon
-from handctl.hand.moment_arms import arms_at, polynomial_of
+from handctl.hand.moment_arms import arms_at, polynomial_of_arm
 from handctl.output import save_figure
 from handctl.printing import printable_text
 
@@ -121,7 +121,7 @@ def _arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
     if not isinstance(arm, dict):
         return f"{1e3 * arm:{sign}g} mm"
     limits = hand.joint_limits[:, [hand.joints.index(joint)]]
-    ends = arms_at(polynomial_of(arm)[None, None], limits, limits).ravel()
+    ends = arms_at(polynomial_of_arm(arm)[None, None], limits, limits).ravel()
     return f"{1e3 * ends[0]:{sign}.3g}..{1e3 * ends[1]:.3g} mm"
 
 

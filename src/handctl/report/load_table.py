@@ -11,8 +11,8 @@ from handctl.drives.frame_time import MAX_BUS_LOAD, bus_time_s
 
 # Bit rates for which the table is computed: nominal rate, and rate of the data phase of CAN FD
 # [bit/s].
-BITRATE = 1_000_000
-DATA_BITRATE = 5_000_000
+BITRATE_BIT_PER_S = 1_000_000
+DATA_BITRATE_BIT_PER_S = 5_000_000
 TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
 """Control rates for which the table gives the bus load [Hz]."""
 
@@ -39,7 +39,7 @@ class TableRow(NamedTuple):
     def tick_s(self) -> float:
         """Return the time that the frames of one tick take on the bus [s]."""
         sizes = [*self.per_motor * self.motors, *self.shared]
-        return bus_time_s([(size, self.fd, 1.0) for size in sizes], BITRATE, DATA_BITRATE)
+        return bus_time_s([(size, self.fd, 1.0) for size in sizes], BITRATE_BIT_PER_S, DATA_BITRATE_BIT_PER_S)
 
     def numbers(self) -> dict[str, Any]:
         """Return the row as a mapping for JSON output."""
@@ -47,7 +47,7 @@ class TableRow(NamedTuple):
         return self._asdict() | {"tick_us": self.tick_s * 1e6, "load": loads, "max_hz": MAX_BUS_LOAD / self.tick_s}
 
 
-TABLE = (
+TABLE_ROWS = (
     TableRow("MIT", False, 4, (8, 8), (8,)),
     TableRow("MIT", False, 11, (8, 8), (8, 8, 8)),
     TableRow("MIT", True, 4, (8, 8), (12,)),

@@ -15,7 +15,7 @@ from handctl.hand.kinematics import link_rotations
 from handctl.hand.tree import HandTree
 from handctl.log.attached_meshes import attached_meshes
 from handctl.log.read.reader import RunLog
-from handctl.report.run_figure import COLOURS, PASSIVE_PHASES, digit_colours
+from handctl.report.run_figure import DIGIT_COLOURS, PASSIVE_PHASES, digit_colours
 
 Array = NDArray[np.float64]
 
@@ -83,7 +83,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     return _to_svg(figure)
 
 
-def _project(points_m: Array) -> Array:
+def _project_points(points_m: Array) -> Array:
     """Project points (.., 3) in the palm frame [m] to the plane of the picture, and return them (.., 2) [mm].
 
     The viewer looks along the hinge axes, at an oblique angle.
@@ -93,8 +93,8 @@ def _project(points_m: Array) -> Array:
 
 def _picture_limits(tree: HandTree, palm: Array) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of a picture of the whole palm, given by (n, 3) corners, and of all digits at rest."""
-    digits = _project(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
-    corners = np.concatenate((digits - 20.0, digits + 10.0, _project(palm)))
+    digits = _project_points(np.concatenate(tree.points(np.zeros(len(tree.parent)))))
+    corners = np.concatenate((digits - 20.0, digits + 10.0, _project_points(palm)))
     low = corners.min(axis=0)
     high = corners.max(axis=0)
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
@@ -106,7 +106,7 @@ def _draw_palm(axes: Any, hand: Hand) -> None:
     (y0, z0) = mounts[:, 1:].min(axis=0) - 0.009
     (y1, z1) = mounts[:, 1:].max(axis=0) + 0.009
     corners = np.array([[0.0, y, z] for y, z in ((y0, z0), (y1, z0), (y1, z1), (y0, z1))])
-    axes.fill(*_project(corners).T, color=PALM_COLOUR, zorder=0)
+    axes.fill(*_project_points(corners).T, color=PALM_COLOUR, zorder=0)
 
 
 def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
@@ -129,7 +129,7 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
     # The mesh is drawn as a bitmap. As vector graphics, the triangles of eight poses would need
     # many megabytes.
     axes.add_collection(
-        PolyCollection(list(_project(triangles[order])), facecolors=faces, edgecolors=faces, linewidths=0.2,
+        PolyCollection(list(_project_points(triangles[order])), facecolors=faces, edgecolors=faces, linewidths=0.2,
                        rasterized=True, zorder=1)
     )  # fmt: skip
 
@@ -144,7 +144,7 @@ def _draw_digit(axes: Any, joints: Array, push: Array, colour: str, has_mesh: Se
         colour: colour of the digit's links.
         has_mesh: True for each link that is drawn as a mesh.
     """
-    path = _project(joints)
+    path = _project_points(joints)
     single = [path[i : i + 2] for i, meshed in enumerate(has_mesh) if not meshed]
     for line in single if any(has_mesh) else [path]:
         axes.plot(
@@ -159,7 +159,7 @@ def _draw_digit(axes: Any, joints: Array, push: Array, colour: str, has_mesh: Se
     # An unknown force or angle is NaN, for which this negated comparison is true. It gets no arrow.
     if not np.linalg.norm(push) >= MIN_ARROW_N:
         return
-    start, end = _project(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push]))
+    start, end = _project_points(np.array([joints[-1], joints[-1] + ARROW_M_PER_N * push]))
     style = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=end, xytext=start, arrowprops=style, zorder=10)
 
@@ -212,9 +212,9 @@ def draw_lateness(log: RunLog) -> str:
     axes.hist(
         late,
         bins=np.linspace(0.0, max(quarter, float(late.max(initial=0.0))), 80),
-        color=COLOURS[0],
+        color=DIGIT_COLOURS[0],
     )
-    axes.axvline(quarter, color=COLOURS[3], linewidth=0.8)
+    axes.axvline(quarter, color=DIGIT_COLOURS[3], linewidth=0.8)
     axes.text(
         quarter,
         0.9,
@@ -254,7 +254,7 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
         axes.plot(
             log.times,
             100 * load[:, index],
-            color=COLOURS[index % len(COLOURS)],
+            color=DIGIT_COLOURS[index % len(DIGIT_COLOURS)],
             linewidth=0.9,
             label=name,
         )

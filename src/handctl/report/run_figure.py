@@ -16,12 +16,12 @@ from handctl.printing import printable_text
 from handctl.report.summary import mean_angles
 from handctl.report.truth import TruthRecord
 
-COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
+DIGIT_COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
 """Colours of the digits: index, middle, ring, thumb, and others."""
-COMMAND = "#444444"
-PLANT = "#000000"
-GRID = "#999999"
-FAULT = "#d01c1c"
+COMMAND_COLOUR = "#444444"
+PLANT_COLOUR = "#000000"
+PHASE_MARK_COLOUR = "#999999"
+FAULT_COLOUR = "#d01c1c"
 """Colour of fault marks.
 
 The colours above are for commands, the simulated plant and phase marks.
@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 def digit_colours(hand: Hand) -> list[str]:
     """Return the colour of each digit. A digit of one name has the same colour on every hand."""
-    return [COLOURS[number % len(COLOURS)] for number in colour_numbers(hand.digit_names)]
+    return [DIGIT_COLOURS[number % len(DIGIT_COLOURS)] for number in colour_numbers(hand.digit_names)]
 
 
 def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, title: str) -> None:
@@ -116,13 +116,15 @@ def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
 
     marks = [
         (
-            Line2D([], [], color=COLOURS[0], linewidth=1.8),
+            Line2D([], [], color=DIGIT_COLOURS[0], linewidth=1.8),
             "estimate, for tensions and forces with its 1-sigma band",
         ),
-        (Line2D([], [], color=COMMAND, linewidth=1.0, linestyle="--"), "command"),
+        (Line2D([], [], color=COMMAND_COLOUR, linewidth=1.0, linestyle="--"), "command"),
     ]
     if truth:
-        marks.append((Line2D([], [], color=PLANT, linewidth=0.8), "plant, for forces the sum of all contact forces"))
+        marks.append(
+            (Line2D([], [], color=PLANT_COLOUR, linewidth=0.8), "plant, for forces the sum of all contact forces")
+        )
     return [mark for mark, _ in marks], [text for _, text in marks]
 
 
@@ -141,9 +143,9 @@ def _draw_angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord
 def _draw_command_and_truth(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> None:
     """Draw the command and the true value of the simulated plant next to the estimate."""
     if real is not None:
-        axes.plot(log.times, real, color=PLANT, linewidth=0.7)
+        axes.plot(log.times, real, color=PLANT_COLOUR, linewidth=0.7)
     if goal is not None:
-        axes.plot(log.times, goal, color=COMMAND, linewidth=1.0, linestyle="--")
+        axes.plot(log.times, goal, color=COMMAND_COLOUR, linewidth=1.0, linestyle="--")
 
 
 def _draw_tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
@@ -192,11 +194,11 @@ def _mark_phases(grid: Any, log: RunLog) -> None:
     """
     for change in log.phases:
         if change.name not in PASSIVE_PHASES:
-            _draw_mark(grid, change.t_ns / 1e9, change.name, GRID)
+            _draw_mark(grid, change.t_ns / 1e9, change.name, PHASE_MARK_COLOUR)
     error = ("error", "fault")
     faults = [event for event in log.events if (event.event.level, event.event.name) == error]
     for event in faults[:1]:
-        _draw_mark(grid, event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT)
+        _draw_mark(grid, event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT_COLOUR)
 
 
 def _draw_mark(grid: Any, t_s: float, name: str, colour: str) -> None:
@@ -206,7 +208,7 @@ def _draw_mark(grid: Any, t_s: float, name: str, colour: str) -> None:
     for axes in grid[0]:
         style = {
             "fontsize": 7,
-            "color": FAULT if colour == FAULT else COMMAND,
+            "color": FAULT_COLOUR if colour == FAULT_COLOUR else COMMAND_COLOUR,
             "rotation": 90,
             "va": "top",
         }

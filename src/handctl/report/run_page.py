@@ -19,7 +19,7 @@ from handctl.printing import printable_text
 from handctl.report.frame_counts import frame_counts
 from handctl.report.pictures import draw_bus_loads, draw_lateness, draw_poses
 from handctl.report.run_figure import draw_run
-from handctl.report.summary import angle_rows, summarise
+from handctl.report.summary import angle_rows, summarise_run
 from handctl.report.truth import TruthRecord
 
 MAX_EVENTS = 500
@@ -27,7 +27,7 @@ MAX_EVENTS = 500
 MAX_CONTACTS = 20
 """Largest number of contacts on the page. If a run has more, only the first contacts are shown."""
 
-STYLE = """
+PAGE_STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2em auto;
        padding: 0 1em; }
 h1 { font-size: 1.5em; margin-bottom: 0; } h2 { font-size: 1.1em; margin-top: 2em; border-bottom: 1px solid #ccc; }
@@ -71,7 +71,7 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, o
         _html_section("Origin of this run", _text_table({**metadata, **log.header.wall, **log.end})),
         _html_section("Gains", _text_table(log.header.gains)),
     ]
-    page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
+    page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
     data = (page + "\n".join(sections) + "</html>\n").encode()
     with atomic_path(path) as part:
         part.write_bytes(data)
@@ -107,7 +107,7 @@ def _number_table(
     load: "np.ndarray[tuple[int], np.dtype[np.float64]]",
 ) -> str:
     """Return the HTML table with the numbers of a run."""
-    summary = summarise(log, hand, truth, offset_ns)
+    summary = summarise_run(log, hand, truth, offset_ns)
     late = summary["late_us"]
     frames = frame_counts(log, hand)
     rows = [

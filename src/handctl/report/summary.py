@@ -27,7 +27,7 @@ constant.
 """
 
 
-def summarise(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> dict[str, Any]:
+def summarise_run(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> dict[str, Any]:
     """Return all numbers about a run.
 
     Args:
@@ -67,7 +67,7 @@ def _percentile(values: NDArray[Any], percent: float) -> float:
     return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
-def rms(values: Array) -> float:
+def root_mean_square(values: Array) -> float:
     """Return the root mean square of the values that are not NaN.
 
     If all values are NaN, so is the result.
@@ -142,12 +142,13 @@ def judge_tracking(
     real = mean_angles(hand, joint_angles)
     touched = _touch_mask(truth, hand, log, offset_ns)
     error = np.where(free & ~touched, goal - real, np.nan)
-    per_digit = {name: np.degrees(rms(error[:, d])) for d, name in enumerate(hand.digit_names)}
+    per_digit = {name: np.degrees(root_mean_square(error[:, d])) for d, name in enumerate(hand.digit_names)}
     digit_of = np.repeat(np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit])
     joints = np.where((free & ~touched)[:, digit_of], log.field("q_goal") - joint_angles, np.nan)
-    per_joint = {name: np.degrees(rms(joints[:, j])) for j, name in enumerate(hand.joints)}
+    per_joint = {name: np.degrees(root_mean_square(joints[:, j])) for j, name in enumerate(hand.joints)}
     return {
-        "tracking_rmse_rad": rms(error), "tracking_rmse_deg": per_digit, "tracking_rmse_joint_deg": per_joint
+        "tracking_rmse_rad": root_mean_square(error), "tracking_rmse_deg": per_digit,
+        "tracking_rmse_joint_deg": per_joint
     }  # fmt: skip
 
 
@@ -193,8 +194,8 @@ def judge_tension(
     columns = [column[~np.isnan(column)] for hold in holds for column in error[hold].T]
     columns = [column for column in columns if len(column)]
     return {
-        "tension_rmse_n": rms(np.where(taut, log.field("tension") - real, np.nan)),
-        "tension_raw_rmse_n": rms(np.where(taut, log.field("tension_raw") - before, np.nan)),
+        "tension_rmse_n": root_mean_square(np.where(taut, log.field("tension") - real, np.nan)),
+        "tension_raw_rmse_n": root_mean_square(np.where(taut, log.field("tension_raw") - before, np.nan)),
         "tension_hold_error_n": max((abs(float(column.mean())) for column in columns), default=float("nan")),
         "tension_hold_peak_error_n": max((float(np.abs(column).max()) for column in columns), default=float("nan")),
     }
@@ -291,8 +292,8 @@ def judge_angles(
         within = np.abs(error[:, joints]) <= 2.0 * sigma[:, joints]
         angles[name] = {
             "source": angle_source(hand, name),
-            "sigma_deg": float(np.degrees(rms(sigma[:, joints]))),
-            "error_deg": float(np.degrees(rms(error[:, joints]))),
+            "sigma_deg": float(np.degrees(root_mean_square(sigma[:, joints]))),
+            "error_deg": float(np.degrees(root_mean_square(error[:, joints]))),
             "inside": float(within[finite].mean()) if finite.any() else float("nan"),
         }
     return angles

@@ -15,7 +15,7 @@ import can
 from handctl.drives.frame import ERROR, FDF, Frame
 from handctl.errors import BusError
 from handctl.runtime.buses.local import LocalBus
-from handctl.runtime.buses.pythoncan import frame_of, message_of
+from handctl.runtime.buses.pythoncan import frame_of_message, message_of_frame
 from handctl.runtime.paths import run_dir
 
 RETRY_S = 1e-3
@@ -68,7 +68,7 @@ class LocalCanBus(can.BusABC):
         if not self._waiting:
             return None, False
         frame = self._waiting.popleft()
-        return message_of(frame, frame.t_ns / 1e9), False
+        return message_of_frame(frame, frame.t_ns / 1e9), False
 
     def _read(self) -> None:
         frame = self._link.receive_one()
@@ -93,7 +93,7 @@ class LocalCanBus(can.BusABC):
         """
         if msg.is_fd and not self._fd:
             raise can.CanOperationError("a CAN FD message on a bus that was opened without fd")
-        frame = frame_of(msg, 0, time.time_ns())
+        frame = frame_of_message(msg, 0, time.time_ns())
         end = time.monotonic() + (math.inf if timeout is None else timeout)
         while not self._link.send((frame._replace(can_id=frame.can_id & ~ERROR),)):
             self._raise_if_lost()

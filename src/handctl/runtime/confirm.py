@@ -16,38 +16,40 @@ from typing import Any
 from handctl.core.types import Mode
 from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import events_for_request
-from handctl.runtime.mailbox import RETRY_S, WATCH, Watcher
+from handctl.runtime.mailbox import RETRY_S, WATCH_REQUEST, StatusWatcher
 
 CONFIRMATION_TIMEOUT_S = 2.0
 """Longest wait for a confirmation, and longest silence of a controller that relaxes its hand after a stop [s]."""
-REPEAT_S = 0.25
+REQUEST_REPEAT_S = 0.25
 """Interval between repetitions of a request [s].
 
 Only requests that have no other effect if they arrive twice are repeated.
 """
 OFF_TIMEOUT_S = 10.0
 """Longest time from a stop until the last drive confirms that it is off, in the run's time [s]."""
-CONTROLLER_SILENT = "the controller is silent"
-MAILBOX_FULL = "its mailbox is full"
-_numbers = itertools.count(1)
+CONTROLLER_SILENT_TEXT = "the controller is silent"
+MAILBOX_FULL_TEXT = "its mailbox is full"
+_request_numbers = itertools.count(1)
 """Numbers of the requests of this process. They make the request names unique."""
 
-Line = dict[str, Any]
+StatusLine = dict[str, Any]
 
 
-def open_watcher(bus: str, word: str) -> Watcher:
+def open_watcher(bus: str, word: str) -> StatusWatcher:
     """Return an open watcher of a bus's controller, for one request.
 
     Raises:
         UnconfirmedError: the folder of the sockets cannot be trusted.
     """
     try:
-        return Watcher(bus)
+        return StatusWatcher(bus)
     except BusError as error:
         raise UnconfirmedError(bus, word, str(error)) from None
 
 
-def send_confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = False) -> tuple[Line, list[str]]:
+def send_with_confirmation(
+    watcher: StatusWatcher, request: Mapping[str, Any], repeat: bool = False
+) -> tuple[StatusLine, list[str]]:
     """Send a request, and wait for the controller's confirmation.
 
     Args:
@@ -63,28 +65,28 @@ def send_confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = 
     Raises:
         UnconfirmedError: the controller has not confirmed the request.
     """
-    name = f"{os.getpid()}-{next(_numbers)}"
+    name = f"{os.getpid()}-{next(_request_numbers)}"
     data = json.dumps({**request, "by": name}).encode()
     end = time.monotonic() + CONFIRMATION_TIMEOUT_S
     sent = False
-    reason = CONTROLLER_SILENT
+    reason = CONTROLLER_SILENT_TEXT
     watcher.discard()
     while (left := end - time.monotonic()) > 0.0:
         if repeat or not sent:
-            sent, reason = _try_send(watcher, data, min(left, REPEAT_S) if repeat else left)
+            sent, reason = _try_send(watcher, data, min(left, REQUEST_REPEAT_S) if repeat else left)
         if not sent:
-            if not (repeat or reason == MAILBOX_FULL):
+            if not (repeat or reason == MAILBOX_FULL_TEXT):
                 break
             time.sleep(min(left, RETRY_S))
             continue
         left = max(0.0, end - time.monotonic())
-        for line in watcher.lines(min(left, REPEAT_S) if repeat else left):
+        for line in watcher.lines(min(left, REQUEST_REPEAT_S) if repeat else left):
             if (texts := events_for_request(name, line["events"])) is not None:
                 return line, texts
     raise UnconfirmedError(watcher.name, str(request["do"]), reason)
 
 
-def _try_send(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, str]:
+def _try_send(watcher: StatusWatcher, data: bytes, timeout_s: float) -> tuple[bool, str]:
     """Send a request once.
 
     Returns:
@@ -94,13 +96,13 @@ def _try_send(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, st
     try:
         watcher.send(data, timeout_s)
     except (TimeoutError, BlockingIOError):
-        return False, MAILBOX_FULL
+        return False, MAILBOX_FULL_TEXT
     except OSError as error:
         return False, f"no controller answers ({os.strerror(error.errno or 0)})"
-    return True, CONTROLLER_SILENT
+    return True, CONTROLLER_SILENT_TEXT
 
 
-def request_action(bus: str, word: str) -> Line:
+def request_action(bus: str, word: str) -> StatusLine:
     """Send the request ``clear``, ``stop`` or ``cut`` to a controller.
 
     After ``stop`` and ``cut``, wait until all drives are off.
@@ -119,13 +121,13 @@ def request_action(bus: str, word: str) -> Line:
     """
     watcher = open_watcher(bus, word)
     try:
-        line, _ = send_confirmed(watcher, {"do": word}, repeat=True)
+        line, _ = send_with_confirmation(watcher, {"do": word}, repeat=True)
         return line if word == "clear" else follow_until_off(watcher, word, line)
     finally:
         watcher.close()
 
 
-def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
+def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> StatusLine:
     """Wait until a controller that stops its hand reports that every drive is off.
 
     Args:
@@ -142,7 +144,7 @@ def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
     """
     start_s = float(line["t_s"])
     while True:
-        if is_off(line):
+        if is_hand_off(line):
             return line
         if line["mode"] == Mode.DONE.name:
             raise PowerError("; ".join(_mode_texts(line)), f"bus {watcher.name}")
@@ -153,23 +155,23 @@ def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
         while new is None:
             if time.monotonic() > last_line + CONFIRMATION_TIMEOUT_S:
                 raise UnconfirmedError(
-                    watcher.name, word, f"accepted, but then {CONTROLLER_SILENT} in mode {line['mode']}"
+                    watcher.name, word, f"accepted, but then {CONTROLLER_SILENT_TEXT} in mode {line['mode']}"
                 )
-            new = watcher.next_line(0.0) or _resubscribe(watcher)
+            new = watcher.next_line(0.0) or _subscribe_again(watcher)
         line = new
 
 
-def is_off(line: Line) -> bool:
+def is_hand_off(line: StatusLine) -> bool:
     """Return True if a status line reports the end of the run with every drive off."""
     return bool(line["mode"] == Mode.DONE.name) and not any(REMOVE_POWER in text for text in _mode_texts(line))
 
 
-def _mode_texts(line: Line) -> list[str]:
+def _mode_texts(line: StatusLine) -> list[str]:
     """Return the texts of the events about mode changes in a status line."""
     return [event["text"] for event in line["events"] if event["name"] == "mode"]
 
 
-def _resubscribe(watcher: Watcher) -> Line | None:
+def _subscribe_again(watcher: StatusWatcher) -> StatusLine | None:
     """Subscribe to status lines again, and return the next status line."""
-    _try_send(watcher, WATCH, REPEAT_S)
-    return watcher.next_line(REPEAT_S)
+    _try_send(watcher, WATCH_REQUEST, REQUEST_REPEAT_S)
+    return watcher.next_line(REQUEST_REPEAT_S)

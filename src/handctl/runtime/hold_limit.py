@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.errors import DriveError
-from handctl.runtime.mailbox import STOP
+from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.safety.action import Action
 
 MAX_HOLD_S = 5.0
@@ -47,7 +47,7 @@ class HoldLimit:
             self._since_ns = entry.t_ns
         if entry.t_ns - self._since_ns > MAX_HOLD_S * 1e9 and not self.reason:
             self.reason = self._fault or "a fault"
-            self._requests.append(STOP)
+            self._requests.append(STOP_REQUEST)
 
     def refuse_stopped(self, where: str) -> None:
         """Raise an error if this observer has stopped the run.

@@ -23,8 +23,8 @@ from handctl.drives.frame import Frame
 from handctl.drives.records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
 from handctl.handlers import installed_handler
-from handctl.runtime.clocks.real import Clock
-from handctl.runtime.mailbox import CUT, STOP
+from handctl.runtime.clocks.real import TickClock
+from handctl.runtime.mailbox import CUT_REQUEST, STOP_REQUEST
 
 S = TypeVar("S")
 T = TypeVar("T", covariant=True)
@@ -47,13 +47,13 @@ CUT_TRIES = 20
 CUT_PAUSE_S = 1e-3
 """Pause between two of these attempts [s]. A frame takes 0.1 ms on the wire."""
 
-CONFIRM_NS = 500_000_000
+CUT_CONFIRMATION_NS = 500_000_000
 """Longest time for which the drives are polled after an error [ns].
 
 Their heartbeats may arrive only every 100 ms.
 """
 
-LATENESS_RING = 1 << 18
+LATENESS_RING_TICKS = 1 << 18
 """Number of ticks whose lateness stays in memory. This takes 2 MiB, and memory may be locked."""
 
 
@@ -80,7 +80,7 @@ class LoopStats:
     Attributes:
         ticks: number of executed ticks.
         missed: number of skipped deadlines.
-        late_ns: lateness of the last ``LATENESS_RING`` ticks [ns]. The values are in order only if
+        late_ns: lateness of the last ``LATENESS_RING_TICKS`` ticks [ns]. The values are in order only if
             the run had no more ticks. The log has the lateness of all ticks.
         frames_tx: number of sent frames.
         frames_rx: number of received frames.
@@ -127,10 +127,10 @@ class StopSignals:
         if self.seen == self.count:
             return ()
         self.seen += 1
-        return (STOP,) if self.seen == 1 else (CUT,)
+        return (STOP_REQUEST,) if self.seen == 1 else (CUT_REQUEST,)
 
     @contextmanager
-    def installed(self) -> Iterator[None]:
+    def handlers_installed(self) -> Iterator[None]:
         """Install the signal handler during a ``with`` block."""
         under_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
         with installed_handler(self, signal.SIGINT, signal.SIGTERM, *([] if under_nohup else [signal.SIGHUP])):
@@ -146,7 +146,7 @@ def _no_observer(entry: TickIn, out: TickOut, state: object, sent_ns: int) -> No
 
 
 @dataclass
-class Loop(Generic[S]):
+class ControlLoop(Generic[S]):
     """Fixed-rate loop of one run of the controller.
 
     Attributes:
@@ -173,7 +173,7 @@ class Loop(Generic[S]):
         stats: statistics of the run.
     """
 
-    clock: Clock
+    clock: TickClock
     period_ns: int
     buses: Sequence[LoopBus]
     begin: Callable[[S, TickIn], OpenTick[S]]
@@ -231,14 +231,14 @@ class Loop(Generic[S]):
             raise
 
     def _poll_until_off(self, state: S) -> tuple[str, ...]:
-        """Disable the drives after an error, and poll them until all report off or the time CONFIRM_NS has passed.
+        """Disable the drives after an error, and poll them until all report off or CUT_CONFIRMATION_NS has passed.
 
         Returns the names of the drives that have not reported off.
         """
         if self.let_go is None:
             return ()
         left: tuple[str, ...] = ()
-        for k in range(self._k + 1, self._k + 2 + CONFIRM_NS // self.period_ns):
+        for k in range(self._k + 1, self._k + 2 + CUT_CONFIRMATION_NS // self.period_ns):
             self.clock.wait(k)
             received = [frame for bus in self.buses for frame in bus.drain()]
             state, frames, left = self.let_go(state, k * self.period_ns, received)
@@ -336,10 +336,10 @@ class Loop(Generic[S]):
     def _count_tick(self, entry: TickIn, skipped: int, late: int) -> None:
         """Count a tick in the statistics, and record its lateness."""
         stats = self.stats
-        if stats.ticks < LATENESS_RING:
+        if stats.ticks < LATENESS_RING_TICKS:
             stats.late_ns.append(late)
         else:
-            stats.late_ns[stats.ticks % LATENESS_RING] = late
+            stats.late_ns[stats.ticks % LATENESS_RING_TICKS] = late
         stats.ticks += 1
         stats.missed += skipped
         stats.frames_rx += len(entry.frames)

@@ -18,14 +18,14 @@ from contextlib import contextmanager
 from typing import Any
 
 from handctl.errors import BusError
-from handctl.runtime.paths import is_served, mailbox_path, watcher_path
-from handctl.runtime.peers import name_senders, receive_datagram
+from handctl.runtime.paths import is_socket_served, mailbox_path, watcher_path
+from handctl.runtime.peers import receive_datagram, request_sender_credentials
 
 MAX_REQUEST_BYTES = 4096
 """Longest request [bytes]. A longer request is truncated, and then refused as invalid JSON."""
-STOP, CUT, CLEAR = (f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear"))
+STOP_REQUEST, CUT_REQUEST, CLEAR_REQUEST = (f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear"))
 """Requests as texts, for the modules that send them."""
-WATCH = b'{"do": "watch"}'
+WATCH_REQUEST = b'{"do": "watch"}'
 MAX_WATCHERS = 16
 """Largest number of programs that may subscribe to status lines.
 
@@ -40,7 +40,7 @@ MAX_REQUESTS_PER_TICK = 16
 
 The limit keeps a flood of requests from delaying a tick.
 """
-RIGHT_FOLDER = "HANDCTL_RUN_DIR with a short path to a writable folder"
+SHORT_RUN_FOLDER_TEXT = "HANDCTL_RUN_DIR with a short path to a writable folder"
 
 
 class Mailbox:
@@ -64,7 +64,7 @@ class Mailbox:
             self._lock = _lock_bus(name)
             self.path.unlink(missing_ok=True)
             self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-            name_senders(self.socket)
+            request_sender_credentials(self.socket)
             self.socket.bind(str(self.path))
         except OSError as error:
             raise _lock_error(name, error) from None
@@ -84,7 +84,7 @@ class Mailbox:
                 break
             if not ours:
                 continue
-            if data == WATCH and sender:
+            if data == WATCH_REQUEST and sender:
                 if sender in self.watchers:
                     continue
                 if len(self.watchers) < MAX_WATCHERS:
@@ -139,7 +139,7 @@ def _lock_error(name: str, error: OSError) -> BusError:
     """Return the error for a bus that cannot be locked."""
     if isinstance(error, BlockingIOError):
         return BusError("another controller runs here", f"bus {name}", "one controller per bus: handctl stop")
-    return BusError(f"cannot receive requests: {error}", str(mailbox_path(name).parent), RIGHT_FOLDER)
+    return BusError(f"cannot receive requests: {error}", str(mailbox_path(name).parent), SHORT_RUN_FOLDER_TEXT)
 
 
 def _lock_bus(name: str) -> int:
@@ -165,7 +165,7 @@ def is_running(name: str) -> bool:
 
     A socket left from a killed controller does not count.
     """
-    return is_served(mailbox_path(name))
+    return is_socket_served(mailbox_path(name))
 
 
 class RequestSender:
@@ -194,7 +194,7 @@ class RequestSender:
         self._socket.close()
 
 
-class Watcher:
+class StatusWatcher:
     """Socket on which a program receives the status lines of a running controller.
 
     Attributes:
@@ -216,11 +216,11 @@ class Watcher:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             self.path.unlink(missing_ok=True)
-            name_senders(self.socket)
+            request_sender_credentials(self.socket)
             self.socket.bind(str(self.path))
         except OSError as error:
             self.socket.close()
-            raise BusError(f"cannot receive replies: {error}", str(self.path.parent), RIGHT_FOLDER) from None
+            raise BusError(f"cannot receive replies: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT) from None
 
     def fresh_line(self, timeout_s: float) -> dict[str, Any] | None:
         """Request a new status line and return it.
@@ -229,7 +229,7 @@ class Watcher:
         """
         self.discard()
         try:
-            self.send(WATCH, timeout_s)
+            self.send(WATCH_REQUEST, timeout_s)
         except OSError:
             time.sleep(min(timeout_s, RETRY_S))
             return None

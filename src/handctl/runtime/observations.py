@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, PackedTelemetry, TickIn, TickOut
 from handctl.errors import BusError
 from handctl.programs.streams import StreamStatus
-from handctl.runtime.mailbox import RIGHT_FOLDER
+from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
 from handctl.runtime.paths import observations_path
 
 MAGIC = b"HCOBS001"
-HEADER = struct.Struct("<8sQQQQQ")
+HEADER_STRUCT = struct.Struct("<8sQQQQQ")
 """Start of the file, see the module: magic text, and five numbers that describe the ring."""
-WRITTEN_AT = 32
-ENDED_AT = 40
+WRITTEN_COUNT_OFFSET = 32
+END_MARK_OFFSET = 40
 """Offsets in the file [bytes]: of the number of records written so far, and of the end mark."""
 RING_RECORDS = 512
 """Number of records in the ring, about one second of a run at 500 Hz."""
@@ -52,7 +52,7 @@ PUBLISHED_NAMES = {
     "tip_force": "tip_force_N", "contact": "contact", "q_sigma": "q_sigma_rad", "tip_force_sigma": "tip_force_sigma_N",
 }  # fmt: skip
 """Name that each telemetry field has in a record. The name ends with the unit."""
-COUNTER = "<u8"
+COUNTER_DTYPE = "<u8"
 LEADING_FIELDS: tuple[tuple[str, str], ...] = (
     ("k", "<i8"), ("t_ns", "<i8"), ("late_ns", "<i8"), ("published_ns", "<i8"), ("mode", "<i4"), ("action", "<i4"),
     ("phase", "S24"),
@@ -60,7 +60,7 @@ LEADING_FIELDS: tuple[tuple[str, str], ...] = (
     ("stream_late", "<i8"), ("stream_refused", "<i8"), ("stream_limited", "<i8"),
 )  # fmt: skip
 """Fields of a record before the telemetry fields."""
-_FIXED = struct.Struct("<qqqqii24sqdqqqqq")
+_LEADING_STRUCT = struct.Struct("<qqqqii24sqdqqqqq")
 
 
 def record_type(axes: Mapping[str, int]) -> np.dtype[np.void]:
@@ -93,12 +93,14 @@ class ObservationWriter:
         self._size = 8 + kind.itemsize
         self._written = 0
         text = json.dumps({"axes": dict(axes), **description}).encode()
-        self._ring_at = -(-(HEADER.size + len(text)) // PAGE_BYTES) * PAGE_BYTES
+        self._ring_at = -(-(HEADER_STRUCT.size + len(text)) // PAGE_BYTES) * PAGE_BYTES
         try:
             self.path.unlink(missing_ok=True)
             descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
         except OSError as error:
-            raise BusError(f"cannot write observations: {error}", str(self.path.parent), RIGHT_FOLDER) from None
+            raise BusError(
+                f"cannot write observations: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
+            ) from None
         try:
             os.posix_fallocate(descriptor, 0, self._ring_at + RING_RECORDS * self._size)
             self._map = mmap.mmap(descriptor, 0)
@@ -107,14 +109,14 @@ class ObservationWriter:
         # All telemetry fields consist of 8-byte numbers without gaps. They are written as one
         # vector at the end of a record.
         count = sum(axes[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS)
-        assert kind.itemsize == _FIXED.size + 8 * count
+        assert kind.itemsize == _LEADING_STRUCT.size + 8 * count
         starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
-        self._counters = [np.frombuffer(self._map, COUNTER, 1, start) for start in starts]
-        self._numbers = [np.frombuffer(self._map, "<f8", count, start + 8 + _FIXED.size) for start in starts]
-        self._map[HEADER.size : HEADER.size + len(text)] = text
-        HEADER.pack_into(self._map, 0, MAGIC, len(text), self._size, RING_RECORDS, 0, 0)
-        self._total = np.frombuffer(self._map, COUNTER, 1, WRITTEN_AT)
-        self._ended = np.frombuffer(self._map, COUNTER, 1, ENDED_AT)
+        self._counters = [np.frombuffer(self._map, COUNTER_DTYPE, 1, start) for start in starts]
+        self._numbers = [np.frombuffer(self._map, "<f8", count, start + 8 + _LEADING_STRUCT.size) for start in starts]
+        self._map[HEADER_STRUCT.size : HEADER_STRUCT.size + len(text)] = text
+        HEADER_STRUCT.pack_into(self._map, 0, MAGIC, len(text), self._size, RING_RECORDS, 0, 0)
+        self._total = np.frombuffer(self._map, COUNTER_DTYPE, 1, WRITTEN_COUNT_OFFSET)
+        self._ended = np.frombuffer(self._map, COUNTER_DTYPE, 1, END_MARK_OFFSET)
 
     def publish(self, entry: TickIn, out: TickOut, stream: StreamStatus, sent_ns: int) -> None:
         """Write the record of a tick.
@@ -131,7 +133,7 @@ class ObservationWriter:
         slot = written % RING_RECORDS
         counter = self._counters[slot]
         counter[0] = 2 * written + 1
-        _FIXED.pack_into(
+        _LEADING_STRUCT.pack_into(
             self._map, self._ring_at + self._size * slot + 8, entry.k, entry.t_ns, entry.late_ns, sent_ns,
             out.mode, out.action, out.phase.encode()[:24], *stream,
         )  # fmt: skip
@@ -169,24 +171,24 @@ class ObservationReader:
                 self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         except (OSError, ValueError):
             raise BusError("no observations", f"bus {bus}", "a running handctl run") from None
-        if len(self._map) < HEADER.size or self._map[:8] != MAGIC:
+        if len(self._map) < HEADER_STRUCT.size or self._map[:8] != MAGIC:
             self._map.close()
             raise BusError("no observations of this version", f"bus {bus}", "a controller of the same version")
-        _, length, self._size, self._records, _, _ = HEADER.unpack_from(self._map)
-        self._ring_at = -(-(HEADER.size + length) // PAGE_BYTES) * PAGE_BYTES
-        self.description: dict[str, Any] = json.loads(self._map[HEADER.size : HEADER.size + length])
+        _, length, self._size, self._records, _, _ = HEADER_STRUCT.unpack_from(self._map)
+        self._ring_at = -(-(HEADER_STRUCT.size + length) // PAGE_BYTES) * PAGE_BYTES
+        self.description: dict[str, Any] = json.loads(self._map[HEADER_STRUCT.size : HEADER_STRUCT.size + length])
         self.kind = record_type(self.description["axes"])
         self.seen = 0
 
     @property
     def written(self) -> int:
         """Return the number of records written so far."""
-        return int.from_bytes(self._map[WRITTEN_AT : WRITTEN_AT + 8], "little")
+        return int.from_bytes(self._map[WRITTEN_COUNT_OFFSET : WRITTEN_COUNT_OFFSET + 8], "little")
 
     @property
     def ended(self) -> bool:
         """Return True if the run has ended."""
-        return self._map[ENDED_AT] != 0
+        return self._map[END_MARK_OFFSET] != 0
 
     def latest(self) -> NDArray[np.void] | None:
         """Return the latest record as an array of shape (), or None before the first record."""

@@ -18,20 +18,20 @@ from pathlib import Path
 
 from handctl.errors import BusError
 
-OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+WRITABLE_BY_OTHERS_MODE = stat.S_IWGRP | stat.S_IWOTH
 """Permission bits that let the group or other users write."""
-GROUP_AND_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+GROUP_AND_OTHERS_MODE = stat.S_IRWXG | stat.S_IRWXO
 """All permission bits of the group and of other users."""
 PRIVATE_MODE = 0o700
 """Permission bits of folders created by handctl."""
-OPEN_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
+FOLDER_OPEN_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
 """Flags to open a parent folder.
 
 With O_PATH, the user need not have permission to read the folder.
 """
-MAX_LINKS = 8
+MAX_SYMBOLIC_LINKS = 8
 """Largest number of symbolic links to follow on the way to a folder."""
-RIGHT_FOLDER = "a folder that only you can access (mode 0700); HANDCTL_RUN_DIR names another"
+PRIVATE_FOLDER_TEXT = "a folder that only you can access (mode 0700); HANDCTL_RUN_DIR names another"
 
 
 def run_dir() -> Path:
@@ -67,32 +67,32 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
     """
     parts = Path(os.path.abspath(path)).parts
     here = Path(parts[0])
-    at = os.open(parts[0], OPEN_FLAGS)
+    at = os.open(parts[0], FOLDER_OPEN_FLAGS)
     try:
         for number, part in enumerate(parts[1:], 1):
             here /= part
             private = number >= len(parts) - private_parts
-            state = _stat_or_make(part, at)
+            state = _stat_or_make_folder(part, at)
             if stat.S_ISLNK(state.st_mode):
                 # Only links of root are followed, such as /tmp on macOS.
-                if private or state.st_uid != 0 or links == MAX_LINKS:
-                    raise BusError("is a link", str(here), RIGHT_FOLDER)
+                if private or state.st_uid != 0 or links == MAX_SYMBOLIC_LINKS:
+                    raise BusError("is a link", str(here), PRIVATE_FOLDER_TEXT)
                 target = here.parent / os.readlink(part, dir_fd=at)
                 return _private_folder(target.joinpath(*parts[number + 1 :]), private_parts, links + 1)
-            flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else OPEN_FLAGS
+            flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else FOLDER_OPEN_FLAGS
             # The path is relative to the checked parent, so that renaming a parent has no effect.
             below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
             os.close(at)
             at = below
-            (_refuse_shared if private else _refuse_unsafe)(here, at)
+            (_refuse_shared_folder if private else _refuse_unsafe_folder)(here, at)
     except OSError as error:
-        raise BusError(f"cannot be used: {error.strerror}", str(here), RIGHT_FOLDER) from None
+        raise BusError(f"cannot be used: {error.strerror}", str(here), PRIVATE_FOLDER_TEXT) from None
     finally:
         os.close(at)
     return Path(os.path.abspath(path))
 
 
-def _stat_or_make(part: str, at: int) -> os.stat_result:
+def _stat_or_make_folder(part: str, at: int) -> os.stat_result:
     """Return the file status of a part of a path. A symbolic link is not followed.
 
     A missing part is created as a folder.
@@ -105,21 +105,21 @@ def _stat_or_make(part: str, at: int) -> os.stat_result:
     return os.stat(part, dir_fd=at, follow_symlinks=False)
 
 
-def _refuse_shared(here: Path, at: int) -> None:
+def _refuse_shared_folder(here: Path, at: int) -> None:
     """Raise an error if another user owns a folder of handctl or can write in it.
 
     If other users can only read the folder, their permission is removed.
     """
     state = os.fstat(at)
     if state.st_uid != os.geteuid():
-        raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), RIGHT_FOLDER)
-    if state.st_mode & OTHERS_WRITE:
-        raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), RIGHT_FOLDER)
-    if state.st_mode & GROUP_AND_OTHERS:
+        raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), PRIVATE_FOLDER_TEXT)
+    if state.st_mode & WRITABLE_BY_OTHERS_MODE:
+        raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), PRIVATE_FOLDER_TEXT)
+    if state.st_mode & GROUP_AND_OTHERS_MODE:
         os.fchmod(at, PRIVATE_MODE)
 
 
-def _refuse_unsafe(here: Path, at: int) -> None:
+def _refuse_unsafe_folder(here: Path, at: int) -> None:
     """Raise an error if another user could replace handctl's folder in this parent folder.
 
     A parent folder with the sticky bit, such as /tmp, is safe. Only the owner of an entry can
@@ -127,9 +127,9 @@ def _refuse_unsafe(here: Path, at: int) -> None:
     """
     state = os.fstat(at)
     if state.st_uid not in (0, os.geteuid()):
-        raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), RIGHT_FOLDER)
-    if state.st_mode & OTHERS_WRITE and not state.st_mode & stat.S_ISVTX:
-        raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), RIGHT_FOLDER)
+        raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), PRIVATE_FOLDER_TEXT)
+    if state.st_mode & WRITABLE_BY_OTHERS_MODE and not state.st_mode & stat.S_ISVTX:
+        raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), PRIVATE_FOLDER_TEXT)
 
 
 def _user_name(number: int) -> str:
@@ -184,7 +184,7 @@ def clock_path(spec: str) -> Path:
     return run_dir() / f"{_file_name(spec)}.clock"
 
 
-def is_served(path: Path) -> bool:
+def is_socket_served(path: Path) -> bool:
     """Return True if a process receives datagrams at the path of a socket.
 
     A socket left from a killed process does not count.

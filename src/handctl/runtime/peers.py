@@ -10,16 +10,16 @@ import socket
 import struct
 import sys
 
-CREDENTIALS = struct.Struct("3i")
+CREDENTIALS_STRUCT = struct.Struct("3i")
 """``struct ucred`` of Linux: process, user, group. Source: man 7 unix."""
 IS_LINUX = sys.platform.startswith("linux")
-CONTROL_BUFFER_BYTES = socket.CMSG_SPACE(CREDENTIALS.size)
+CONTROL_BUFFER_BYTES = socket.CMSG_SPACE(CREDENTIALS_STRUCT.size)
 """Size of a buffer for one control message with credentials [bytes]."""
 SO_PASSCRED, SCM_CREDENTIALS, SO_PEERCRED = (getattr(socket, name, 0) for name in
                                              ("SO_PASSCRED", "SCM_CREDENTIALS", "SO_PEERCRED"))  # fmt: skip
 
 
-def name_senders(link: socket.socket) -> None:
+def request_sender_credentials(link: socket.socket) -> None:
     """Make the kernel add the user of the sender to every datagram that a socket receives.
 
     Call this before the socket is bound.
@@ -29,7 +29,7 @@ def name_senders(link: socket.socket) -> None:
 
 
 def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, bool]:
-    """Receive one datagram from a socket prepared by ``name_senders``.
+    """Receive one datagram from a socket prepared by ``request_sender_credentials``.
 
     Args:
         link: socket to read from.
@@ -43,19 +43,22 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
         data, sender = link.recvfrom(max_bytes)
         return data, sender if isinstance(sender, str) else "", True
     data, ancillary, _, sender = link.recvmsg(max_bytes, CONTROL_BUFFER_BYTES)
-    users = [CREDENTIALS.unpack(raw)[1] for level, kind, raw in ancillary
-             if (level, kind) == (socket.SOL_SOCKET, SCM_CREDENTIALS) and len(raw) == CREDENTIALS.size]  # fmt: skip
-    return data, sender if isinstance(sender, str) else "", bool(users) and all(map(is_trusted, users))
+    users = [
+        CREDENTIALS_STRUCT.unpack(raw)[1]
+        for level, kind, raw in ancillary
+        if (level, kind) == (socket.SOL_SOCKET, SCM_CREDENTIALS) and len(raw) == CREDENTIALS_STRUCT.size
+    ]
+    return data, sender if isinstance(sender, str) else "", bool(users) and all(map(is_trusted_user, users))
 
 
 def is_served_by_us(link: socket.socket) -> bool:
     """Return True if the other end of a connected stream socket belongs to this user or root."""
     if not IS_LINUX:
         return True
-    raw = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS.size)
-    return is_trusted(CREDENTIALS.unpack(raw)[1])
+    raw = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS_STRUCT.size)
+    return is_trusted_user(CREDENTIALS_STRUCT.unpack(raw)[1])
 
 
-def is_trusted(user: int) -> bool:
+def is_trusted_user(user: int) -> bool:
     """Return True if a user may send commands to this user's hand."""
     return user in (0, os.geteuid())

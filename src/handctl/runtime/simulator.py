@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from handctl.errors import BusError, ConfigError
-from handctl.runtime.buses.open import check_spec
-from handctl.runtime.paths import faults_path, is_served, run_dir
+from handctl.runtime.buses.open import check_bus_spec
+from handctl.runtime.paths import faults_path, is_socket_served, run_dir
 
 ANSWER_TIMEOUT_S = 5.0
 """Longest wait for the answer of a simulator [s]."""
-MAX_ANSWER = 1 << 18
+MAX_ANSWER_BYTES = 1 << 18
 """Longest answer of a simulator [bytes]."""
 
 
@@ -24,7 +24,7 @@ def find_simulator(bus: str | None) -> Path:
         ConfigError: ``bus`` is not a valid bus specification.
     """
     if bus is not None:
-        check_spec(bus)
+        check_bus_spec(bus)
         return faults_path(bus)
     sockets = sorted(run_dir().glob("*.faults"))
     if len(sockets) != 1:
@@ -41,7 +41,7 @@ def simulated_time_scale(bus: str) -> float | None:
         ConfigError: ``bus`` is not a valid bus specification.
     """
     path = find_simulator(bus)
-    if not is_served(path):
+    if not is_socket_served(path):
         return None
     pace: dict[str, float | None] = ask_simulator(path, {"pace": True}).get("pace", {})
     return pace.get("time_scale")
@@ -63,7 +63,7 @@ def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
             asking.bind(str(reply_path))
             asking.settimeout(ANSWER_TIMEOUT_S)
             asking.sendto(json.dumps(question).encode(), str(path))
-            answer: dict[str, Any] = json.loads(asking.recv(MAX_ANSWER))
+            answer: dict[str, Any] = json.loads(asking.recv(MAX_ANSWER_BYTES))
         except OSError as error:
             reason = os.strerror(error.errno) if error.errno else "no answer"
             raise BusError(f"no simulator answers ({reason})", where, "a running handctl sim") from None

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 
 from handctl.errors import BusError
 from handctl.programs.requests import MAX_TARGET_VALUES, target_text
-from handctl.runtime.mailbox import RIGHT_FOLDER
+from handctl.runtime.mailbox import SHORT_RUN_FOLDER_TEXT
 from handctl.runtime.paths import targets_path
-from handctl.runtime.peers import name_senders, receive_datagram
+from handctl.runtime.peers import receive_datagram, request_sender_credentials
 
 MAGIC = b"HCT1"
 """First bytes of every target datagram. They include the version of the format."""
-HEADER = struct.Struct("<4sIIIqq")
-MAX_DATAGRAM_BYTES = HEADER.size + 8 * MAX_TARGET_VALUES
+HEADER_STRUCT = struct.Struct("<4sIIIqq")
+MAX_DATAGRAM_BYTES = HEADER_STRUCT.size + 8 * MAX_TARGET_VALUES
 """Longest datagram of a target [bytes]."""
-READ_PER_TICK = 64
+MAX_DATAGRAMS_PER_TICK = 64
 """Largest number of datagrams read per tick.
 
 Even a client that sends ten targets per tick stays below this.
@@ -66,11 +66,11 @@ class TargetBox:
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             self.path.unlink(missing_ok=True)
-            name_senders(self.socket)
+            request_sender_credentials(self.socket)
             self.socket.bind(str(self.path))
         except OSError as error:
             self.socket.close()
-            raise BusError(f"cannot receive targets: {error}", str(self.path.parent), RIGHT_FOLDER) from None
+            raise BusError(f"cannot receive targets: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT) from None
         self.socket.setblocking(False)
 
     def read(self) -> tuple[str, ...]:
@@ -79,7 +79,7 @@ class TargetBox:
         Malformed datagrams are dropped.
         """
         texts: list[str] = []
-        for _ in range(READ_PER_TICK):
+        for _ in range(MAX_DATAGRAMS_PER_TICK):
             try:
                 data, _, ours = receive_datagram(self.socket, MAX_DATAGRAM_BYTES + 1)
             except BlockingIOError:
@@ -90,12 +90,12 @@ class TargetBox:
 
     def _decode(self, data: bytes) -> str:
         """Return the text of the request in a datagram, empty if the datagram is malformed."""
-        if len(data) < HEADER.size:
+        if len(data) < HEADER_STRUCT.size:
             return ""
-        magic, process, number, count, index, sent_ns = HEADER.unpack_from(data)
-        if magic != MAGIC or len(data) != HEADER.size + 8 * count:
+        magic, process, number, count, index, sent_ns = HEADER_STRUCT.unpack_from(data)
+        if magic != MAGIC or len(data) != HEADER_STRUCT.size + 8 * count:
             return ""
-        values = struct.unpack_from(f"<{count}d", data, HEADER.size)
+        values = struct.unpack_from(f"<{count}d", data, HEADER_STRUCT.size)
         return target_text(stream_name(process, number), index, self._run_time(sent_ns), values)
 
     def close(self) -> None:
@@ -134,7 +134,7 @@ class TargetSender:
             OSError: the controller no longer receives targets, because its run has ended.
         """
         process, number = self._head
-        data = HEADER.pack(MAGIC, process, number, len(values), index, sent_ns) + values.astype("<f8").tobytes()
+        data = HEADER_STRUCT.pack(MAGIC, process, number, len(values), index, sent_ns) + values.astype("<f8").tobytes()
         try:
             self._socket.send(data)
         except BlockingIOError:

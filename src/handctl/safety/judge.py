@@ -13,23 +13,23 @@ from numpy.typing import NDArray
 
 from handctl.safety.action import Action
 from handctl.safety.faults.bus import NO_ACKNOWLEDGE_KINDS
-from handctl.safety.faults.fault import JOINT, MOTOR, NODE, TENDON, Fault
-from handctl.safety.faults.host import FOREIGN
-from handctl.safety.faults.table import BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS
-from handctl.safety.limits import Limits
+from handctl.safety.faults.fault import JOINT_INSTANCE, MOTOR_INSTANCE, NODE_INSTANCE, TENDON_INSTANCE, Fault
+from handctl.safety.faults.host import FOREIGN_CONTROLLER_EVENT
+from handctl.safety.faults.table import DEBOUNCE_TICKS, DETECTOR_ROWS, FAULT_BY_ID, FAULTS_BY_EVENT_KIND
+from handctl.safety.limits import SafetyLimits
 
-Report = tuple[str, str, float]
+EventReport = tuple[str, str, float]
 """Report of an event of a bus, of the host or of the recorder: kind, location, and number."""
 
 
-class Latched(NamedTuple):
+class LatchedFault(NamedTuple):
     """Fault that stays active until an operator clears it."""
 
     id: str
     instance: str
 
 
-class Counting(NamedTuple):
+class CountedFault(NamedTuple):
     """Fault that is reported in this tick, with the number of consecutive ticks with such a report."""
 
     id: str
@@ -37,7 +37,7 @@ class Counting(NamedTuple):
     ticks: int
 
 
-class Finding(NamedTuple):
+class FaultFinding(NamedTuple):
     """Fault that became active in this tick."""
 
     fault: Fault
@@ -45,7 +45,7 @@ class Finding(NamedTuple):
     value: float
 
 
-class Verdict(NamedTuple):
+class TickVerdict(NamedTuple):
     """Result of judging a tick.
 
     Attributes:
@@ -56,21 +56,21 @@ class Verdict(NamedTuple):
     """
 
     action: Action
-    findings: tuple[Finding, ...]
-    latched: tuple[Latched, ...]
-    reported_faults: tuple[Counting, ...]
+    findings: tuple[FaultFinding, ...]
+    latched: tuple[LatchedFault, ...]
+    reported_faults: tuple[CountedFault, ...]
 
 
-_ACTIONS = {int(action): action for action in Action}
+_ACTION_BY_NUMBER = {int(action): action for action in Action}
 
 
 def judge_tick(
-    latched: tuple[Latched, ...],
-    reported_faults: tuple[Counting, ...],
-    detected: Sequence[Finding],
+    latched: tuple[LatchedFault, ...],
+    reported_faults: tuple[CountedFault, ...],
+    detected: Sequence[FaultFinding],
     demanded: int,
-    reports: Iterable[Report],
-) -> Verdict:
+    reports: Iterable[EventReport],
+) -> TickVerdict:
     """Judge a tick: add the reported faults, latch faults, and choose the most severe reaction.
 
     Args:
@@ -88,25 +88,27 @@ def judge_tick(
     before = {(report.id, report.instance): report.ticks for report in reported_faults}
     for fault, where, value in locate_reports(reports):
         ticks = before.get((fault.id, where), 0) + 1
-        present.append(Counting(fault.id, where, ticks))
+        present.append(CountedFault(fault.id, where, ticks))
         if ticks >= fault.debounce:
             action = max(action, fault.action)
         if ticks == fault.debounce:
-            findings.append(Finding(fault, where, value))
+            findings.append(FaultFinding(fault, where, value))
     # A latched fault may be found again, but it is not logged again.
     new = [finding for finding in findings if _latch_of(finding) not in latched]
     latched += tuple(dict.fromkeys(_latch_of(finding) for finding in new if finding.fault.latched))
-    action = max([action, *(BY_ID[mark.id].action for mark in latched)])
-    new.sort(key=lambda finding: _ORDER[finding.fault.id])
-    return Verdict(_ACTIONS[action], tuple(new), latched, tuple(present))
+    action = max([action, *(FAULT_BY_ID[mark.id].action for mark in latched)])
+    new.sort(key=lambda finding: _CATALOGUE_POSITION[finding.fault.id])
+    return TickVerdict(_ACTION_BY_NUMBER[action], tuple(new), latched, tuple(present))
 
 
-def _latch_of(finding: Finding) -> Latched:
+def _latch_of(finding: FaultFinding) -> LatchedFault:
     """Return the latched fault for a finding."""
-    return Latched(finding.fault.id, finding.instance)
+    return LatchedFault(finding.fault.id, finding.instance)
 
 
-def faults_counting_since_now(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
+def faults_counting_since_now(
+    limits: SafetyLimits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]
+) -> list[FaultFinding]:
     """Return the faults that became active in this tick, in the order of the fault table.
 
     Args:
@@ -116,21 +118,26 @@ def faults_counting_since_now(limits: Limits, evidence: NDArray[np.float64], tic
     """
     # The compiled detectors continue to count after the debounce, so the count equals the debounce
     # in one tick only.
-    rows, instances = np.nonzero((ticks[: len(DEBOUNCE)] == DEBOUNCE[:, None]) & ~np.isnan(evidence))
+    rows, instances = np.nonzero((ticks[: len(DEBOUNCE_TICKS)] == DEBOUNCE_TICKS[:, None]) & ~np.isnan(evidence))
     findings = []
     for row, i in zip(rows.tolist(), instances.tolist(), strict=True):
         fault, kind = DETECTOR_ROWS[row]
-        findings.append(Finding(fault, _instance_name(limits, fault, kind, i), float(evidence[row, i])))
+        findings.append(FaultFinding(fault, _instance_name(limits, fault, kind, i), float(evidence[row, i])))
     return findings
 
 
-def _instance_name(limits: Limits, fault: Fault, kind: str, i: int) -> str:
+def _instance_name(limits: SafetyLimits, fault: Fault, kind: str, i: int) -> str:
     """Return the name of the motor, tendon, joint, or node with a fault."""
-    names = {TENDON: limits.tendons, MOTOR: limits.motors, JOINT: limits.joints, NODE: limits.nodes}
+    names = {
+        TENDON_INSTANCE: limits.tendons,
+        MOTOR_INSTANCE: limits.motors,
+        JOINT_INSTANCE: limits.joints,
+        NODE_INSTANCE: limits.nodes,
+    }
     return names[kind][i] if kind in names else fault.name
 
 
-def locate_reports(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
+def locate_reports(reports: Iterable[EventReport]) -> list[tuple[Fault, str, float]]:
     """Return fault, location, and value for each report.
 
     If a fault is reported repeatedly at a location, the last report is returned.
@@ -139,17 +146,17 @@ def locate_reports(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
     for kind, where, value in reports:
         # The location of a recorder event is its kind ("disk_full"), so it is a part of the key.
         key = f"{kind}:{where}" if kind == "recorder" else kind
-        for fault in REPORTS.get(key, ()):
+        for fault in FAULTS_BY_EVENT_KIND.get(key, ()):
             name = where or kind
             faults[fault.id, name] = (fault, name, value)
-    return sorted(faults.values(), key=lambda row: _ORDER[row[0].id])
+    return sorted(faults.values(), key=lambda row: _CATALOGUE_POSITION[row[0].id])
 
 
 # Position of each fault in the fault table. Simultaneous faults are sorted by this position.
-_ORDER = {id_: position for position, id_ in enumerate(BY_ID)}
+_CATALOGUE_POSITION = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
 
 
-def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
+def filter_error_frames(reports: Iterable[EventReport], heard: bool) -> list[EventReport]:
     """Drop error frames from the reports, except the first unacknowledged frame (B18).
 
     Args:
@@ -166,6 +173,6 @@ def filter_error_frames(reports: Iterable[Report], heard: bool) -> list[Report]:
     return [*kept, error] if error else kept
 
 
-def second_controller_reports(signs: Iterable[str]) -> list[Report]:
+def second_controller_reports(signs: Iterable[str]) -> list[EventReport]:
     """Return a report of the fault H13 for each sign of a second controller on the bus."""
-    return [(FOREIGN, sign, 1.0) for sign in signs]
+    return [(FOREIGN_CONTROLLER_EVENT, sign, 1.0) for sign in signs]

@@ -32,7 +32,7 @@ def ticks_for(seconds: float, period: float, minimum: int) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class SafetyLimits:
     """Safety thresholds of a hand.
 
     Attributes:

@@ -21,7 +21,7 @@ def sensing_warnings(hand: Hand) -> tuple[str, ...]:
     if bare := [name for name, has in zip(tendons, hand.has_cell.tolist(), strict=True) if not has]:
         text = "no load cell: its tension is that of motor, encoder and friction"
         lines.append(f"{shortened_list(bare)}: {text}; not judged: {', '.join(NEED_LOAD_CELL)}")
-        if unread := [name for name in bare if not hand.covered[tendons.index(name)]]:
+        if unread := [name for name in bare if not hand.tendons_with_encoders[tendons.index(name)]]:
             text = "neither load cell nor joint encoders"
             lines.append(
                 f"{shortened_list(unread)}: {text}; not judged: {', '.join(NEED_ENCODERS)}"

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import NAME_PATTERN
-from handctl.runtime.buses.open import check_spec, real_buses
+from handctl.runtime.buses.open import check_bus_spec, real_buses
 from handctl.session.defaults import DEFAULT_HAND
 
 
@@ -25,7 +25,7 @@ def named_buses(arguments: Sequence[str]) -> dict[str, str]:
         if name in specs or not NAME_PATTERN.fullmatch(name):
             raise ConfigError(repr(text), "--bus", "SPEC, or NAME=SPEC with every name once, of letters, digits and _")
         specs[name] = spec if named else text
-        check_spec(specs[name])
+        check_bus_spec(specs[name])
     return specs
 
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from handctl.core.identified import Identified
+from handctl.core.identified import IdentifiedParameters
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text
@@ -17,8 +17,8 @@ from handctl.programs.calibration import Calibration, TendonCalibration, load_ca
 from handctl.programs.commission import CommissionProgram, calibration_of_result
 from handctl.session.notices import NoticeCallback, ignore_notice
 from handctl.session.pace import pace_advice
-from handctl.session.plan import Plan
-from handctl.session.run import Outcome, Runner, make_controller
+from handctl.session.plan import RunPlan
+from handctl.session.run import RunFunction, RunOutcome, make_controller
 
 MAX_UNANNOUNCED_AGE_S = 24 * 3600.0
 """Largest age of a calibration with which a hand may be armed [s].
@@ -26,7 +26,7 @@ MAX_UNANNOUNCED_AGE_S = 24 * 3600.0
 Load cells drift, and tendons creep.
 """
 VIRTUAL_DATE = datetime.datetime.fromtimestamp(0, datetime.UTC)
-IdentifiedByTendon = dict[str, Identified]
+IdentifiedByTendon = dict[str, IdentifiedParameters]
 """Identified parameters of each tendon, by its name."""
 
 
@@ -58,7 +58,7 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
     return calibration, ""
 
 
-def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outcome]:
+def run_commissioning(plan: RunPlan, log: Path, runner: RunFunction) -> tuple[Calibration, RunOutcome]:
     """Run the commissioning program, and return the new calibration and the outcome of the run.
 
     Args:
@@ -69,7 +69,7 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
     Raises:
         PowerError: a drive did not confirm that it is disabled.
         DriveError: a tendon, sensor or drive did not pass the commissioning. See
-            ``Outcome.refuse_unfinished``.
+            ``RunOutcome.refuse_unfinished``.
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)
@@ -147,7 +147,7 @@ def homed_calibration(hand: Hand, identified: IdentifiedByTendon) -> Calibration
     return Calibration(hand=hand.name, identity=hand.identity, made=made, tendon=rows, identified=identified)
 
 
-def ensure_calibration(plan: Plan, path: Path, reason: str, runner: Runner, log: Path) -> Calibration:
+def ensure_calibration(plan: RunPlan, path: Path, reason: str, runner: RunFunction, log: Path) -> Calibration:
     """Commission a hand that has no valid calibration, and write the new calibration to a file.
 
     A notice tells the operator why the hand is commissioned.
@@ -160,10 +160,10 @@ def ensure_calibration(plan: Plan, path: Path, reason: str, runner: Runner, log:
         log: log file of the commissioning, which is written.
 
     Raises:
-        DriveError: see ``commission``.
+        DriveError: see ``run_commissioning``.
     """
     plan.tell(f"commissioning {plan.hand.name} first: {reason}")
-    calibration, _ = commission(plan, log, runner)
+    calibration, _ = run_commissioning(plan, log, runner)
     previous = previous_identified(path, plan.hand, calibration.drive, plan.tell)
     calibration = calibration.model_copy(update={"identified": previous})
     write_calibration(path, calibration)

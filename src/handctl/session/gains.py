@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handctl.core.gains.bounds import tendon_key, values_by_key, with_values
-from handctl.core.gains.gains import Gains, GainsFile, Provenance, load_gains_file, packaged_gains
+from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance, load_gains_file, packaged_gains
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.session.notices import NoticeCallback, ignore_notice
 
-PACKAGED = "packaged"
-COMMAND_LINE = "command line"
+PACKAGED_ORIGIN = "packaged"
+COMMAND_LINE_ORIGIN = "command line"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class LayeredGains:
 
     gains: Gains
     file: Path | None
-    provenance: Provenance
+    provenance: GainsProvenance
     origins: dict[str, str]
 
 
@@ -53,10 +53,12 @@ def layered_gains(
     file = file or (default if default.exists() else None)
     loaded = gains_for(hand, file, tell) if file else None
     base = loaded.gains if loaded else packaged_gains(hand.name)
-    values = assignments(words, "--gain")
+    values = gain_assignments(words, "--gain")
     gains = with_values(base, values, "--gain") if values else base
-    origins = {key: _origin_of(base, key, file) for key in values_by_key(base)} | dict.fromkeys(values, COMMAND_LINE)
-    return LayeredGains(gains, file, loaded.provenance if loaded else Provenance(), origins)
+    origins = {key: _origin_of(base, key, file) for key in values_by_key(base)} | dict.fromkeys(
+        values, COMMAND_LINE_ORIGIN
+    )
+    return LayeredGains(gains, file, loaded.provenance if loaded else GainsProvenance(), origins)
 
 
 def gains_for(hand: Hand, path: Path, tell: NoticeCallback = ignore_notice) -> GainsFile:
@@ -84,10 +86,10 @@ def _origin_of(gains: Gains, key: str, file: Path | None) -> str:
     in_file = tendon_key(key) is not None or (
         section in gains.model_fields_set and name in getattr(gains, section).model_fields_set
     )
-    return str(file) if file and in_file else PACKAGED
+    return str(file) if file and in_file else PACKAGED_ORIGIN
 
 
-def assignments(words: Sequence[str], where: str) -> dict[str, float]:
+def gain_assignments(words: Sequence[str], where: str) -> dict[str, float]:
     """Return the numbers that KEY=VALUE words assign, by key.
 
     Raises:

@@ -11,8 +11,8 @@ from handctl.controller.tick import Controller
 from handctl.hand.formats.urdf import urdf_text
 from handctl.log.code_identity import code_identity
 from handctl.log.header import RunHeader
-from handctl.runtime.clocks.priority import Priority
-from handctl.session.plan import Plan
+from handctl.runtime.clocks.priority import GrantedPriority
+from handctl.session.plan import RunPlan
 
 VIRTUAL_START_S = 0.0
 """UNIX time that the log gives as the start of every lockstep run [s].
@@ -21,13 +21,13 @@ With a constant time, equal runs have equal logs.
 """
 
 
-def run_header(plan: Plan, controller: Controller, priority: Priority | None, lockstep: bool) -> RunHeader:
+def run_header(plan: RunPlan, controller: Controller, priority: GrantedPriority | None, lockstep: bool) -> RunHeader:
     """Return the header of the log, with all data that are available before the first tick."""
     hand = plan.hand
     attachments = {
         "hand.toml": hand.to_toml().encode(),
         "hand.urdf": urdf_text(hand).encode(),
-        setup.SETUP_ATTACHMENT: setup.Setup.of(controller, plan.rate_hz)
+        setup.SETUP_ATTACHMENT: setup.RunSetup.of(controller, plan.rate_hz)
         .model_dump_json(by_alias=True, indent=2)
         .encode(),
         "gains.json": plan.gains.model_dump_json(by_alias=True, indent=2).encode(),
@@ -57,7 +57,7 @@ def run_header(plan: Plan, controller: Controller, priority: Priority | None, lo
         plan.period_ns,
         offset_ns=0 if lockstep else time.time_ns(),
         metadata=metadata,
-        gains=_flatten(plan.gains.model_dump(by_alias=True)),
+        gains=_flatten_table(plan.gains.model_dump(by_alias=True)),
         attachments=attachments,
         wall=wall,
         deterministic=lockstep,
@@ -81,8 +81,8 @@ def _name_and_version(dist: Distribution) -> str:
     return "==".join(values) if all(values) else f"{dist.name}=={dist.version}"
 
 
-def _flatten(table: dict[str, object], prefix: str = "") -> dict[str, str]:
+def _flatten_table(table: dict[str, object], prefix: str = "") -> dict[str, str]:
     flat: dict[str, str] = {}
     for key, value in table.items():
-        flat |= _flatten(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": str(value)}
+        flat |= _flatten_table(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": str(value)}
     return flat

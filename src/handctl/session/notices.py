@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 
 NoticeCallback = Callable[[str], None]
 """Function that shows a notice of one line to the operator."""
-Progress = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
+ProgressFunction = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 """Function that returns a context manager, which shows the progress of a named step.
 
 The context yields a function that takes the completed count and the total count.

@@ -6,8 +6,8 @@ from contextlib import suppress
 from handctl.errors import HandctlError
 from handctl.processes import usable_cores
 from handctl.runtime.simulator import ask_simulator, find_simulator
-from handctl.session.plan import Plan
-from handctl.session.run import Outcome
+from handctl.session.plan import RunPlan
+from handctl.session.run import RunOutcome
 
 MAX_CORE_LOAD = 0.7
 """Largest load of a processor core, as a fraction, at which the machine counts as fast enough."""
@@ -15,18 +15,18 @@ FAILED_SCALE_FRACTION = 0.7
 """Largest time scale that is advised, as a fraction of the time scale that was too fast."""
 
 
-def pace_advice(plan: Plan, outcome: Outcome) -> str:
+def pace_advice(plan: RunPlan, outcome: RunOutcome) -> str:
     """Return advice for a simulated run that failed because ticks or answers were late.
 
     For any other run, the text is empty.
     """
-    if not (plan.simulated and outcome.late):
+    if not (plan.is_simulated and outcome.was_too_slow):
         return ""
     scale = slower_time_scale(plan, outcome)
     return f"a machine fast enough for a simulated hand, or handctl sim with --time-scale {scale:g}"
 
 
-def slower_time_scale(plan: Plan, outcome: Outcome) -> float:
+def slower_time_scale(plan: RunPlan, outcome: RunOutcome) -> float:
     """Return a time scale at which this machine is fast enough, given the computing times of a late run.
 
     Simulator and controller use one core each, or share the core of a machine with a single core.

@@ -17,11 +17,11 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_path, load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.log.attached_meshes import mesh_attachments
-from handctl.runtime.buses.open import check_spec, real_buses
+from handctl.runtime.buses.open import check_bus_spec, real_buses
 from handctl.runtime.simulator import simulated_time_scale
 from handctl.session.buses import refuse_default_hand
 from handctl.session.gains import layered_gains
-from handctl.session.notices import NoticeCallback, Progress, ignore_notice, ignore_progress
+from handctl.session.notices import NoticeCallback, ProgressFunction, ignore_notice, ignore_progress
 
 TICKS_IN_WATCHDOG = 2
 """Smallest number of ticks within the watchdog time of a drive.
@@ -30,7 +30,7 @@ With two ticks, one lost frame does not disable a drive.
 """
 
 
-class Display(Protocol):
+class OperatorDisplay(Protocol):
     """Display that shows the operator the state of a running hand."""
 
     def show(self, entry: TickIn, out: TickOut) -> None:
@@ -43,7 +43,7 @@ class Display(Protocol):
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunPlan:
     """Plan of a run: all settings, already checked.
 
     Attributes:
@@ -68,9 +68,9 @@ class Plan:
     attachments: dict[str, bytes] = field(default_factory=dict)
     time_scale: float = 1.0
     clear: bool = False
-    display: "Callable[[Plan], Display] | None" = None
+    display: "Callable[[RunPlan], OperatorDisplay] | None" = None
     tell: NoticeCallback = ignore_notice
-    progress: Progress = ignore_progress
+    progress: ProgressFunction = ignore_progress
 
     @property
     def period_ns(self) -> int:
@@ -78,17 +78,17 @@ class Plan:
         return round(1e9 / self.rate_hz)
 
     @property
-    def simulated(self) -> bool:
+    def is_simulated(self) -> bool:
         """Return True if the plan has buses, but no bus that can have real motors."""
         return bool(self.buses) and not real_buses(self.buses)
 
-    def on(self, buses: tuple[str, ...]) -> "Plan":
+    def on(self, buses: tuple[str, ...]) -> "RunPlan":
         """Return the plan with other bus specifications."""
         return replace(self, buses=buses)
 
 
 @dataclass(frozen=True)
-class Choice:
+class RunChoice:
     """Settings that the operator chose for a run, not yet checked.
 
     Attributes:
@@ -116,8 +116,10 @@ class Choice:
 
 
 def make_plan(
-    choice: Choice, display: "Callable[[Plan], Display] | None" = None, tell: NoticeCallback = ignore_notice
-) -> Plan:
+    choice: RunChoice,
+    display: "Callable[[RunPlan], OperatorDisplay] | None" = None,
+    tell: NoticeCallback = ignore_notice,
+) -> RunPlan:
     """Check hand, gains, buses and rate, and return the plan of the run.
 
     Args:
@@ -129,7 +131,7 @@ def make_plan(
         ConfigError: a choice of the operator is wrong. The message is one line.
     """
     hand = load_hand(choice.hand)
-    check_ready(hand, str(choice.hand))
+    check_hand_ready(hand, str(choice.hand))
     layers = layered_gains(hand, choice.gains, choice.gain, tell)
     buses = () if choice.bus is None else bus_specs(hand, choice.bus)
     if not choice.hand_named:
@@ -144,7 +146,7 @@ def make_plan(
     for line in left_out:
         tell(f"handctl: caution: {line}")
     attachments |= meshes
-    return Plan(hand, layers.gains, rate, load, buses, attachments, time_scale, choice.clear, display, tell)
+    return RunPlan(hand, layers.gains, rate, load, buses, attachments, time_scale, choice.clear, display, tell)
 
 
 def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
@@ -171,7 +173,7 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
     return next((one for one in (chosen, simulated) if one is not None), 1.0)
 
 
-def check_ready(hand: Hand, where: str) -> None:
+def check_hand_ready(hand: Hand, where: str) -> None:
     """Raise an error if a hand with a valid file must not run, see ``reasons_not_ready``.
 
     Args:
@@ -216,7 +218,7 @@ def highest_rate_of_buses(loads: Sequence[BusLoad]) -> float:
     return highest_rate((load.tick_s for load in loads), (load.timed_fraction for load in loads))
 
 
-def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
+def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
     """Raise an error if no controller or filter can be designed from the gains.
 
     This can happen although each gain is within its bounds.
@@ -242,7 +244,7 @@ def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:
     """
     specs = _specs_by_name(hand.bus_names, arguments)
     for spec in specs:
-        check_spec(spec)
+        check_bus_spec(spec)
     return specs
 
 

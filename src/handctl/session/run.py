@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from handctl.compiled import prepare
+from handctl.compiled import compile_kernels
 from handctl.controller import setup
 from handctl.controller.shutdown import shutdown_step
 from handctl.controller.snapshot import snapshot_bytes
@@ -27,27 +27,27 @@ from handctl.programs.live import LiveProgram, preload_spline
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
-from handctl.runtime.clocks.priority import Priority, prepare_priority, realtime_priority, restore_priority
-from handctl.runtime.clocks.real import Clock, RealClock
+from handctl.runtime.clocks.priority import GrantedPriority, prepare_priority, realtime_priority, restore_priority
+from handctl.runtime.clocks.real import RealClock, TickClock
 from handctl.runtime.clocks.shared import ClockFile, SharedClock
 from handctl.runtime.clocks.suspend import SuspendWatch
 from handctl.runtime.hold_limit import HoldLimit
-from handctl.runtime.loop import Loop, LoopBus, LoopStats, StopSignals
-from handctl.runtime.mailbox import CLEAR, Mailbox, bus_lock
+from handctl.runtime.loop import ControlLoop, LoopBus, LoopStats, StopSignals
+from handctl.runtime.mailbox import CLEAR_REQUEST, Mailbox, bus_lock
 from handctl.runtime.observations import ObservationWriter
-from handctl.runtime.paths import clock_path, faults_path, is_served
+from handctl.runtime.paths import clock_path, faults_path, is_socket_served
 from handctl.runtime.status import status_of_tick
 from handctl.runtime.targets import TargetBox
 from handctl.session.exit_codes import ExitCode
 from handctl.session.header import run_header
-from handctl.session.plan import Display, Plan
+from handctl.session.plan import OperatorDisplay, RunPlan
 
 LATENESS_FAULTS = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
 """Identifiers of the faults that latch when answers of drives or ticks of the controller are late."""
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """Outcome of a run.
 
     Attributes:
@@ -63,18 +63,18 @@ class Outcome:
     state: State
     stats: LoopStats
     log: dict[str, object]
-    priority: Priority | None
+    priority: GrantedPriority | None
     offset_ns: int
     pauses: int = 0
     paused_ns: int = 0
 
     @property
-    def late(self) -> bool:
+    def was_too_slow(self) -> bool:
         """Return True if a fault latched because the host or the simulator was too slow."""
         return any(mark.id in LATENESS_FAULTS for mark in self.state.latched)
 
     @property
-    def exit(self) -> ExitCode:
+    def exit_code(self) -> ExitCode:
         """Return the exit code of a command that does nothing except this run."""
         if self.state.unconfirmed:
             return ExitCode.REMOVE_POWER
@@ -97,17 +97,17 @@ class Outcome:
             raise DriveError(self.state.failure or "stopped before the end", where, right)
 
 
-Runner = Callable[["Plan", Controller, Path], Outcome]
+RunFunction = Callable[["RunPlan", Controller, Path], RunOutcome]
 """Function that executes a run: ``run_live``, or a function for a lockstep run."""
 
 
-def make_controller(plan: Plan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
+def make_controller(plan: RunPlan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
     """Construct the controller of a run, and design it with the gains of the plan.
 
     If the code must be compiled first, a progress bar is shown.
     """
     with plan.progress("compiling the controller, once") as report_progress:
-        prepare(report_progress)
+        compile_kernels(report_progress)
     if isinstance(program, LiveProgram):
         preload_spline()
     return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
@@ -126,12 +126,12 @@ class RunObserver(Protocol):
 
 
 def run_live(
-    plan: Plan,
+    plan: RunPlan,
     controller: Controller,
     log: Path,
     live_view: bool = False,
     observer: RunObserver | None = None,
-) -> Outcome:
+) -> RunOutcome:
     """Execute a run in real time, on real or simulated buses.
 
     Args:
@@ -170,7 +170,7 @@ def run_live(
         if live_view:
             stack.callback(_start_view(log))
         signals = StopSignals()
-        stack.enter_context(signals.installed())
+        stack.enter_context(signals.handlers_installed())
         show = _merge_observers(observer, _status_callback(display, mailbox, plan.rate_hz))
         request_source = _merge_requests(observer, _request_source(plan, signals, mailbox, targets))
         loop = _build_loop(plan, controller, clock, buses, recorder, request_source, show)
@@ -182,12 +182,12 @@ def run_live(
 
 
 def run_lockstep(
-    plan: Plan,
+    plan: RunPlan,
     controller: Controller,
     log: Path,
     clock: LockstepClock,
     observer: RunObserver | None = None,
-) -> Outcome:
+) -> RunOutcome:
     """Execute a run in virtual time with the simulated hand of a lockstep clock.
 
     Several runs may use the same clock, one after the other. No operator clears faults in virtual
@@ -210,7 +210,7 @@ def run_lockstep(
     return outcome
 
 
-def _open_clock(plan: Plan, stack: ExitStack) -> RealClock:
+def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
     """Return the clock of a run.
 
     If the simulator on the bus offers a shared clock, the run uses this clock, else
@@ -220,7 +220,7 @@ def _open_clock(plan: Plan, stack: ExitStack) -> RealClock:
         BusError: the file of the shared clock cannot be read, or is of another version.
     """
     spec = plan.buses[0]
-    if not is_served(faults_path(spec)):
+    if not is_socket_served(faults_path(spec)):
         return RealClock(plan.period_ns, plan.time_scale)
     try:
         file = ClockFile(clock_path(spec))
@@ -262,29 +262,29 @@ def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, State], None]:
     """Return a function that is called after each tick, and records a snapshot of the state once per second."""
     due_ns = SNAPSHOT_PERIOD_NS
 
-    def keep(entry: TickIn, state: State) -> None:
+    def keep_snapshot(entry: TickIn, state: State) -> None:
         nonlocal due_ns
         if entry.t_ns >= due_ns:
             due_ns = entry.t_ns + SNAPSHOT_PERIOD_NS
             recorder.record(pack_snapshot(entry, snapshot_bytes(state)))
 
-    return keep
+    return keep_snapshot
 
 
 def _build_loop(
-    plan: Plan,
+    plan: RunPlan,
     controller: Controller,
-    clock: Clock,
+    clock: TickClock,
     buses: Sequence[LoopBus],
     recorder: Recorder,
     requests: Callable[[], tuple[str, ...]],
     show: Callable[[TickIn, TickOut], None],
-) -> Loop[State]:
-    def record(entry: TickIn, out: TickOut) -> None:
+) -> ControlLoop[State]:
+    def record_tick(entry: TickIn, out: TickOut) -> None:
         recorder.record(pack_tick_record(entry, out))
 
     slept = SuspendWatch().events if isinstance(clock, RealClock) else list[IoEvent]
-    return Loop(
+    return ControlLoop(
         clock=clock,
         period_ns=plan.period_ns,
         buses=buses,
@@ -292,7 +292,7 @@ def _build_loop(
         cut=controller.cut_frames(),
         requests=requests,
         host_events=lambda: [*recorder.events(), *slept()],
-        record=record,
+        record=record_tick,
         show=show,
         keep=snapshot_recorder(recorder),
         let_go=partial(shutdown_step, controller),
@@ -305,25 +305,25 @@ def _axis_lengths(hand: Hand) -> dict[str, int]:
     return {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor), "digit": len(hand.digit)}
 
 
-def _describe_run(plan: Plan) -> dict[str, object]:
+def _describe_run(plan: RunPlan) -> dict[str, object]:
     """Return the constants of a run by name, for programs that observe the run."""
     return {"hand_toml": plan.hand.to_toml(), "rate_Hz": plan.rate_hz, "time_scale": plan.time_scale}
 
 
 def _request_source(
-    plan: Plan, signals: StopSignals, mailbox: Mailbox, targets: TargetBox
+    plan: RunPlan, signals: StopSignals, mailbox: Mailbox, targets: TargetBox
 ) -> Callable[[], tuple[str, ...]]:
     """Return a function that collects all requests for a tick.
 
     The first is the request of the command line to clear errors, if the plan has it.
     """
-    orders = [CLEAR] if plan.clear else []
+    orders = [CLEAR_REQUEST] if plan.clear else []
 
-    def take() -> tuple[str, ...]:
+    def take_requests() -> tuple[str, ...]:
         first = (orders.pop(),) if orders else ()
         return first + signals.take() + mailbox.read() + targets.read()
 
-    return take
+    return take_requests
 
 
 RequestSource = Callable[[], tuple[str, ...]]
@@ -340,28 +340,28 @@ def _merge_observers(observer: RunObserver | None, others: TickCallback) -> Tick
     if observer is None:
         return others
 
-    def show(entry: TickIn, out: TickOut) -> None:
+    def show_tick(entry: TickIn, out: TickOut) -> None:
         observer.on_tick(entry, out)
         others(entry, out)
 
-    return show
+    return show_tick
 
 
 STATUS_RATE_HZ = 50.0
 """Rate at which programs that observe a run get status lines [Hz]."""
 
 
-def _status_callback(display: Display | None, mailbox: Mailbox, rate_hz: float) -> TickCallback:
+def _status_callback(display: OperatorDisplay | None, mailbox: Mailbox, rate_hz: float) -> TickCallback:
     """Return a function that updates the display and the observing programs after each tick."""
     every = max(1, round(rate_hz / STATUS_RATE_HZ))
 
-    def show(entry: TickIn, out: TickOut) -> None:
+    def show_tick(entry: TickIn, out: TickOut) -> None:
         if display:
             display.show(entry, out)
         if (mailbox.watchers and (entry.k % every == 0 or out.events)) or mailbox.askers:
             mailbox.publish(status_of_tick(entry, out))
 
-    return show
+    return show_tick
 
 
 def _ignore_tick(entry: TickIn, out: TickOut) -> None:
@@ -369,13 +369,13 @@ def _ignore_tick(entry: TickIn, out: TickOut) -> None:
 
 
 def _run_to_end(
-    loop: Loop[State],
+    loop: ControlLoop[State],
     controller: Controller,
     recorder: Recorder,
-    display: Display | None,
-    priority: Priority | None,
+    display: OperatorDisplay | None,
+    priority: GrantedPriority | None,
     offset_ns: Callable[[], int],
-) -> Outcome:
+) -> RunOutcome:
     """Run the control loop to its end. Then close display and recorder, even after an error."""
     reason = "controller error"
     try:
@@ -387,5 +387,5 @@ def _run_to_end(
     finally:
         if display:
             display.close()
-        summary = recorder.close(reason, loop.clock.facts())
-    return Outcome(state, loop.stats, summary, priority, offset_ns())
+        summary = recorder.close(reason, loop.clock.clock_facts())
+    return RunOutcome(state, loop.stats, summary, priority, offset_ns())

@@ -2,7 +2,7 @@
 
 All lockstep runs are set up in this module.
 
-``simulate`` executes a whole run, ``Simulation`` executes single ticks, and ``Simulator.clock`` is
+``simulate`` executes a whole run, ``SimulatedRun`` executes single ticks, and ``SimulatorSettings.clock`` is
 for runs with a log.
 """
 
@@ -25,13 +25,13 @@ from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_path
 from handctl.programs.program import Program
-from handctl.runtime.clocks.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, Peer, load_peer
+from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepBus, LockstepClock, LockstepPeer, load_peer
 
 CHECK_PERIOD_NS = 2_000_000
 """Control period of a simulated hand that is only constructed to check its settings [ns]."""
 
 
-class SimulatedHand(Peer, Protocol):
+class SimulatedHand(LockstepPeer, Protocol):
     """Simulated hand on the other side of the bus, into which faults can be injected.
 
     Attributes:
@@ -54,7 +54,7 @@ class SimulatedHand(Peer, Protocol):
 
 
 @dataclass(frozen=True)
-class Simulator:
+class SimulatorSettings:
     """Settings of the simulated hand on the other side of the bus.
 
     Attributes:
@@ -93,7 +93,7 @@ class Simulator:
         """
         with tempfile.TemporaryDirectory(prefix="handctl-simulated-") as folder:
             peer = load_peer(
-                SIMULATED_HAND,
+                SIMULATED_HAND_ENTRY,
                 hand_path=self._hand_file(Path(folder)),
                 scene=self._scene_file(Path(folder)),
                 seed=self.seed,
@@ -124,10 +124,10 @@ class Simulator:
             yield LockstepClock(peer, period_ns)
 
     @contextmanager
-    def against(self, controller: Controller) -> Iterator["Simulation"]:
+    def against(self, controller: Controller) -> Iterator["SimulatedRun"]:
         """Begin a run of a controller with this simulated hand. See ``peer``."""
         with self.peer(round(1e9 * controller.model.period)) as peer:
-            yield Simulation.of(controller, peer)
+            yield SimulatedRun.of(controller, peer)
 
     def _hand_file(self, folder: Path) -> str:
         if not isinstance(self.hand, Hand):
@@ -145,7 +145,7 @@ class Simulator:
 
 
 @dataclass
-class Simulation:
+class SimulatedRun:
     """Run of a controller with a simulated hand, which the caller advances tick by tick.
 
     Attributes:
@@ -168,9 +168,9 @@ class Simulation:
     record: bool = True
 
     @staticmethod
-    def of(controller: Controller, peer: SimulatedHand) -> "Simulation":
+    def of(controller: Controller, peer: SimulatedHand) -> "SimulatedRun":
         """Begin a run of a controller with a simulated hand."""
-        return Simulation(controller, peer, round(1e9 * controller.model.period), controller.initial())
+        return SimulatedRun(controller, peer, round(1e9 * controller.model.period), controller.initial())
 
     def __post_init__(self) -> None:
         self._clock = LockstepClock(self.peer, self.period_ns)
@@ -252,8 +252,8 @@ def homed_controller(model: HandModel, program: Program, hand: Hand | None = Non
 
 def simulate(
     controller: Controller,
-    simulator: Simulator,
-    see: Callable[[TickIn, TickOut], None] = lambda entry, out: None,
+    simulator: SimulatorSettings,
+    on_tick: Callable[[TickIn, TickOut], None] = lambda entry, out: None,
     limit_s: float = math.inf,
 ) -> State:
     """Run a controller to its end with a simulated hand.
@@ -261,7 +261,7 @@ def simulate(
     Args:
         controller: controller with its program.
         simulator: settings of the simulated hand.
-        see: function that is called with the input and output of each tick.
+        on_tick: function that is called with the input and output of each tick.
         limit_s: longest duration of the run [s].
 
     Returns:
@@ -270,5 +270,5 @@ def simulate(
     with simulator.against(controller) as run:
         run.record = False
         for entry, out in run.ticks(limit_s):
-            see(entry, out)
+            on_tick(entry, out)
         return run.state

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.programs.default_task import SCENE, default_scene, default_task
+from handctl.programs.default_task import CYLINDER_SCENE, default_scene, default_task
 from handctl.programs.task import Task, load_task, load_trajectory
 from handctl.programs.task_checks import check_task_for_hand
 
-TASKS = Path(__file__).parents[1] / "tasks"
+PACKAGED_TASKS_FOLDER = Path(__file__).parents[1] / "tasks"
 
 
-GRASP = Path("grasp.toml")
+PACKAGED_GRASP_FILE = Path("grasp.toml")
 """Name of the packaged grasp, for hands with the digits that this task moves."""
 
 
@@ -30,7 +30,7 @@ def find_task(name: Path | None, hand: Hand) -> tuple[Task, bytes]:
     """
     if name is None:
         with suppress(ConfigError):
-            return find_task(GRASP, hand)
+            return find_task(PACKAGED_GRASP_FILE, hand)
         task, text = default_task(hand)
         check_task_for_hand(task, hand, "default task")
         return task, text.encode()
@@ -49,8 +49,8 @@ def find_scene(name: str | None, hand: Hand) -> str:
     if name is not None:
         return name
     with suppress(ConfigError):
-        find_task(GRASP, hand)
-        return SCENE
+        find_task(PACKAGED_GRASP_FILE, hand)
+        return CYLINDER_SCENE
     return default_scene(hand)
 
 
@@ -60,9 +60,9 @@ def task_path(name: Path) -> Path:
     Raises:
         ConfigError: the task does not exist.
     """
-    path = name if name.exists() else TASKS / name.with_suffix(".toml").name
+    path = name if name.exists() else PACKAGED_TASKS_FOLDER / name.with_suffix(".toml").name
     if not path.exists():
-        packaged = ", ".join(sorted(path.name for path in TASKS.glob("*.toml")))
+        packaged = ", ".join(sorted(path.name for path in PACKAGED_TASKS_FOLDER.glob("*.toml")))
         raise ConfigError("no such task", str(name), f"a task file, or one of {packaged}")
     return path
 

@@ -8,20 +8,20 @@ from typing import Any
 from handctl.controller.setup import make_sensors
 from handctl.core.block import STALE_FRAMES
 from handctl.log.read.reader import RunLog
-from handctl.programs.task import Hold, Task
+from handctl.programs.task import HoldPhase, Task
 from handctl.report.frame_counts import frame_counts
 from handctl.report.lift import judge_lift, lift_failure
 from handctl.report.run_figure import draw_run
-from handctl.report.summary import summarise
+from handctl.report.summary import summarise_run
 from handctl.report.truth import TruthRecord, read_truth
 from handctl.session.notices import NoticeCallback
-from handctl.session.plan import Plan
-from handctl.session.run import Outcome
+from handctl.session.plan import RunPlan
+from handctl.session.run import RunOutcome
 
 
 def judge_run(
-    plan: Plan,
-    outcome: Outcome,
+    plan: RunPlan,
+    outcome: RunOutcome,
     log: Path,
     truth_file: Path | None,
     picture: bool = True,
@@ -44,7 +44,7 @@ def judge_run(
     truth_file = _copy_truth(log, truth_file, plan.tell) if truth_file else None
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
-        result = summarise(record, plan.hand, truth, outcome.offset_ns)
+        result = summarise_run(record, plan.hand, truth, outcome.offset_ns)
         result |= judge_lift(record, truth, outcome.offset_ns, _hold_phases(task))
         silent = frame_counts(record, plan.hand).silent
         drawn = _draw_picture(plan, outcome, record, truth, log) if picture else None
@@ -73,7 +73,7 @@ def judge_run(
 
 def _hold_phases(task: Task | None) -> set[str]:
     """Return the names of the phases of a task in which the hand holds an object."""
-    return {phase.name for phase in task.phase if isinstance(phase, Hold)} if task else set()
+    return {phase.name for phase in task.phase if isinstance(phase, HoldPhase)} if task else set()
 
 
 def _copy_truth(log: Path, truth: Path, tell: NoticeCallback) -> Path:
@@ -92,7 +92,9 @@ def _copy_truth(log: Path, truth: Path, tell: NoticeCallback) -> Path:
     return beside
 
 
-def _draw_picture(plan: Plan, outcome: Outcome, record: RunLog, truth: TruthRecord | None, log: Path) -> Path | None:
+def _draw_picture(
+    plan: RunPlan, outcome: RunOutcome, record: RunLog, truth: TruthRecord | None, log: Path
+) -> Path | None:
     """Draw the picture of the run, and return its path, or None if the file cannot be written."""
     path = log.with_suffix(".png")
     try:
@@ -110,7 +112,7 @@ def _report_omitted(path: Path, error: OSError, tell: NoticeCallback) -> None:
     tell(f"handctl: {path} is left out: {error.strerror or error}")
 
 
-def lost_frames(plan: Plan, outcome: Outcome) -> int:
+def lost_frames(plan: RunPlan, outcome: RunOutcome) -> int:
     """Return the number of lost frames: those that a bus refused, or that never came from the sensor node.
 
     A reply that came after the next SYNC is late, and does not count as lost.

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from handctl.core.gains.gains import Gains, GainsFile, Provenance, gains_text, load_gains_file, packaged_gains
+from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance, gains_text, load_gains_file, packaged_gains
 from handctl.errors import ConfigError
 from handctl.output import write_text_atomically
 
-BY_HAND = "edited by hand"
+EDITED_BY_HAND_NOTE = "edited by hand"
 """Note in the provenance of gains that a user edited."""
 
 
@@ -97,7 +97,7 @@ class GainsStore:
                 raise ConfigError(f"cannot be moved: {error.strerror}", str(self.path), f"{aside}") from None
         return None
 
-    def apply(self, gains: Gains, provenance: Provenance) -> GainsFile:
+    def apply(self, gains: Gains, provenance: GainsProvenance) -> GainsFile:
         """Make the given gains the present gains.
 
         If a user edited the present gains, they are added to the history before.
@@ -128,7 +128,7 @@ class GainsStore:
             raise ConfigError(f"no gains number {number}", str(self.history), f"one of {numbers}")
         note = f"rollback to {number}" if number else "rollback to the packaged gains"
         old = entries[number].file.gains if number else packaged_gains(self.hand)
-        provenance = entries[number].file.provenance if number else Provenance()
+        provenance = entries[number].file.provenance if number else GainsProvenance()
         return self._write_gains(old, provenance.model_copy(update={"note": note}), restores=number)
 
     def _keep_edited(self) -> None:
@@ -138,9 +138,9 @@ class GainsStore:
             return
         gains_by_number = {entry.number: entry.file.gains for entry in self.entries()}
         if gains_by_number.get(present.provenance.number) != present.gains:
-            self._write_gains(present.gains, present.provenance.model_copy(update={"note": BY_HAND}))
+            self._write_gains(present.gains, present.provenance.model_copy(update={"note": EDITED_BY_HAND_NOTE}))
 
-    def _write_gains(self, gains: Gains, provenance: Provenance, restores: int | None = None) -> GainsFile:
+    def _write_gains(self, gains: Gains, provenance: GainsProvenance, restores: int | None = None) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
         If the present file is not in the history, for example a copy, the new gains are recorded as

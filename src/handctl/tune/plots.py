@@ -12,17 +12,17 @@ from handctl.output import save_figure
 from handctl.report.summary import mean_angles
 from handctl.report.truth import TruthRecord
 from handctl.tune.loops.linear import LoopKind, open_loop
-from handctl.tune.loops.margins import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, frequency_grid, step_response
+from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, MIN_PHASE_MARGIN_DEG, frequency_grid, step_response
 from handctl.tune.search.search import SearchResult
-from handctl.tune.verify import OLD_ROUNDS, Rollback
+from handctl.tune.verify import OLD_GAINS_ROUNDS, GainsRollback
 
-BEFORE = "#d9822b"
-AFTER = "#3b6fb6"
-GREY = "#9a9a9a"
+BEFORE_COLOR = "#d9822b"
+AFTER_COLOR = "#3b6fb6"
+GREY_COLOR = "#9a9a9a"
 TRUTH_COLOR = "#000000"
-STEP_S = {LoopKind.MOTION: 0.4, LoopKind.TENSION: 0.4}
+STEP_RESPONSE_S = {LoopKind.MOTION: 0.4, LoopKind.TENSION: 0.4}
 """Duration of the drawn response to a disturbance step, by kind of loop [s]."""
-STEP_UNIT = {LoopKind.MOTION: (1e6, "travel [um]"), LoopKind.TENSION: (1.0, "tension [N]")}
+STEP_RESPONSE_UNITS = {LoopKind.MOTION: (1e6, "travel [um]"), LoopKind.TENSION: (1.0, "tension [N]")}
 """Scale and axis label of this response, by kind of loop."""
 
 
@@ -48,7 +48,7 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
     figure = _new_figure(13, 8)
     figure.suptitle(f"{title}: {before.hand.tendon_names[0]}")
     for row, kind in zip(figure.subplots(2, 4), LoopKind, strict=True):
-        for model, colour, name in ((before, BEFORE, "before"), (after, AFTER, "after")):
+        for model, colour, name in ((before, BEFORE_COLOR, "before"), (after, AFTER_COLOR, "after")):
             _draw_loop(row, model, kind, colour, name)
         _style_axes(row, kind)
     save_figure(figure, path)
@@ -62,31 +62,31 @@ def _draw_loop(row: Any, model: HandModel, kind: LoopKind, colour: str, name: st
     gain.loglog(omega / (2 * np.pi), np.abs(L), color=colour, label=name)
     phase.semilogx(omega / (2 * np.pi), np.degrees(np.unwrap(np.angle(L))), color=colour)
     plane.plot(L.real, L.imag, color=colour)
-    times, values = step_response(model, 0, kind, STEP_S[kind])
-    step.plot(times, values * STEP_UNIT[kind][0], color=colour)
+    times, values = step_response(model, 0, kind, STEP_RESPONSE_S[kind])
+    step.plot(times, values * STEP_RESPONSE_UNITS[kind][0], color=colour)
 
 
 def _style_axes(row: Any, kind: LoopKind) -> None:
     gain, phase, plane, step = row
-    gain.axhline(1.0, color=GREY, linewidth=0.8)
+    gain.axhline(1.0, color=GREY_COLOR, linewidth=0.8)
     gain.set(title=f"{kind} loop: gain", xlabel="frequency [Hz]")
     gain.legend()
-    phase.axhline(-180.0, color=GREY, linewidth=0.8)
-    phase.axhline(-180.0 + PHASE_MARGIN_DEG, color=GREY, linewidth=0.8, linestyle=":")
+    phase.axhline(-180.0, color=GREY_COLOR, linewidth=0.8)
+    phase.axhline(-180.0 + MIN_PHASE_MARGIN_DEG, color=GREY_COLOR, linewidth=0.8, linestyle=":")
     phase.set(title="phase [deg]", xlabel="frequency [Hz]")
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
-    plane.plot(np.cos(turn), np.sin(turn), color=GREY, linewidth=0.8)
+    plane.plot(np.cos(turn), np.sin(turn), color=GREY_COLOR, linewidth=0.8)
     plane.plot([-1.0], [0.0], "+", color="black")
     # On the negative real axis, the gain margin is the ratio of the distances of -1 and of the
     # curve from the origin.
-    plane.plot([-(10.0 ** (-GAIN_MARGIN_DB / 20.0))], [0.0], "|", color="black")
+    plane.plot([-(10.0 ** (-MIN_GAIN_MARGIN_DB / 20.0))], [0.0], "|", color="black")
     plane.set(
-        title=f"Nyquist; bar: {GAIN_MARGIN_DB:g} dB",
+        title=f"Nyquist; bar: {MIN_GAIN_MARGIN_DB:g} dB",
         xlim=(-2.5, 1.5),
         ylim=(-2.0, 2.0),
         aspect="equal",
     )
-    step.set(title="force step of 1 N on the rotor", xlabel="time [s]", ylabel=STEP_UNIT[kind][1])
+    step.set(title="force step of 1 N on the rotor", xlabel="time [s]", ylabel=STEP_RESPONSE_UNITS[kind][1])
     for axes in row:
         axes.grid(alpha=0.3)
 
@@ -102,7 +102,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
     figure = _new_figure(11, 4.8)
     figure.suptitle(title)
     left, right = figure.subplots(1, 2)
-    feasible = [trial for trial in result.trials if trial.feasible]
+    feasible = [trial for trial in result.trials if trial.is_feasible]
     first = result.trials[0]
     effort = [trial.score.effort_Nm_per_s for trial in feasible]
     dots = left.scatter(
@@ -120,7 +120,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
         [trial.score.tension_N for trial in front],
         "o",
         mfc="none",
-        mec=BEFORE,
+        mec=BEFORE_COLOR,
         ms=9,
         label="Pareto front",
     )
@@ -137,16 +137,16 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
             result.best.score.tracking_deg,
             result.best.score.tension_N,
             "*",
-            color=AFTER,
+            color=AFTER_COLOR,
             ms=14,
             label="best",
         )
     left.set(xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="feasible trials")
     left.legend()
-    costs = [result.cost(trial) if trial.feasible else np.nan for trial in result.trials]
-    right.plot(costs, ".", color=GREY)
+    costs = [result.cost(trial) if trial.is_feasible else np.nan for trial in result.trials]
+    right.plot(costs, ".", color=GREY_COLOR)
     if feasible:
-        right.step(range(len(costs)), np.fmin.accumulate(costs), where="post", color=AFTER)
+        right.step(range(len(costs)), np.fmin.accumulate(costs), where="post", color=AFTER_COLOR)
     right.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
     right.set(xlabel="trial", ylabel="cost relative to the first trial", title="best trial so far")
     for axes in (left, right):
@@ -160,7 +160,7 @@ def draw_verify(
     hand: Hand,
     truth: TruthRecord | None,
     offset_ns: int,
-    rollback: Rollback | None,
+    rollback: GainsRollback | None,
 ) -> None:
     """Draw angles, tensions and motor torques of a verification, and the times at which the gains change.
 
@@ -176,10 +176,10 @@ def draw_verify(
     figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new gains shaded")
     angle, tension, torque = figure.subplots(3, 1, sharex=True)
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name)))[:, 0] for name in ("q_goal", "q"))
-    angle.plot(log.times, goal, "--", color=GREY, label="command")
-    angle.plot(log.times, estimate, color=AFTER, linewidth=0.9, label="estimate")
-    tension.plot(log.times, log.field("tension_goal")[:, 0], "--", color=GREY)
-    tension.plot(log.times, log.field("tension")[:, 0], color=AFTER, linewidth=0.9)
+    angle.plot(log.times, goal, "--", color=GREY_COLOR, label="command")
+    angle.plot(log.times, estimate, color=AFTER_COLOR, linewidth=0.9, label="estimate")
+    tension.plot(log.times, log.field("tension_goal")[:, 0], "--", color=GREY_COLOR)
+    tension.plot(log.times, log.field("tension")[:, 0], color=AFTER_COLOR, linewidth=0.9)
     if truth is not None:
         t_ns = log.t_ns + offset_ns
         true_angle = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))[:, 0]
@@ -190,18 +190,18 @@ def draw_verify(
             color=TRUTH_COLOR,
             linewidth=0.7,
         )
-    torque.plot(log.times, log.field("motor_torque_goal")[:, 0], color=AFTER, linewidth=0.6)
+    torque.plot(log.times, log.field("motor_torque_goal")[:, 0], color=AFTER_COLOR, linewidth=0.6)
     starts = [change.t_ns / 1e9 for change in log.phases if change.name == "settle"]
     for axes, name in (
         (angle, "mean angle [deg]"),
         (tension, "tension [N]"),
         (torque, "motor torque [N m]"),
     ):
-        if len(starts) > OLD_ROUNDS:
+        if len(starts) > OLD_GAINS_ROUNDS:
             axes.axvspan(
-                starts[OLD_ROUNDS],
+                starts[OLD_GAINS_ROUNDS],
                 rollback.t_s if rollback else float(log.times[-1]),
-                color=AFTER,
+                color=AFTER_COLOR,
                 alpha=0.1,
             )
         if rollback:

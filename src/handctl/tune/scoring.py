@@ -18,11 +18,11 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content
-from handctl.programs.exercise import Exercise
+from handctl.programs.exercise import ExerciseProgram
 from handctl.programs.program import Program
-from handctl.report.summary import mean_angles, rms
+from handctl.report.summary import mean_angles, root_mean_square
 from handctl.report.truth import TruthRecord, read_truth
-from handctl.session.simulate import Simulator, homed_controller, simulate
+from handctl.session.simulate import SimulatorSettings, homed_controller, simulate
 from handctl.tune.loops.design import linear_factors, worst_margins
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ FAILED_OBJECTIVE = 1e3
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class GainScore:
     """Score of gains: root mean square over all plants.
 
     Attributes:
@@ -58,7 +58,7 @@ class Score:
         """Return the objectives that a search minimises."""
         return self.tracking_deg, self.tension_N, self.effort_Nm_per_s
 
-    def cost(self, scale: "Score") -> float:
+    def cost(self, scale: "GainScore") -> float:
         """Return the cost of the score as one number, relative to a reference score.
 
         Tracking and tension have most of the weight. The effort decides between gains with similar
@@ -82,7 +82,7 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
             without sufficient margins.
 
     Returns:
-        A `Score` as a table.
+        A `GainScore` as a table.
     """
     hand = hand_from_content(tomllib.loads(job["hand"]), "the hand of the search")
     gains = Gains.model_validate(job["gains"])
@@ -90,13 +90,13 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     plants = job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and job.get("must_keep_margins", False):
-        return _score_table(Score(FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, 0.0, shortfall, "margins"))
+        return _score_table(GainScore(FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, 0.0, shortfall, "margins"))
     runs = []
     for i, factors in enumerate(plants):
         runs.append(score_exercise(hand, model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
             return _score_table(
-                Score(
+                GainScore(
                     FAILED_OBJECTIVE,
                     FAILED_OBJECTIVE,
                     FAILED_OBJECTIVE,
@@ -107,14 +107,14 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
             )
     # A root mean square gives the worst plants the largest weight.
     tracking, tension, effort = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
-    return _score_table(Score(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
+    return _score_table(GainScore(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
 
 
-def _score_table(score: Score) -> dict[str, Any]:
-    return {name: getattr(score, name) for name in Score.__dataclass_fields__}
+def _score_table(score: GainScore) -> dict[str, Any]:
+    return {name: getattr(score, name) for name in GainScore.__dataclass_fields__}
 
 
-def score_exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
+def score_exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> GainScore:
     """Calculate the score of one run of the exercise on a simulated plant, without the margins.
 
     Args:
@@ -123,15 +123,15 @@ def score_exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], s
         factors: factors of the plant relative to the description.
         seed: seed of the simulated noise.
     """
-    return score_run(hand, *simulate_program(hand, model, Exercise(), factors, seed))
+    return score_run(hand, *simulate_program(hand, model, ExerciseProgram(), factors, seed))
 
 
-Ticks = list[tuple[TickIn, TickOut]]
+TickRecords = list[tuple[TickIn, TickOut]]
 
 
 def simulate_program(
     hand: Hand, model: HandModel, program: Program, factors: Mapping[str, float], seed: int
-) -> tuple[Ticks, TruthRecord, str]:
+) -> tuple[TickRecords, TruthRecord, str]:
     """Run a program on a simulated plant in lockstep.
 
     Args:
@@ -145,10 +145,10 @@ def simulate_program(
         The ticks, the ground truth of the simulator, and the reason why the run ended early (else
         empty).
     """
-    ticks: Ticks = []
+    ticks: TickRecords = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         file = Path(folder) / "truth"
-        simulator = Simulator(hand, seed=seed, perturb=factors, homed=True, truth=file)
+        simulator = SimulatorSettings(hand, seed=seed, perturb=factors, homed=True, truth=file)
         state = simulate(
             homed_controller(model, program, hand),
             simulator,
@@ -157,7 +157,7 @@ def simulate_program(
         return ticks, read_truth(file), state.failure
 
 
-def score_run(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str) -> Score:
+def score_run(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str) -> GainScore:
     """Return the score of a run from the ground truth of the simulator.
 
     Args:
@@ -170,7 +170,7 @@ def score_run(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthR
     tension = truth.values[:, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]]
     peak = float(tension.max(initial=0.0))
     if failure or not active:
-        return Score(FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, peak, 0.0, failure or "never active")
+        return GainScore(FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, peak, 0.0, failure or "never active")
     t_ns = np.array([t for t, _ in active])
     goal, tension_goal, torque = (
         np.array([getattr(out.telemetry, name) for _, out in active])
@@ -208,7 +208,7 @@ def score_ticks(
     tension: Array,
     torque: Array,
     truth: GroundTruth,
-) -> Score:
+) -> GainScore:
     """Return the score of some ticks of an exercise, without the margins.
 
     Args:
@@ -220,10 +220,10 @@ def score_ticks(
         truth: ground truth at these times.
     """
     rate = np.diff(torque, axis=0) / (np.diff(t_ns)[:, None] / 1e9)
-    return Score(
-        tracking_deg=float(np.degrees(rms((angle - truth.angle)[phase == "move"]))),
-        tension_N=rms((tension - truth.tension)[phase == "hold"]),
-        effort_Nm_per_s=rms(rate[np.isin(phase[1:], ("move", "hold"))]),
+    return GainScore(
+        tracking_deg=float(np.degrees(root_mean_square((angle - truth.angle)[phase == "move"]))),
+        tension_N=root_mean_square((tension - truth.tension)[phase == "hold"]),
+        effort_Nm_per_s=root_mean_square(rate[np.isin(phase[1:], ("move", "hold"))]),
         peak_tension_N=float(truth.tension.max(initial=0.0)),
         shortfall=0.0,
     )

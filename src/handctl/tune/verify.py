@@ -22,14 +22,14 @@ from handctl.log.read.timeline import phase_of_each
 from handctl.report.summary import mean_angles
 from handctl.report.truth import TruthRecord
 from handctl.safety.action import Action
-from handctl.tune.scoring import GroundTruth, Score, score_ticks
+from handctl.tune.scoring import GainScore, GroundTruth, score_ticks
 
-OLD_ROUNDS = 2
+OLD_GAINS_ROUNDS = 2
 """Number of rounds of the exercise with the old gains.
 
 The last of them is compared with the new gains.
 """
-AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
+ROUND_AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
 """Amplitudes of the rounds of the exercise: first those with the old gains, then those with the new gains.
 
 Before the round that is compared, both old and new gains have at least one other round.
@@ -62,7 +62,7 @@ class VerifyLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Rollback:
+class GainsRollback:
     """Return to the old gains during a verification.
 
     Attributes:
@@ -97,9 +97,9 @@ class VerifyObserver:
     old: Gains
     new: Gains
     limits: VerifyLimits = VerifyLimits()
-    amplitudes: tuple[float, ...] = AMPLITUDES
-    old_rounds: int = OLD_ROUNDS
-    rollback: Rollback | None = None
+    amplitudes: tuple[float, ...] = ROUND_AMPLITUDES
+    old_rounds: int = OLD_GAINS_ROUNDS
+    rollback: GainsRollback | None = None
     _round: int = 0
     _phase: str = ""
     _requests: list[str] = field(default_factory=list)
@@ -126,7 +126,7 @@ class VerifyObserver:
             self._max_ringing = max(self._max_ringing, ringing)
         elif self.rollback is None and (reason := self._violated_limit(out, ringing)):
             amplitude = self.amplitudes[self._round - 1]
-            self.rollback = Rollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
+            self.rollback = GainsRollback(entry.t_ns / 1e9, entry.k, amplitude, reason)
             self._request_gains(self.old, self.new)
 
     def _request_gains(self, gains: Gains, replaced: Gains) -> None:
@@ -171,13 +171,13 @@ class VerifyObserver:
         return f"motor torques oscillate by {ringing:.1f} N m/s, limit {limit:.1f}" if ringing > limit else ""
 
 
-MEASURES = {
+COMPARED_MEASURES = {
     "tracking_deg": ("tracking", "deg"),
     "tension_N": ("tension", "N"),
     "effort_Nm_per_s": ("effort", "N m/s"),
     "peak_tension_N": ("peak tension", "N"),
 }
-"""Name and unit of each compared measure, by its field in `Score`."""
+"""Name and unit of each compared measure, by its field in `GainScore`."""
 ONE_RUN_SPREAD = 0.1
 """If there is only one run, this spread of a measure is assumed, as a fraction of the old value."""
 MIN_DIFFERENCE = 0.02
@@ -205,15 +205,15 @@ class MeasureComparison:
     verdict: str
 
 
-def compare_rounds(runs: list[list[Score]]) -> list[MeasureComparison]:
+def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
     """Compare the rounds at full amplitude with old and new gains, run by run.
 
     Args:
         runs: scores of the rounds of each run.
     """
     columns = []
-    for key, (name, unit) in MEASURES.items():
-        old = np.array([getattr(rounds[OLD_ROUNDS - 1], key) for rounds in runs])
+    for key, (name, unit) in COMPARED_MEASURES.items():
+        old = np.array([getattr(rounds[OLD_GAINS_ROUNDS - 1], key) for rounds in runs])
         new = np.array([getattr(rounds[-1], key) for rounds in runs])
         n = len(runs)
         mean = float(old.mean())
@@ -227,7 +227,7 @@ def compare_rounds(runs: list[list[Score]]) -> list[MeasureComparison]:
     return columns
 
 
-def scores_by_round(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> list[Score]:
+def scores_by_round(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> list[GainScore]:
     """Calculate the score of each round of the exercise, beginning with the rounds with the old gains.
 
     Args:

@@ -15,7 +15,7 @@ from rerun.chunk import Chunk, McapReader
 from handctl.errors import LogError
 from handctl.log.read.record_scan import RecordScan, scan_path
 from handctl.log.read.recover import RecoveryStatus, recover_log
-from handctl.view.scene.arrow import LOG_TIME, times_since_start
+from handctl.view.scene.arrow import LOG_TIME_TIMELINE, times_since_start
 from handctl.view.scene.blueprint import dashboard
 from handctl.view.scene.geometry import mesh_chunks
 from handctl.view.scene.run_info import RunInfo
@@ -29,7 +29,7 @@ DISK_SPACE_FACTOR = 2
 
 If the disk became full, Rerun's writer would block forever.
 """
-DECODERS = ("ros2msg", "ros2_reflection", "urdf")
+MESSAGE_DECODERS = ("ros2msg", "ros2_reflection", "urdf")
 """Names of the decoders with which Rerun reads the messages of a log."""
 
 
@@ -98,7 +98,7 @@ def log_chunks(path: Path, converters: TopicConverters, name: str, since_ns: int
         LogError: the log is damaged.
     """
     with rerun_errors(name):
-        reader = McapReader(path, decoders=DECODERS, include_topic_regex=converters.topics, recover=True)
+        reader = McapReader(path, decoders=MESSAGE_DECODERS, include_topic_regex=converters.topics, recover=True)
         first, last = reader.time_bounds()
         # The end of the time range does not belong to the stream, so 1 is added.
         raw = reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1).collect().stream().to_chunks()
@@ -110,7 +110,7 @@ def _start_time(chunk: Chunk) -> int:
 
     A chunk without times gets -1, and so comes first.
     """
-    return int(times_since_start(chunk, 0)[0]) if LOG_TIME in chunk.timeline_names else -1
+    return int(times_since_start(chunk, 0)[0]) if LOG_TIME_TIMELINE in chunk.timeline_names else -1
 
 
 def new_recording(run: RunInfo) -> rr.RecordingStream:

@@ -82,7 +82,7 @@ class LogFollower:
         self._folder.cleanup()
 
 
-def follow(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | None = None) -> None:
+def follow_log(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | None = None) -> None:
     """Open a viewer, and show a growing log until the log ends.
 
     Args:

@@ -17,7 +17,7 @@ from pathlib import Path
 from handctl.errors import HandctlError
 from handctl.handlers import TerminationFlag
 
-NICE = 10
+NICE_INCREMENT = 10
 """Increment of the nice value, for a lower priority than the controller."""
 
 
@@ -47,7 +47,7 @@ def main() -> int:
     stop = TerminationFlag()
     signal.signal(signal.SIGTERM, stop)
     with suppress(OSError):
-        os.nice(NICE)
+        os.nice(NICE_INCREMENT)
     log = Path(sys.argv[1])
     arguments = sys.argv[2:]
     try:
@@ -55,9 +55,9 @@ def main() -> int:
 
         if "--headless" not in arguments:
             check_screen()
-        from handctl.view.follow import follow
+        from handctl.view.follow import follow_log
 
-        follow(log, arguments, stop)
+        follow_log(log, arguments, stop)
     except HandctlError as error:
         print(f"handctl view: {error}", file=sys.stderr)  # every HandctlError is printable
         return 1

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 from handctl.errors import HandctlError
 from handctl.output import atomic_path
-from handctl.view.scene.arrow import TIMELINE
+from handctl.view.scene.arrow import RUN_TIME_TIMELINE
 from handctl.view.viewer import Viewer, running_viewer, software_vulkan
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient, ViewerState
 
-SIZE = "1600x900"
+PICTURE_SIZE_PX = "1600x900"
 """Width and height of the picture [pixels]."""
-LOAD_S = 60.0
+LOAD_TIMEOUT_S = 60.0
 """Longest wait until the viewer answers, and longest wait until the recording is loaded [s]."""
-SETTLE_S = 1.0
+SCREENSHOT_PAUSE_S = 1.0
 """Pause between two screenshots that are compared [s]."""
 NOTICE_S = 5.0
 """Time from the start of the viewer during which notices cover the dashboard [s]."""
@@ -40,12 +40,12 @@ def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
         HandctlError: the viewer failed.
         OSError: the PNG file cannot be written.
     """
-    with running_viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
+    with running_viewer(["--headless", "--window-size", PICTURE_SIZE_PX, str(rrd)], software_vulkan()) as running:
         clear = time.monotonic() + NOTICE_S
         client = connect_client(running)
-        wait_loaded(client, TIMELINE, int(at_s * 1e9))
-        client.set_time(TIMELINE, duration=at_s, play_state="paused")
-        time.sleep(max(SETTLE_S, clear - time.monotonic()))
+        wait_loaded(client, RUN_TIME_TIMELINE, int(at_s * 1e9))
+        client.set_time(RUN_TIME_TIMELINE, duration=at_s, play_state="paused")
+        time.sleep(max(SCREENSHOT_PAUSE_S, clear - time.monotonic()))
         png = settled_screenshot(client)
         reports = view_reports(client)
     with atomic_path(out) as part:
@@ -61,7 +61,7 @@ def settled_screenshot(client: "ViewerClient") -> bytes:
     end = time.monotonic() + UNCHANGED_TIMEOUT_S
     before = client.take_screenshot()
     while True:
-        time.sleep(SETTLE_S)
+        time.sleep(SCREENSHOT_PAUSE_S)
         now = client.take_screenshot()
         if now == before or time.monotonic() > end:
             return now
@@ -72,7 +72,7 @@ def connect_client(running: Viewer) -> "ViewerClient":
     """Wait for a viewer that is starting, and return a client connected to the viewer."""
     from rerun.experimental import ViewerClient
 
-    end = time.monotonic() + LOAD_S
+    end = time.monotonic() + LOAD_TIMEOUT_S
     while True:
         try:
             client = ViewerClient.connect(running.url)
@@ -106,15 +106,15 @@ def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
         until: time up to which the recording must be loaded, in the timeline's unit.
 
     Raises:
-        HandctlError: the recording is not loaded after `LOAD_S`.
+        HandctlError: the recording is not loaded after `LOAD_TIMEOUT_S`.
     """
-    end = time.monotonic() + LOAD_S
+    end = time.monotonic() + LOAD_TIMEOUT_S
     while time.monotonic() < end:
         state = client.get_state()
         if timeline_end(state, timeline) >= until and state.views and not state.loading:
             return
         time.sleep(0.1)
-    raise HandctlError(f"the viewer has not loaded the recording after {LOAD_S:g} s", "rerun", "")
+    raise HandctlError(f"the viewer has not loaded the recording after {LOAD_TIMEOUT_S:g} s", "rerun", "")
 
 
 def view_reports(client: "ViewerClient") -> list[str]:

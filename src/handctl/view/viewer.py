@@ -18,7 +18,7 @@ from typing import IO
 from handctl.errors import ConfigError, HandctlError
 from handctl.runtime.paths import run_dir
 
-LOOPBACK = "127.0.0.1"
+LOOPBACK_ADDRESS = "127.0.0.1"
 """Address on which the viewer listens. Only programs on this machine can connect to the viewer."""
 VULKAN_DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
 """Folders in which Vulkan drivers install their description files."""
@@ -27,10 +27,10 @@ SOFTWARE_DRIVER_FILES = "lvp_icd*.json"
 
 Pictures drawn with this driver do not depend on a graphics card.
 """
-PACKAGES = "libvulkan1 mesa-vulkan-drivers"
-START_S = 30.0
+VULKAN_PACKAGES = "libvulkan1 mesa-vulkan-drivers"
+VIEWER_START_TIMEOUT_S = 30.0
 """Longest wait for the start of a viewer [s]."""
-END_S = 5.0
+VIEWER_END_TIMEOUT_S = 5.0
 """Longest wait for the end of a viewer [s]."""
 _ADDRESS_LINE = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
 """Pattern for the viewer's address in the output of the viewer."""
@@ -65,7 +65,7 @@ def software_vulkan() -> dict[str, str]:
     drivers = _driver_files(SOFTWARE_DRIVER_FILES) or _driver_files("*.json")
     configured = any(os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"))
     if not _has_loader() or not (drivers or configured):
-        raise ConfigError("no Vulkan driver to draw with", "", f"the Debian packages {PACKAGES}")
+        raise ConfigError("no Vulkan driver to draw with", "", f"the Debian packages {VULKAN_PACKAGES}")
     return {} if configured else {"VK_ICD_FILENAMES": str(drivers[0])}
 
 
@@ -109,7 +109,7 @@ class Viewer:
         """Close the viewer, and wait until the process has ended."""
         self.process.terminate()
         try:
-            self.process.wait(END_S)
+            self.process.wait(VIEWER_END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
@@ -164,7 +164,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
     environ = os.environ | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"} | environment
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
     notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.ready` closes it)
-    command = [exe, "--bind", LOOPBACK, "--port", "0", *arguments]
+    command = [exe, "--bind", LOOPBACK_ADDRESS, "--port", "0", *arguments]
     # The viewer gets a session of its own, so that Ctrl-C in the terminal does not interrupt it.
     process = subprocess.Popen(
         command,
@@ -212,9 +212,9 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
     """Wait until the output of the viewer shows the address of the viewer, and return the address.
 
     Raises:
-        HandctlError: the viewer ended or has not opened its port within `START_S`.
+        HandctlError: the viewer ended or has not opened its port within `VIEWER_START_TIMEOUT_S`.
     """
-    remaining = START_S
+    remaining = VIEWER_START_TIMEOUT_S
     while remaining > 0:
         try:
             # This call waits for an early end of the viewer. The wait is also the pause between two
@@ -230,4 +230,4 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
         if process.returncode is not None:
             last = text.decode(errors="replace").strip().splitlines()[-1:] or ["no output"]
             raise HandctlError(f"the viewer ended with code {process.returncode}: {last[0]}", "rerun", "")
-    raise HandctlError(f"the viewer has not opened its port within {START_S:g} s", "rerun", "")
+    raise HandctlError(f"the viewer has not opened its port within {VIEWER_START_TIMEOUT_S:g} s", "rerun", "")

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.truth import Truth, read_truth
+from firmware_sim.truth import TruthFile, read_truth
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode, TickIn, TickOut
@@ -25,8 +25,8 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import Plan
-from handctl.session.run import Outcome, make_controller, run_live
+from handctl.session.plan import RunPlan
+from handctl.session.run import RunOutcome, make_controller, run_live
 from tests.drives.protocol_bench import hand_file
 from tests.vcan.inside.conftest import STALL_FAULTS
 from tests.vcan.inside.test_protocols import DIGITS, PULL_N, RATE_HZ, simulated
@@ -74,7 +74,7 @@ class FaultObserver:
             self.done_ns = round(time.monotonic_ns() * TIME_SCALE)
 
 
-def run(folder: Path, observer: FaultObserver) -> tuple[Outcome, Truth]:
+def run(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
     """Run a hand that is armed, pulls every tendon, relaxes and is disarmed.
 
     The observer makes faults during the pull.
@@ -82,7 +82,7 @@ def run(folder: Path, observer: FaultObserver) -> tuple[Outcome, Truth]:
     path = hand_file(folder, ["mit"])
     hand = load_hand(str(path))
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
-    plan = Plan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
+    plan = RunPlan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
     program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), AT_S + AFTER_S)
     with simulated(path, plan.buses, TIME_SCALE, folder / "truth"):
         controller = make_controller(plan, program, None, arm_at_once=True)
@@ -90,7 +90,7 @@ def run(folder: Path, observer: FaultObserver) -> tuple[Outcome, Truth]:
     return outcome, read_truth(folder / "truth")
 
 
-def run_until_done(folder: Path, observer: FaultObserver, expected: str) -> tuple[Outcome, Truth]:
+def run_until_done(folder: Path, observer: FaultObserver, expected: str) -> tuple[RunOutcome, TruthFile]:
     """Return the first run that ended as expected, and not because the guest's only core was busy.
 
     If a defect ends runs in the same way as a busy core, all five runs end like this. The test then
@@ -145,7 +145,7 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
     outcome, truth = run_until_done(tmp_path, FaultObserver(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)), "")
     moved = np.diff(offsets[-3:])
     assert moved == pytest.approx([HOUR_S, -2.0 * HOUR_S], abs=5.0), "the wall clock moved"
-    assert (outcome.state.failure, outcome.exit) == ("", ExitCode.DONE)
+    assert (outcome.state.failure, outcome.exit_code) == ("", ExitCode.DONE)
     for digit in DIGITS:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit
     with RunLog(tmp_path / "run.mcap") as log:
@@ -160,7 +160,7 @@ def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(interfa
     observer = FaultObserver(lambda: set_up(interface, False))
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure
-    assert outcome.exit == ExitCode.REMOVE_POWER, "no drive confirmed the end of torque"
+    assert outcome.exit_code == ExitCode.REMOVE_POWER, "no drive confirmed the end of torque"
     after = observer.modes[observer.modes.index(Mode.ACTIVE) :]
     acted = round(AT_S * RATE_HZ)
     assert after[: acted + 3].count(Mode.ACTIVE) <= acted + 1, "the next tick removes torque"

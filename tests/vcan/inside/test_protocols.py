@@ -18,21 +18,21 @@ import numpy as np
 import pytest
 
 from firmware_sim.__main__ import main as firmware_sim
-from firmware_sim.truth import Truth, read_truth
-from handctl.compiled import prepare
+from firmware_sim.truth import TruthFile, read_truth
+from handctl.compiled import compile_kernels
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.core.gains.gains import Gains
-from handctl.drives.contract import DriveTarget, Phase
-from handctl.drives.registry import PROTOCOLS
+from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.hand.load import load_hand
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.real import RealClock
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import Plan
-from handctl.session.run import Outcome, make_controller, run_live
+from handctl.session.plan import RunPlan
+from handctl.session.run import RunOutcome, make_controller, run_live
 from tests.drives.protocol_bench import hand_file, on_two_buses
 
 RATE_HZ = 200.0
@@ -91,7 +91,7 @@ class Hand:
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
         self.states = [drive.initial() for drive in self.drives]
         self.k = 0
-        prepare()  # compile first, or watchdogs would fire
+        compile_kernels()  # compile first, or watchdogs would fire
         self.clock.start()
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
@@ -104,7 +104,7 @@ class Hand:
             assert self.buses[drive.bus].send(frames) == len(frames)
         self.k += 1
 
-    def until(self, target: DriveTarget, phase: Phase, ticks: int = 600) -> None:
+    def until(self, target: DriveTarget, phase: DrivePhase, ticks: int = 600) -> None:
         for _ in range(ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):
@@ -117,18 +117,18 @@ class Hand:
             bus.close()
 
 
-@pytest.mark.parametrize("protocol", sorted(PROTOCOLS))
+@pytest.mark.parametrize("protocol", sorted(PROTOCOL_ENTRIES))
 def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) -> None:
     path, truth_path, time_scale = hand_file(tmp_path, [protocol]), tmp_path / "truth", 0.2
     path.write_text(path.read_text().replace("watchdog_ms = 50", "watchdog_ms = 500"))
     with simulated(path, ["socketcan:vcan0"], time_scale, truth_path):
         hand = Hand(path, ["socketcan:vcan0"], time_scale)
-        hand.until(DriveTarget.POLL, Phase.READY)
-        hand.until(DriveTarget.ENABLE, Phase.ENABLED)
+        hand.until(DriveTarget.POLL, DrivePhase.READY)
+        hand.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
         for _ in range(int(TORQUE_S * RATE_HZ)):
             hand.tick(DriveTarget.ENABLE, SPOOL_TORQUE_N_M)
-        assert [state.phase for state in hand.states] == [Phase.ENABLED] * len(DIGITS)
-        hand.until(DriveTarget.DISABLE, Phase.READY)
+        assert [state.phase for state in hand.states] == [DrivePhase.ENABLED] * len(DIGITS)
+        hand.until(DriveTarget.DISABLE, DrivePhase.READY)
         for _ in range(int(TORQUE_S * RATE_HZ)):
             hand.tick(DriveTarget.POLL)
         hand.close()
@@ -146,20 +146,20 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     outcome, truth = pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
     assert outcome.state.failure == ""
     assert outcome.state.unconfirmed == ()
-    assert outcome.exit == ExitCode.DONE
+    assert outcome.exit_code == ExitCode.DONE
     assert outcome.stats.refused == truth.header["lost_frames"] == 0
     for digit in DIGITS:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit  # low, as the guest's clocks slip
 
 
-def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[Outcome, Truth]:
+def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, TruthFile]:
     """Run a hand that is armed, pulls every tendon for a moment, relaxes and is disarmed.
 
     Return the outcome and the truth.
     """
     hand, time_scale = load_hand(str(path)), 0.1
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
-    plan = Plan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)
+    plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)
     program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), PULL_S)
     with simulated(path, buses, time_scale, folder / "truth"):
         outcome = run_live(plan, make_controller(plan, program, None, arm_at_once=True), folder / "run.mcap")

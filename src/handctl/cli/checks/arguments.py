@@ -16,39 +16,39 @@ from handctl.cli.console.options import (
     add_time_scale_option,
 )
 from handctl.cli.parsing.completion import hand_names
-from handctl.cli.parsing.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
-from handctl.drives.motor_description import GUARDED, PROTOCOLS
+from handctl.cli.parsing.parser import SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
+from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
 
 EXAMPLES = {
-    "config": Example("handctl config show --hand jamia"),
-    "config show": Example("handctl config show --hand jamia"),
-    "config check": Example("handctl config check --hand jamia --task grasp.toml --scene cylinder:35"),
-    "config list": Example("handctl config list"),
-    "config schema": Example("handctl config schema | tee hand.schema.json"),
-    "config init": Example("handctl config init --yes --fingers 2 --opposed 1 --output mine.toml"),
-    "config convert": Example(
+    "config": CommandExample("handctl config show --hand jamia"),
+    "config show": CommandExample("handctl config show --hand jamia"),
+    "config check": CommandExample("handctl config check --hand jamia --task grasp.toml --scene cylinder:35"),
+    "config list": CommandExample("handctl config list"),
+    "config schema": CommandExample("handctl config schema | tee hand.schema.json"),
+    "config init": CommandExample("handctl config init --yes --fingers 2 --opposed 1 --output mine.toml"),
+    "config convert": CommandExample(
         "handctl config show --hand jamia > old.toml; handctl config convert old.toml --output new.toml"
     ),
-    "config export": Example("handctl config export --hand jamia --dbc"),
-    "bus": Example("handctl bus plan --hand jamia11 --rate 200"),
-    "bus plan": Example("handctl bus plan --hand jamia11 --rate 200"),
-    "bus up": Example("handctl bus up --hand jamia --bus socketcan:vcan0"),
-    "bus doctor": Example("handctl bus doctor --hand jamia --bus local:demo", (SIMULATED_HAND,)),
-    "bus watch": Example("handctl bus watch --hand jamia --bus local:demo --for 2", (SIMULATED_HAND,)),
-    "scan": Example("handctl scan --bus socketcan:can0 --dry-run"),
-    "conformance": Example(
+    "config export": CommandExample("handctl config export --hand jamia --dbc"),
+    "bus": CommandExample("handctl bus plan --hand jamia11 --rate 200"),
+    "bus plan": CommandExample("handctl bus plan --hand jamia11 --rate 200"),
+    "bus up": CommandExample("handctl bus up --hand jamia --bus socketcan:vcan0"),
+    "bus doctor": CommandExample("handctl bus doctor --hand jamia --bus local:demo", (SIMULATED_HAND,)),
+    "bus watch": CommandExample("handctl bus watch --hand jamia --bus local:demo --for 2", (SIMULATED_HAND,)),
+    "scan": CommandExample("handctl scan --bus socketcan:can0 --dry-run"),
+    "conformance": CommandExample(
         "handctl conformance --protocol odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
     ),
-    "doctor": Example("handctl doctor"),
+    "doctor": CommandExample("handctl doctor"),
 }
 """Example command line for the help of each command and subcommand."""
 
 
-def config(parser: Parser) -> None:
+def config(parser: VerbParser) -> None:
     """Declare the arguments of ``config``."""
     kinds = parser.add_subparsers(dest="what", required=True, metavar="init|show|check|list|schema|convert|export")
 
-    def kind(name: str, text: str) -> Parser:
+    def kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
         add_json_option(one)
         if name not in ("init", "list", "schema", "convert"):
@@ -101,7 +101,7 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
     add("--spool", type=float, dest="spool_mm", metavar="MM", help="radius of the spools (default: 8)")
     add("--tension", type=float, dest="tension_N", metavar="N", help="largest commanded tension (default: 80)")
     add("--strength", type=float, dest="strength_N", metavar="N", help="breaking force of the tendons (default: 600)")
-    add("--protocol", choices=GUARDED, help="protocol of the drives (default: mit)")
+    add("--protocol", choices=GUARDED_PROTOCOLS, help="protocol of the drives (default: mit)")
     text = "with --urdf or --mjcf: "
     add("--cells", choices=("all", "none"), help=f"{text}tendons that have a load cell (default: 'TODO')")
     add("--encoders", choices=("all", "none"), help=f"{text}joints that have an encoder (default: 'TODO')")
@@ -122,7 +122,7 @@ def _declare_files(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
 
 
-def bus(parser: Parser) -> None:
+def bus(parser: VerbParser) -> None:
     """Declare the arguments of ``bus``.
 
     The subcommand ``watch`` polls the drives, but enables none.
@@ -168,7 +168,7 @@ def scan(parser: argparse.ArgumentParser) -> None:
 def conformance(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``conformance``."""
     add = parser.add_argument
-    add("--protocol", required=True, choices=sorted(PROTOCOLS), help="protocol of the drive")
+    add("--protocol", required=True, choices=sorted(PROTOCOL_TRAITS), help="protocol of the drive")
     add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus")
     add("--bus", required=True, metavar="SPEC", help="local:NAME, socketcan:can0 or any python-can interface:channel")
     add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",

@@ -8,29 +8,29 @@ from handctl.cli.checks.scan import undiscoverable_protocols_text
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, print_note
 from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode
-from handctl.drives.registry import DISCOVERIES
+from handctl.drives.registry import DISCOVERY_BY_PROTOCOL
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.load import load_hand
-from handctl.runtime.buses.adapter import Adapter, read_adapter
+from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.interface import interface_names
 from handctl.runtime.buses.link import MissingTool, read_link
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.link_findings import (
-    WIRING,
+    WIRING_ADVICE,
     LinkFinding,
     adapter_findings,
     interface_findings,
     missing_interface_finding,
 )
-from handctl.runtime.diagnostics.round_trip import RoundTrip, round_trip
-from handctl.runtime.diagnostics.scan import Scan, scan_bus
+from handctl.runtime.diagnostics.round_trip import RoundTrip, measure_round_trips
+from handctl.runtime.diagnostics.scan import BusScan, scan_bus
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
-NO_USB = Adapter()
+NO_USB = UsbAdapter()
 """Adapter of an interface that is not a USB adapter."""
 BUSY_HINT = "check the load of the computer and the latency timer of the adapter; handctl doctor checks the priorities"
 SLOW_ROUND_TRIP_S = 0.005
@@ -116,7 +116,7 @@ def _check_nodes(
     try:
         bus = open_bus(spec, 0, expected.bitrate, expected.data_bitrate)
     except BusError as error:
-        return [LinkFinding(f"cannot be opened: {error}", False, error.right or WIRING)], []
+        return [LinkFinding(f"cannot be opened: {error}", False, error.right or WIRING_ADVICE)], []
     try:
         result = scan_bus(bus)
         trips = [] if result.foreign else _measure_round_trips(bus, result)
@@ -137,45 +137,51 @@ def _check_nodes(
     elif hand is not None:
         rows += _missing_motors(hand, expected.name, result)
     elif not result.found:
-        rows.append(LinkFinding("no drive answers", False, f"{WIRING}; {undiscoverable_protocols_text()}"))
+        rows.append(LinkFinding("no drive answers", False, f"{WIRING_ADVICE}; {undiscoverable_protocols_text()}"))
     else:
         rows.append(LinkFinding(undiscoverable_protocols_text(), True))
     return rows, trips
 
 
-def _duplicate_nodes(result: Scan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
+def _duplicate_nodes(result: BusScan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
     """Return the nodes whose number more than one drive uses."""
     twice = [node for node, trip in trips if trip.twins]
     return [node for node in result.found if node.twins or node in twice]
 
 
-def _measure_round_trips(bus: Bus, result: Scan) -> list[tuple[DiscoveredNode, RoundTrip]]:
-    return [(node, round_trip(bus, node)) for node in result.found if node.protocol in DISCOVERIES]
+def _measure_round_trips(bus: Bus, result: BusScan) -> list[tuple[DiscoveredNode, RoundTrip]]:
+    return [(node, measure_round_trips(bus, node)) for node in result.found if node.protocol in DISCOVERY_BY_PROTOCOL]
 
 
-def _event_findings(result: Scan) -> list[LinkFinding]:
+def _event_findings(result: BusScan) -> list[LinkFinding]:
     """Return one finding for each kind of bus event during the scan."""
-    return [LinkFinding(f"during the scan: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
+    return [
+        LinkFinding(f"during the scan: {kind}, {number} times", False, WIRING_ADVICE)
+        for kind, _, number in result.events
+    ]
 
 
 def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
     node, trip = timed
     name = f"{node.protocol} {node.node_id}"
     if not trip.answers:
-        return LinkFinding(f"{name} answered the scan, but no further request", False, WIRING)
+        return LinkFinding(f"{name} answered the scan, but no further request", False, WIRING_ADVICE)
     times = f"{trip.shortest * 1e3:.2f} / {trip.median * 1e3:.2f} / {trip.longest * 1e3:.2f} ms"
     what = f"{name} answers {trip.answers} of {trip.asked}, shortest / median / longest {times}"
     good = trip.answers == trip.asked and trip.median < SLOW_ROUND_TRIP_S
     return LinkFinding(what, good, BUSY_HINT)
 
 
-def _missing_motors(hand: Hand, bus: str, result: Scan) -> list[LinkFinding]:
+def _missing_motors(hand: Hand, bus: str, result: BusScan) -> list[LinkFinding]:
     """Return one finding for each motor of the hand file that did not answer on a bus."""
     there = {(node.protocol, node.node_id) for node in result.found}
     motors = [motor for motor in hand.motor if motor.bus == bus and (motor.protocol, motor.node_id) not in there]
-    names = [(f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERIES) for motor in motors]
+    names = [
+        (f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERY_BY_PROTOCOL)
+        for motor in motors
+    ]
     return [
-        LinkFinding(f"{name} does not answer", False, WIRING)
+        LinkFinding(f"{name} does not answer", False, WIRING_ADVICE)
         if is_queried
         else LinkFinding(f"{name} was not searched for: it answers only to commands", True)
         for name, is_queried in names

@@ -14,7 +14,7 @@ from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.report.load_table import TABLE, TABLE_RATES_HZ
+from handctl.report.load_table import TABLE_RATES_HZ, TABLE_ROWS
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import bus_specs, highest_rate_of_buses
 
@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     Return 1 if a bus is overloaded or an interface has a wrong bit rate.
     """
     if args.table:
-        _print_table() if not args.json else print_json({"rows": [row.numbers() for row in TABLE]})
+        _print_table() if not args.json else print_json({"rows": [row.numbers() for row in TABLE_ROWS]})
         return ExitCode.DONE
     hand = load_hand("jamia" if args.hand is None else args.hand)
     loads = bus_loads(hand)
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= rate <= 10_000:
         raise ConfigError(f"{rate:g}", "--rate", "1 to 10000 Hz")
     wrong = bit_rate_errors(hand, bus_specs(hand, args.bus)) if args.bus else []
-    result = plan(hand, loads, rate) | {"wrong_bit_rates": wrong}
+    result = bus_plan_report(hand, loads, rate) | {"wrong_bit_rates": wrong}
     if args.json:
         print_json(result)
     else:
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE if result["fits"] and not wrong else ExitCode.FAILED
 
 
-def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
+def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
     """Return the load of each bus. If a bus is overloaded, also return a division of the motors among more buses.
 
     Args:
@@ -60,10 +60,10 @@ def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
 
     Each line includes the command that corrects the bit rate.
     """
-    from handctl.runtime.buses.interface import wrong_rate
+    from handctl.runtime.buses.interface import wrong_rate_text
 
     lines = [
-        wrong_rate(spec.removeprefix("socketcan:"), bus.bitrate, bus.data_bitrate)
+        wrong_rate_text(spec.removeprefix("socketcan:"), bus.bitrate, bus.data_bitrate)
         for spec, bus in zip(specs, hand.bus, strict=True)
         if spec.startswith("socketcan:")
     ]
@@ -117,7 +117,7 @@ def _print_table() -> None:
     rates = " / ".join(f"{rate:g}" for rate in TABLE_RATES_HZ)
     print("worst case with stuff bits, frames of the tensions included, SYNC only where the protocol needs it")
     print(f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MAX_BUS_LOAD:.0%}")
-    for row in TABLE:
+    for row in TABLE_ROWS:
         loads = " / ".join(f"{100 * rate * row.tick_s:.0f}" for rate in TABLE_RATES_HZ)
         kind = "FD 1/5" if row.fd else "classical"
         print(f"{row.protocol:<34}{kind:<11}{row.motors:>6}{row.tick_s * 1e6:>11.0f}   {loads:<22}"

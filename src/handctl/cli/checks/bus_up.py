@@ -9,7 +9,7 @@ from handctl.cli.console.options import print_json
 from handctl.errors import BusError, ConfigError
 from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.load import load_hand
-from handctl.runtime.buses.interface import Command, interface_names, set_up_commands
+from handctl.runtime.buses.interface import CommandWords, interface_names, set_up_commands
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
@@ -46,7 +46,7 @@ def _bus_rates(args: argparse.Namespace) -> tuple[tuple[str, BusSection], ...]:
     return tuple((spec, BusSection(name=name, **rates)) for name, spec in named.items())
 
 
-def _commands_of_bus(spec: str, section: BusSection) -> tuple[Command, ...]:
+def _commands_of_bus(spec: str, section: BusSection) -> tuple[CommandWords, ...]:
     """Return the commands that set up the interface of one bus.
 
     Raises:
@@ -66,7 +66,7 @@ def _commands_of_bus(spec: str, section: BusSection) -> tuple[Command, ...]:
     return set_up_commands(channel, section.bitrate, section.data_bitrate, exists)
 
 
-def _check_root(commands: list[Command]) -> None:
+def _check_root(commands: list[CommandWords]) -> None:
     """Raise an error if --yes is given without the permission to set up an interface.
 
     Raises:
@@ -81,7 +81,7 @@ def _check_root(commands: list[Command]) -> None:
         )
 
 
-def _run_command(command: Command) -> None:
+def _run_command(command: CommandWords) -> None:
     """Run one command that sets up an interface.
 
     Raises:

@@ -20,7 +20,7 @@ from handctl.hand.load import load_hand
 from handctl.handlers import TerminationFlag, installed_handler
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.real import RealClock
-from handctl.runtime.diagnostics.watch import STALE_S, BusWatch, is_saturated
+from handctl.runtime.diagnostics.watch import STALE_AFTER_S, BusWatch, is_saturated
 from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.buses import refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
@@ -110,18 +110,18 @@ def _show_readings(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended:
             due = max(due + every, now)
             readings = readings_of(hand, watch)
             if live is not None:
-                live.update(_table(readings), refresh=True)
+                live.update(_readings_table(readings), refresh=True)
             elif args.json:
                 print_json_line(readings)
             else:
-                rich_console(min_width=100).print(_table(readings))
+                rich_console(min_width=100).print(_readings_table(readings))
                 sys.stdout.flush()
 
 
 def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
     """Return the present readings of all drives and load cells.
 
-    A reading older than ``STALE_S`` is NaN.
+    A reading older than ``STALE_AFTER_S`` is NaN.
     """
     now = watch.clock.now_ns()
     rows = zip(hand.tendon_names, watch.drives, watch.states, watch.ages_s(now), strict=True)
@@ -146,7 +146,7 @@ def _drive_fields(hand: Hand, tendon: str, drive: Drive, state: DriveState, age_
     """
     motor = hand.motor_of(tendon)
     values = (state.position, state.velocity, state.torque, state.temperature)
-    shown = values if age_s <= STALE_S else (math.nan,) * len(values)
+    shown = values if age_s <= STALE_AFTER_S else (math.nan,) * len(values)
     names = ("angle_rad", "velocity_rad_s", "torque_N_m", "temperature_degC")
     return {
         "motor": drive.name, "tendon": tendon, "protocol": motor.protocol, "node_id": motor.node_id,
@@ -155,7 +155,7 @@ def _drive_fields(hand: Hand, tendon: str, drive: Drive, state: DriveState, age_
     }  # fmt: skip
 
 
-def _table(readings: dict[str, Any]) -> Any:
+def _readings_table(readings: dict[str, Any]) -> Any:
     """Return the readings of a hand as a table with one row for each drive."""
     from rich.table import Table
 
@@ -168,15 +168,15 @@ def _table(readings: dict[str, Any]) -> Any:
         cell = cells.get(row["tendon"], {"tension_N": math.nan, "saturated": False})
         table.add_row(
             row["motor"], str(row["node_id"]), row["error"] or row["phase"],
-            _number(math.degrees(row["angle_rad"]), 1), _number(math.degrees(row["velocity_rad_s"]), 1),
-            _number(row["torque_N_m"], 3), _number(row["temperature_degC"], 0),
-            _number(cell["tension_N"], 2) + (" end of range" if cell["saturated"] else ""),
+            _number_text(math.degrees(row["angle_rad"]), 1), _number_text(math.degrees(row["velocity_rad_s"]), 1),
+            _number_text(row["torque_N_m"], 3), _number_text(row["temperature_degC"], 0),
+            _number_text(cell["tension_N"], 2) + (" end of range" if cell["saturated"] else ""),
         )  # fmt: skip
     for row in readings["joint_encoders"]:
-        table.add_row(row["joint"], "", "joint encoder", _number(math.degrees(row["angle_rad"]), 1))
+        table.add_row(row["joint"], "", "joint encoder", _number_text(math.degrees(row["angle_rad"]), 1))
     return table
 
 
-def _number(value: float, digits: int) -> str:
+def _number_text(value: float, digits: int) -> str:
     """Return a reading as text, or ``-`` if there is no reading."""
     return "-" if math.isnan(value) else f"{value + 0.0:.{digits}f}"

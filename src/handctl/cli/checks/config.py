@@ -12,12 +12,12 @@ from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import make_drives, make_sensors, unverified_protections
 from handctl.core.gains.bounds import values_by_key
-from handctl.core.identified import UNITS
+from handctl.core.identified import PARAMETER_UNITS
 from handctl.drives.dbc import dbc_of_bus
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.error_text import SECTION_PATTERN, Mistake, group_mistakes, with_paths_of_file
+from handctl.hand.file.error_text import SECTION_PATTERN, FileMistake, group_mistakes, with_paths_of_file
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.templates import RESOLVED_SCHEMA
 from handctl.hand.formats.meshes import exported_meshes, mesh_mistakes
@@ -40,8 +40,8 @@ from handctl.programs.task import load_task
 from handctl.safety.sensing import sensing_warnings
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import LayeredGains
-from handctl.session.plan import check_design, control_rate, highest_rate_of_buses
-from handctl.session.tasks import TASKS, find_task, task_path
+from handctl.session.plan import check_gain_margins, control_rate, highest_rate_of_buses
+from handctl.session.tasks import PACKAGED_TASKS_FOLDER, find_task, task_path
 
 
 def run(args: argparse.Namespace) -> int:
@@ -78,20 +78,20 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
         if args.task:
             checks.append(lambda: load_task(task_path(args.task)))
     else:
-        checks = _checks(args, hand)
+        checks = _checks_of_files(args, hand)
     for check in checks:
         try:
             check()
         except ConfigError as error:
             in_hand = SECTION_PATTERN.fullmatch(error.where)
-            placed = with_paths_of_file([Mistake(error.what, error.where, error.right)], origins)
+            placed = with_paths_of_file([FileMistake(error.what, error.where, error.right)], origins)
             errors.append(placed[0].error(str(path)) if in_hand else error)
     places = [error.where for error in errors]
     # A later error at the same key is a consequence of the first one.
     return [str(error) for i, error in enumerate(errors) if error.where not in places[:i]]
 
 
-def _checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
+def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
     """Return the checks of a valid hand and of the other files of this hand.
 
     Each check raises a ConfigError for an error.
@@ -110,15 +110,15 @@ def _checks(args: argparse.Namespace, hand: Hand) -> list[Callable[[], object]]:
 
     def design() -> None:
         """Check that the gains lead to a valid design of the controller at the control rate."""
-        check_design(hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand)))
+        check_gain_margins(hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand)))
 
     def scene() -> None:
         """Check that the hand can be simulated in the given scene, if a scene is given."""
         if args.scene:
             # No other check needs this import of the simulated hand.
-            from handctl.session.simulate import Simulator
+            from handctl.session.simulate import SimulatorSettings
 
-            Simulator(hand, args.scene).check()
+            SimulatorSettings(hand, args.scene).check()
 
     drives = [partial(make_drive, motor, buses.index(motor.bus)) for motor in hand.motor]
     return [*drives, lambda: make_drives(hand), lambda: layered_gains(args, hand), design, task, calibration, scene]
@@ -165,7 +165,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     rate = highest_rate_of_buses(loads)
     load = {one.name: one.at(rate) for one in loads}
     source = str(hand_path(args.hand).name)
-    warnings = _warnings(hand)
+    warnings = _hand_warnings(hand)
     if args.what == "check":
         warnings += rate_warnings(hand, layers.gains, rate)
     if args.json:
@@ -202,7 +202,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     return 0
 
 
-def _warnings(hand: Hand) -> list[str]:
+def _hand_warnings(hand: Hand) -> list[str]:
     """Return one line for each warning about a hand."""
     return [*strength_warnings(hand), *sensing_warnings(hand), *grasp_warnings(hand)]
 
@@ -223,7 +223,7 @@ def _calibration_fields(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
         return {"file": str(path), "problem": reason, "made": None, "identified": {}}
     identified = {
         tendon: {
-            name: {"value": value, "half_width": width, "unit": UNITS[name], "made": parameters.made}
+            name: {"value": value, "half_width": width, "unit": PARAMETER_UNITS[name], "made": parameters.made}
             for name, value, width in zip(parameters.names, parameters.values, parameters.half_widths, strict=True)
         }
         for tendon, parameters in calibration.identified.items()
@@ -318,7 +318,7 @@ def _convert_file(args: argparse.Namespace) -> int:
 
 def _list_packaged(as_json: bool) -> int:
     """Print the packaged hands and tasks."""
-    tasks = sorted(path.name for path in TASKS.glob("*.toml"))
+    tasks = sorted(path.name for path in PACKAGED_TASKS_FOLDER.glob("*.toml"))
     if as_json:
         print_json({"hands": list(packaged_hands()), "tasks": tasks})
     else:

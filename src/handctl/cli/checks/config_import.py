@@ -13,19 +13,19 @@ from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.questions import (
     TENDON_QUESTIONS,
     Question,
-    answer,
+    ask_question,
     check_terminal,
     one_of,
     write_with_schema,
 )
-from handctl.drives.motor_description import GUARDED, PROTOCOLS
+from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
 from handctl.errors import ConfigError
-from handctl.hand.file.error_text import Mistake
-from handctl.hand.file.imported_file import ANSWERS, Described, TendonAnswers, described_text, usable_tendons
+from handctl.hand.file.error_text import FileMistake
+from handctl.hand.file.imported_file import ANSWER_NAMES, DescribedHand, TendonAnswers, described_text, usable_tendons
 from handctl.hand.file.new_file import check_name, options_line
-from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED
+from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED_PLACEHOLDER
 from handctl.hand.formats.meshes import path_from, read_triangles
-from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of
+from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of_links
 from handctl.hand.load import inspect_content, parse_toml
 from handctl.session.model_file import read_model_file
 
@@ -35,12 +35,17 @@ NODE_NUMBERS = range(1, 128)
 """Valid node numbers."""
 READ_ALL_OR_NONE = one_of(("all", "none"))
 """Function that reads the answer ``all`` or ``none`` to a question about all tendons or joints."""
-QUESTIONS = (
+IMPORT_QUESTIONS = (
     *TENDON_QUESTIONS,
     Question("cells", "Load cells at the tendons (all, none)", READ_ALL_OR_NONE, "all or none"),
     Question("encoders", "Encoders at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
     Question("springs", "Return springs at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
-    Question("protocol", f"Protocol of the drives ({', '.join(GUARDED)})", one_of(GUARDED), ", ".join(GUARDED)),
+    Question(
+        "protocol",
+        f"Protocol of the drives ({', '.join(GUARDED_PROTOCOLS)})",
+        one_of(GUARDED_PROTOCOLS),
+        ", ".join(GUARDED_PROTOCOLS),
+    ),
     Question("first_node", "Node number of the first drive of a bus", int, "a whole number"),
 )
 """All questions about what a robot description lacks, in order.
@@ -58,15 +63,15 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"given, and so is --{kind}", f"--{name}", "one of them")
     described, notes = read_hand_description(args.urdf or args.mjcf, kind, args.output.parent)
     tendons, unread = usable_tendons(described)
-    answers = TendonAnswers(**{name: getattr(args, name) for name in ANSWERS})
+    answers = TendonAnswers(**{name: getattr(args, name) for name in ANSWER_NAMES})
     if not args.yes:
         answers = _ask_questions(answers, {"tendons", "pulley_mm"} if tendons else set())
     _check_answers(answers)
-    traits = PROTOCOLS[answers.protocol] if answers.protocol else None
+    traits = PROTOCOL_TRAITS[answers.protocol] if answers.protocol else None
     options = options_line(answers.protocol, traits.options) if answers.protocol and traits else ""
     text = described_text(described, answers, options, traits is not None and traits.can_fd)
     mistakes = inspect_content(parse_toml(text, str(args.output))).mistakes
-    missing = [mistake for mistake in mistakes if UNMEASURED in mistake.what]
+    missing = [mistake for mistake in mistakes if UNMEASURED_PLACEHOLDER in mistake.what]
     schema = write_with_schema(args.output, text)
     warnings = [*notes, *unread, *_unexpected_mistakes(mistakes, missing, args.output)]
     joints = sum(len(digit.joints) for digit in described.digits)
@@ -75,7 +80,8 @@ def run(args: argparse.Namespace) -> int:
         print_json({"output": str(args.output), "schema": str(schema), **found, "warnings": warnings})
         return 0
     print_escaped(
-        f"{args.output}: {len(described.digits)} digits, {joints} joints; {len(missing)} values are still {UNMEASURED}"
+        f"{args.output}: {len(described.digits)} digits, {joints} joints; "
+        f"{len(missing)} values are still {UNMEASURED_PLACEHOLDER}"
     )
     for warning in warnings:
         print_escaped(f"warning: {warning}")
@@ -83,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Described, list[str]]:
+def read_hand_description(path: Path, kind: str, output: Path) -> tuple[DescribedHand, list[str]]:
     """Read a robot description, and return the described hand.
 
     Args:
@@ -100,13 +106,13 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
     model = read_model_file(path, kind)
     notes = list(model["notes"])
     links = [ModelLink.of(link, _mesh_of(link["name"], link["meshes"], output, notes)) for link in model["links"]]
-    digits, palm, origin = digits_of(links, str(path))
+    digits, palm, origin = digits_of_links(links, str(path))
     palm_mesh = _mesh_of("the palm", model["palm_meshes"], output, notes)
     gravity = model["gravity"]
     name = re.sub(r"\W+", "_", model["name"])
-    described = Described(
+    described = DescribedHand(
         source=path.name,
-        name=name if NAME_PATTERN.fullmatch(name) and name != UNMEASURED else "mine",
+        name=name if NAME_PATTERN.fullmatch(name) and name != UNMEASURED_PLACEHOLDER else "mine",
         gravity=None if gravity is None else (palm.T @ np.array(gravity)).tolist(),
         palm=palm,
         digits=digits,
@@ -140,9 +146,9 @@ def _mesh_of(link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes
 def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
     """Ask the questions that neither the options nor the description answer."""
     check_terminal()
-    for question in QUESTIONS:
+    for question in IMPORT_QUESTIONS:
         if getattr(answers, question.field) is None and question.field not in known:
-            answers = replace(answers, **{question.field: answer(question, UNMEASURED, None)})
+            answers = replace(answers, **{question.field: ask_question(question, UNMEASURED_PLACEHOLDER, None)})
     return answers
 
 
@@ -160,6 +166,6 @@ def _check_answers(answers: TendonAnswers) -> None:
         raise ConfigError(f"{answers.first_node}", "--first-node", f"{NODE_NUMBERS[0]} to {NODE_NUMBERS[-1]}")
 
 
-def _unexpected_mistakes(mistakes: Iterable[Mistake], missing: list[Mistake], output: Path) -> list[str]:
+def _unexpected_mistakes(mistakes: Iterable[FileMistake], missing: list[FileMistake], output: Path) -> list[str]:
     """Return one line for each mistake in the new hand file, except missing values."""
     return [str(mistake.error(str(output))) for mistake in mistakes if mistake not in missing]

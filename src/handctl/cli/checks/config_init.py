@@ -8,27 +8,27 @@ from handctl.cli.console.questions import (
     SCHEMA_FILE,
     TENDON_QUESTIONS,
     Question,
-    answer,
+    ask_question,
     check_terminal,
     write_with_schema,
 )
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.file.new_file import HandAnswers, check_answers, new_hand_text, palm_warnings
 from handctl.hand.load import inspect_content, parse_toml
 from handctl.programs.default_task import grasp_warnings
 
 
-def lengths(text: str) -> tuple[float, ...]:
+def lengths_from_text(text: str) -> tuple[float, ...]:
     """Return the lengths [mm] that a list such as ``40,30`` gives."""
     return tuple(float(part) for part in text.replace(",", " ").split())
 
 
-QUESTIONS = (
+HAND_QUESTIONS = (
     Question("name", "Name of the hand", str, "a word"),
     Question("fingers", "Digits on one side", int, "a whole number"),
     Question("opposed", "Digits that close against them, as a thumb does", int, "a whole number"),
-    Question("links_mm", "Length of each link, from the palm outwards [mm]", lengths, "numbers, e.g. 40,30"),
+    Question("links_mm", "Length of each link, from the palm outwards [mm]", lengths_from_text, "numbers, e.g. 40,30"),
     Question("width_mm", "Width of the links [mm]", float, "a number"),
     Question("palm_mm", "Distance between the two sides of the palm [mm]", float, "a number"),
     *TENDON_QUESTIONS,
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.yes:
         answers = _ask_questions(args, answers)
     check_answers(answers)
-    traits = PROTOCOLS[answers.protocol]
+    traits = PROTOCOL_TRAITS[answers.protocol]
     text = f"#:schema {SCHEMA_FILE}\n" + new_hand_text(answers, traits.options, traits.can_fd)
     found = inspect_content(parse_toml(text, str(args.output)))
     if found.mistakes or found.hand is None:
@@ -82,11 +82,11 @@ def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswer
         ConfigError: standard input is not a terminal, so no operator can answer.
     """
     check_terminal()
-    for question in QUESTIONS:
+    for question in HAND_QUESTIONS:
         if getattr(args, question.field) is not None:
             continue
         default = getattr(answers, PROPORTIONAL_DEFAULT.get(question.field, question.field))
         shown = ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)
         shown = f"{default:.3g}" if isinstance(default, float) else shown
-        answers = replace(answers, **{question.field: answer(question, shown, default)})
+        answers = replace(answers, **{question.field: ask_question(question, shown, default)})
     return answers

@@ -23,9 +23,9 @@ from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive
 from handctl.drives.discovery import DiscoveredNode
 from handctl.errors import ConfigError, PowerError
-from handctl.runtime.buses.open import check_spec
+from handctl.runtime.buses.open import check_bus_spec
 from handctl.runtime.diagnostics.conformance import (
-    REQUIREMENTS,
+    CHECKED_REQUIREMENTS,
     CheckVerdict,
     ConformanceCheck,
     DeviceUnderTest,
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     options = parse_options(args.option)
     if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= MAX_TORQUE_N_M):
         raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {MAX_TORQUE_N_M:g}")
-    check_spec(args.bus)
+    check_bus_spec(args.bus)
     describe_drive(args, options, None)
     if args.dry_run:
         return _dry_run(args)
@@ -76,10 +76,10 @@ def run(args: argparse.Namespace) -> int:
 
 def _dry_run(args: argparse.Namespace) -> int:
     if args.json:
-        print_json({"checks": [name for name, _, _ in REQUIREMENTS], "torque_limit_N_m": args.limit})
+        print_json({"checks": [name for name, _, _ in CHECKED_REQUIREMENTS], "torque_limit_N_m": args.limit})
         return ExitCode.DONE
     print(f"would check that {args.protocol} {args.node}, with at most {args.limit:g} N m,")
-    for name, _, turns in REQUIREMENTS:
+    for name, _, turns in CHECKED_REQUIREMENTS:
         print(f"  {name}" + (" (the shaft turns)" if turns else ""))
     return ExitCode.DONE
 
@@ -97,10 +97,10 @@ def _run_checks(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tup
                 if not args.json:
                     print(f"{VERDICT_WORDS[check.verdict]}  {check.name}: {check.reason}", flush=True)
         finally:
-            if len(results) < len(REQUIREMENTS):
+            if len(results) < len(CHECKED_REQUIREMENTS):
                 bus.send(drive.cut())
             off = release_drive(rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None)
-            if not off and len(results) < len(REQUIREMENTS):  # ended by Ctrl-C or a bug: report it here
+            if not off and len(results) < len(CHECKED_REQUIREMENTS):  # ended by Ctrl-C or a bug: report it here
                 raise PowerError(NOT_OFF_WARNING)
     return results, off
 

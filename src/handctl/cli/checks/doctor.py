@@ -14,7 +14,7 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
 from handctl.extras import extras_installed
-from handctl.runtime.clocks.priority import Priority, realtime_priority, restore_priority, take_priority
+from handctl.runtime.clocks.priority import GrantedPriority, realtime_priority, restore_priority, take_priority
 from handctl.runtime.paths import run_dir
 from handctl.session.exit_codes import ExitCode
 
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         _check_socketcan(),
         _check_interfaces(),
         _check_vulkan(),
-        _extras(),
+        _extras_finding(),
         _check_space(),
     ]
     if args.json:
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE if all(good for _, good, _ in findings) else ExitCode.FAILED
 
 
-def _print_findings(findings: Sequence["Finding"]) -> None:
+def _print_findings(findings: Sequence["DoctorFinding"]) -> None:
     """Print the findings.
 
     With ``--quiet``, good findings are left out. With ``--verbose``, versions are added.
@@ -65,7 +65,7 @@ def _print_findings(findings: Sequence["Finding"]) -> None:
             print_detail(f"{name}: {value}")
 
 
-Finding = tuple[str, bool, str]
+DoctorFinding = tuple[str, bool, str]
 
 
 def _version_fields() -> dict[str, object]:
@@ -78,7 +78,7 @@ def _version_fields() -> dict[str, object]:
     }
 
 
-def _extras() -> Finding:
+def _extras_finding() -> DoctorFinding:
     missing = [extra for extra, installed in extras_installed().items() if not installed]
     return (
         f"optional packages; not installed: {', '.join(missing) or 'none'}",
@@ -87,14 +87,14 @@ def _extras() -> Finding:
     )  # the controller needs no extra
 
 
-def _granted_priority() -> Priority:
+def _granted_priority() -> GrantedPriority:
     """Request and release real-time priority, and return the priority that the system granted."""
     granted = take_priority()
     restore_priority()
     return granted
 
 
-def _check_priority() -> Finding:
+def _check_priority() -> DoctorFinding:
     granted = _granted_priority().realtime
     return (
         "real-time priority (SCHED_FIFO)",
@@ -103,7 +103,7 @@ def _check_priority() -> Finding:
     )
 
 
-def _check_memory() -> Finding:
+def _check_memory() -> DoctorFinding:
     granted = _granted_priority().locked
     return (
         "locked memory",
@@ -112,7 +112,7 @@ def _check_memory() -> Finding:
     )
 
 
-def _check_wakeups() -> Finding:
+def _check_wakeups() -> DoctorFinding:
     """Check how late the system wakes a sleeping control process, and whether a hypervisor takes the processor away."""
     begin, ticks = time.monotonic(), _processor_ticks()
     latest = 0.0
@@ -144,7 +144,7 @@ def _processor_ticks() -> tuple[int, int]:
     return sum(ticks), ticks[7]
 
 
-def _check_socketcan() -> Finding:
+def _check_socketcan() -> DoctorFinding:
     fix = "the kernel has no CAN: use local:NAME, or load it with 'modprobe can can_raw vcan'"
     if not hasattr(socket, "AF_CAN"):
         return "SocketCAN", False, "only Linux has it: use local:NAME or a python-can interface"
@@ -155,7 +155,7 @@ def _check_socketcan() -> Finding:
     return "SocketCAN", True, ""
 
 
-def _check_interfaces() -> Finding:
+def _check_interfaces() -> DoctorFinding:
     net = Path("/sys/class/net")
     names = [
         path.name for path in net.glob("*") if (path / "type").exists() and (path / "type").read_text().strip() == "280"
@@ -164,7 +164,7 @@ def _check_interfaces() -> Finding:
     return f"CAN interfaces: {', '.join(sorted(names)) or 'none'}", bool(names), fix
 
 
-def _check_vulkan() -> Finding:
+def _check_vulkan() -> DoctorFinding:
     has_driver = bool(list(Path("/usr/share/vulkan/icd.d").glob("*.json"))) or sys.platform != "linux"
     return (
         "Vulkan driver for pictures of the viewer",
@@ -173,7 +173,7 @@ def _check_vulkan() -> Finding:
     )
 
 
-def _check_space() -> Finding:
+def _check_space() -> DoctorFinding:
     try:
         folder = run_dir()
     except BusError as error:

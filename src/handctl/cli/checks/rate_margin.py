@@ -27,17 +27,17 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
         return []
     # The loops are computed by the compiled core. No other check of a hand needs this import.
     from handctl.tune.loops.linear import LoopKind, open_loop
-    from handctl.tune.loops.margins import GAIN_MARGIN_DB, margins_of_loop
+    from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 
     model = HandModel.of(hand, gains, rate_hz)
     found = {name: margins_of_loop(open_loop(model, i, LoopKind.MOTION)) for i, name in enumerate(hand.tendon_names)}
     name, worst = min(found.items(), key=lambda item: item[1].gain_db)
-    if worst.gain_db >= GAIN_MARGIN_DB:
+    if worst.gain_db >= MIN_GAIN_MARGIN_DB:
         return []
     buses = split_motors_over_buses(hand, SAFE_HZ)
     remedy = f"{len(buses)} buses allow {SAFE_HZ:g} Hz (bus plan --rate {SAFE_HZ:g})" if buses else "a faster bus"
     return [
         f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop has a gain margin of "
-        f"{worst.gain_db:.1f} dB instead of {GAIN_MARGIN_DB:g} dB, and a run may oscillate and "
+        f"{worst.gain_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB, and a run may oscillate and "
         f"end with N14b or T03; {remedy}"
     ]

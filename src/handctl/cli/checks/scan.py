@@ -13,7 +13,7 @@ from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.registry import PROTOCOLS_WITHOUT_DISCOVERY
 from handctl.hand.file.sections import CIA404
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.diagnostics.scan import Scan, requests_without_answers, scan_bus
+from handctl.runtime.diagnostics.scan import BusScan, requests_without_answers, scan_bus
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import ExitCode
 
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     buses = named_buses(args.bus)
     if args.dry_run:
         return _print_requests(args.json)
-    scans: dict[str, Scan] = {}
+    scans: dict[str, BusScan] = {}
     for name, spec in buses.items():
         opened = open_bus(spec, 0, args.bitrate)
         try:
@@ -87,7 +87,7 @@ def _add_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[st
     )
 
 
-def _scan_fields(name: str, spec: str, result: Scan) -> dict[str, Any]:
+def _scan_fields(name: str, spec: str, result: BusScan) -> dict[str, Any]:
     return {
         "name": name,
         "bus": spec,
@@ -104,7 +104,7 @@ def _frame_text(frame: Frame) -> str:
     return f"{frame.can_id & 0x1FFFFFFF:03X}#" + ("R" if frame.can_id & REMOTE else frame.data.hex().upper())
 
 
-def _print_scans(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
+def _print_scans(buses: dict[str, str], scans: dict[str, BusScan], piece: str) -> None:
     for name, result in scans.items():
         print(f"{name} ({buses[name]}): {len(result.found)} nodes, {result.frames} frames received")
         if result.foreign:

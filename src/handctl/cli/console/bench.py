@@ -12,10 +12,10 @@ from pydantic import ValidationError
 from handctl.cli.checks.scan import add_identities
 from handctl.cli.console.verbosity import print_note
 from handctl.drives.contract import Drive
-from handctl.drives.discovery import LISTEN_S, DiscoveredNode
+from handctl.drives.discovery import SCAN_LISTEN_S, DiscoveredNode
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
-from handctl.drives.registry import PROTOCOLS, make_drive
+from handctl.drives.registry import PROTOCOL_ENTRIES, make_drive
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.file.error_text import toml_spelling
 from handctl.hand.file.sections import Motor
@@ -25,7 +25,7 @@ from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.priority import restore_priority, take_priority
 from handctl.runtime.clocks.real import RealClock
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
-from handctl.runtime.diagnostics.scan import Scan, receive_for, scan_bus
+from handctl.runtime.diagnostics.scan import BusScan, collect_frames, scan_bus
 
 NOT_OFF_WARNING = "the drive does not report that it is off: REMOVE ITS POWER"
 """Message about a drive that may still make torque."""
@@ -60,11 +60,11 @@ def parse_options(words: list[str]) -> dict[str, Any]:
     """
     options: dict[str, Any] = {}
     for word in words:
-        options |= _option(word)
+        options |= _option_from_word(word)
     return options
 
 
-def _option(word: str) -> dict[str, Any]:
+def _option_from_word(word: str) -> dict[str, Any]:
     key, _, value = word.partition("=")
     quoted = f'{key}="{value}"'
     if key.strip() in TEXT_VALUED_OPTIONS and value[:1] not in ('"', "'"):
@@ -145,7 +145,7 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
     print_note(f"{args.bus}: searching for the drive")
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
     try:
-        result = scan_bus(bus) if PROTOCOLS[args.protocol].discovery else _listen_for_drive(args, bus)
+        result = scan_bus(bus) if PROTOCOL_ENTRIES[args.protocol].discovery else _listen_for_drive(args, bus)
     finally:
         bus.close()
     if result.foreign:
@@ -164,7 +164,7 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
     raise DriveError(f"no {args.protocol} {args.node}; found: {there}", args.bus, right)
 
 
-def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> Scan:
+def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> BusScan:
     """Return a scan result for a drive that answers only to commands, not to a scan.
 
     The function only listens. A frame with the drive's identifier must come from another host.
@@ -172,9 +172,9 @@ def _listen_for_drive(args: argparse.Namespace, bus: Bus) -> Scan:
     Only the first check after the scan shows whether the drive is present.
     """
     seen: list[Frame] = []
-    receive_for(bus, LISTEN_S, seen)
+    collect_frames(bus, SCAN_LISTEN_S, seen)
     foreign = tuple(frame for frame in seen if frame.can_id == args.node)
-    return Scan((DiscoveredNode(args.protocol, args.node),), foreign, (), (), len(seen))
+    return BusScan((DiscoveredNode(args.protocol, args.node),), foreign, (), (), len(seen))
 
 
 def with_torque_range(drive: Drive, node: DiscoveredNode) -> Drive:

@@ -16,18 +16,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from handctl.cli.console.screen import rich_console
-from handctl.core.types import GAIN_EVENT, Event, Mode, TickIn, TickOut
+from handctl.core.types import GAIN_EVENT, Mode, TickEvent, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.printing import escaped_streams
 from handctl.safety.faults.table import remedy_for
 
-EVERY_S = 0.1
-STDERR = 2
+REFRESH_PERIOD_S = 0.1
+STDERR_FD = 2
 """File descriptor to which the display prints. Standard output is reserved for results."""
 ONE_SECOND_NS = 1_000_000_000
-MAX_COLUMNS = 120
+MAX_LINE_CHARACTERS = 120
 """Length of the longest plain line [characters]."""
-NO_BREAK = "\u00a0"
+NO_BREAK_SPACE = "\u00a0"
 
 
 class DisplayProcess:
@@ -51,12 +51,12 @@ class DisplayProcess:
             rate_hz: control rate [Hz].
             load: worst-case bus load, from 0 to 1.
         """
-        self.every = max(1, round(EVERY_S * rate_hz))
+        self.every = max(1, round(REFRESH_PERIOD_S * rate_hz))
         head = {"names": names, "ceiling": ceiling, "rate_hz": rate_hz, "load": load}
         self.child = subprocess.Popen(
             [sys.executable, "-m", "handctl.cli.console.display"],
             stdin=subprocess.PIPE,
-            stdout=STDERR,
+            stdout=STDERR_FD,
             start_new_session=True,
         )
         assert self.child.stdin is not None
@@ -73,7 +73,7 @@ class DisplayProcess:
         return DisplayProcess(hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load)
 
     def show(self, entry: TickIn, out: TickOut) -> None:
-        """Send a line about the tick to the display, if ``EVERY_S`` has passed or if the tick has an event."""
+        """Send a line about the tick to the display, if ``REFRESH_PERIOD_S`` has passed or if the tick has an event."""
         self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
         if entry.k % self.every and not out.events:
             return
@@ -93,7 +93,7 @@ class DisplayProcess:
         self.worst_late_ns = 0
         self._write_line(line)
 
-    def _is_due(self, t_ns: int, event: Event) -> bool:
+    def _is_due(self, t_ns: int, event: TickEvent) -> bool:
         """Return True if the display shall print an event.
 
         A warning that repeats is printed at most once per second. The log contains every event.
@@ -106,7 +106,7 @@ class DisplayProcess:
             self.last_warning_ns[fault_id] = t_ns
         return news
 
-    def _event_text(self, event: Event) -> str:
+    def _event_text(self, event: TickEvent) -> str:
         """Return the text that the display prints for an event.
 
         When a fault is first reported, a second line has the remedy. A changed gain is printed with
@@ -161,9 +161,9 @@ def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
     start = f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension [N]  "
     pairs = zip(short_names(names), line["tension"], strict=True)
     # A no-break space keeps the name of a tendon and its value on the same line.
-    text = "  ".join(f"{name}{NO_BREAK}{f:.1f}" for name, f in pairs)
-    rows = textwrap.fill(text, MAX_COLUMNS, initial_indent=start, subsequent_indent=" " * len(start))
-    return rows.replace(NO_BREAK, " ")
+    text = "  ".join(f"{name}{NO_BREAK_SPACE}{f:.1f}" for name, f in pairs)
+    rows = textwrap.fill(text, MAX_LINE_CHARACTERS, initial_indent=start, subsequent_indent=" " * len(start))
+    return rows.replace(NO_BREAK_SPACE, " ")
 
 
 def _draw_in_place(head: dict[str, Any]) -> None:

@@ -5,10 +5,10 @@ from typing import Any
 
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import Plan, check_design
+from handctl.session.plan import RunPlan, check_gain_margins
 
 
-def report_dry_run(args: argparse.Namespace, plan: Plan, *lines: str, **fields: Any) -> int:
+def report_dry_run(args: argparse.Namespace, plan: RunPlan, *lines: str, **fields: Any) -> int:
     """Check that the gains give a valid design, and report the planned run.
 
     Args:
@@ -20,7 +20,7 @@ def report_dry_run(args: argparse.Namespace, plan: Plan, *lines: str, **fields: 
     Raises:
         ConfigError: the design of the controller or of the filter fails.
     """
-    check_design(plan.hand, plan.gains, plan.rate_hz)
+    check_gain_margins(plan.hand, plan.gains, plan.rate_hz)
     if args.json:
         run = {"rate_hz": plan.rate_hz, "bus_load": max(plan.load), "buses": list(plan.buses)}
         print_json({"hand": plan.hand.name, **run, **fields})

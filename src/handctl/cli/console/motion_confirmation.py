@@ -14,14 +14,14 @@ from handctl.core.gains.gains import load_gains_file
 from handctl.errors import ConfigError
 from handctl.programs.calibration import Calibration
 from handctl.runtime.buses.open import real_buses
-from handctl.session.plan import Plan
+from handctl.session.plan import RunPlan
 
 MINUTE_S = 60.0
 HOUR_S = 3600.0
 DAY_S = 86400.0
 
 
-def announce_motion(args: argparse.Namespace, plan: Plan, path: Path, calibration: Calibration | None) -> None:
+def announce_motion(args: argparse.Namespace, plan: RunPlan, path: Path, calibration: Calibration | None) -> None:
     """Print the files that a run uses. On a real bus, then ask the operator whether the hand may move.
 
     Args:

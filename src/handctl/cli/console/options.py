@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.parsing.completion import hand_names
-from handctl.drives.motor_description import GUARDED
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.errors import ConfigError
-from handctl.hand.file.quantities import FASTEST_BUS, SLOWEST_BUS
+from handctl.hand.file.quantities import MAX_BITRATE_BIT_S, MIN_BITRATE_BIT_S
 from handctl.printing import escape_surrogates, one_line_message
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
@@ -55,7 +55,7 @@ def checked_count(number: int, option: str, maximum: int) -> int:
 def add_protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Declare --protocol, which selects drives of another protocol for the same hand."""
     text = "drives of the simulated hand (default: as in its file)" + more
-    parser.add_argument("--protocol", choices=GUARDED, help=text)
+    parser.add_argument("--protocol", choices=GUARDED_PROTOCOLS, help=text)
 
 
 def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
@@ -79,8 +79,8 @@ def add_bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str
 def _bit_rate(word: str) -> int:
     """Return a bit rate of the command line [bit/s], after a check against the limits of a hand file."""
     rate = int(word)
-    if not SLOWEST_BUS <= rate <= FASTEST_BUS:
-        raise argparse.ArgumentTypeError(f"{word}; expected {SLOWEST_BUS} to {FASTEST_BUS} bit/s")
+    if not MIN_BITRATE_BIT_S <= rate <= MAX_BITRATE_BIT_S:
+        raise argparse.ArgumentTypeError(f"{word}; expected {MIN_BITRATE_BIT_S} to {MAX_BITRATE_BIT_S} bit/s")
     return rate
 
 

@@ -12,16 +12,16 @@ from handctl.hand.description import Hand
 from handctl.output import check_output
 from handctl.programs.calibration import Calibration
 from handctl.session import calibration, gains, plan
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 
 
-def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
+def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.RunPlan:
     """Check hand, gains, buses and control rate of a command line, and return the plan of the run.
 
     Raises:
         ConfigError: an argument or a file is wrong.
     """
-    choice = plan.Choice(
+    choice = plan.RunChoice(
         hand=args.hand,
         hand_named=args.hand_named,
         bus=None if lockstep else args.bus,
@@ -39,7 +39,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
     return run_plan
 
 
-def _print_plan(args: argparse.Namespace, run_plan: plan.Plan) -> None:
+def _print_plan(args: argparse.Namespace, run_plan: plan.RunPlan) -> None:
     """Print the details of a plan, as ``--verbose`` demands."""
     hand = run_plan.hand
     print_detail(f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons")
@@ -48,7 +48,7 @@ def _print_plan(args: argparse.Namespace, run_plan: plan.Plan) -> None:
         f"rate: {run_plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(run_plan.buses) or 'in lockstep'}"
     )
     for key, origin in layered_gains(args, hand).origins.items():
-        if origin != gains.PACKAGED:
+        if origin != gains.PACKAGED_ORIGIN:
             print_detail(f"gain {key} is from {origin}")
 
 
@@ -63,7 +63,7 @@ def print_notice(text: str) -> None:
         print_note(text)
 
 
-def _display_starter(of: plan.Plan) -> plan.Display:
+def _display_starter(of: plan.RunPlan) -> plan.OperatorDisplay:
     """Return a function that starts the display of a run."""
     from handctl.cli.console.display import DisplayProcess
 
@@ -126,7 +126,7 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
         ConfigError: a word is not KEY=NUMBER, a key or a factor is invalid, or the command does not
             simulate the hand.
     """
-    factors = gains.assignments(args.perturb, "--perturb")
+    factors = gains.gain_assignments(args.perturb, "--perturb")
     if factors and not simulated:
         raise ConfigError(
             "only with --lockstep",
@@ -134,7 +134,7 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
             "a simulator with it: python -m firmware_sim --perturb",
         )
     if factors:
-        Simulator(args.hand, perturb=factors).check()
+        SimulatorSettings(args.hand, perturb=factors).check()
     return factors
 
 

@@ -78,7 +78,7 @@ def check_terminal() -> None:
         raise ConfigError("nobody can answer the questions: no terminal", "config init", "--yes, and options")
 
 
-def answer(question: Question, shown: str, default: Any) -> Any:
+def ask_question(question: Question, shown: str, default: Any) -> Any:
     """Ask a question until the answer is valid, and return the answer."""
     while True:
         text = input(f"{question.text} [{shown}]: ").strip()

@@ -18,12 +18,12 @@ from handctl.printing import escaped_streams
 from handctl.session.exit_codes import ExitCode
 
 
-class Terminated(KeyboardInterrupt):
+class TerminationRequested(KeyboardInterrupt):
     """Exception that SIGTERM raises, and SIGHUP when the terminal is closed."""
 
 
 def _raise_terminated(number: int, frame: FrameType | None) -> None:
-    raise Terminated
+    raise TerminationRequested
 
 
 @contextmanager

@@ -21,7 +21,7 @@ class Verbosity(IntEnum):
     VERBOSE = 2
 
 
-_verbosity: ContextVar[Verbosity] = ContextVar("verbosity", default=Verbosity.NORMAL)
+_current_verbosity: ContextVar[Verbosity] = ContextVar("verbosity", default=Verbosity.NORMAL)
 
 
 @contextmanager
@@ -30,21 +30,21 @@ def use_verbosity(args: argparse.Namespace) -> Iterator[None]:
     quiet = getattr(args, "quiet", False)
     verbose = getattr(args, "verbose", False)
     level = Verbosity.QUIET if quiet else Verbosity.VERBOSE if verbose else Verbosity.NORMAL
-    token = _verbosity.set(level)
+    token = _current_verbosity.set(level)
     try:
         yield
     finally:
-        _verbosity.reset(token)
+        _current_verbosity.reset(token)
 
 
 def is_quiet() -> bool:
     """Return True if only results and errors are printed."""
-    return _verbosity.get() == Verbosity.QUIET
+    return _current_verbosity.get() == Verbosity.QUIET
 
 
 def is_verbose() -> bool:
     """Return True if details are printed."""
-    return _verbosity.get() == Verbosity.VERBOSE
+    return _current_verbosity.get() == Verbosity.VERBOSE
 
 
 def print_note(text: str) -> None:

@@ -4,10 +4,10 @@ from typing import Any
 
 from handctl.cli.console.screen import rich_console
 from handctl.report.summary import angle_rows
-from handctl.session.plan import Plan
+from handctl.session.plan import RunPlan
 
 
-def print_summary(result: dict[str, Any], plan: Plan) -> None:
+def print_summary(result: dict[str, Any], plan: RunPlan) -> None:
     """Print the table of results of a finished run."""
     from rich.table import Table
 

@@ -7,15 +7,15 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import add_jobs_option, add_json_option, add_output_option, add_run_options
-from handctl.cli.parsing.parser import Example, Parser, add_sub_verb
+from handctl.cli.parsing.parser import CommandExample, VerbParser, add_sub_verb
 
 
-def _example_with_log(command: str) -> Example:
+def _example_with_log(command: str) -> CommandExample:
     """Return an example of a command.
 
     If there is no log ``run.mcap``, the example first records one.
     """
-    return Example(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
+    return CommandExample(f"[ -e run.mcap ] || handctl demo --lockstep --log run.mcap; {command}")
 
 
 EXAMPLES = {
@@ -35,7 +35,7 @@ EXAMPLES = {
     "report": _example_with_log("handctl report run.mcap"),
 }
 """Example command line for the help of each command and subcommand."""
-FORMATS = {
+EXPORT_FORMATS = {
     "parquet": "one table with a row per tick",
     "csv": "the table of --parquet as text",
     "candump": "all frames as a text log of can-utils",
@@ -61,7 +61,7 @@ def view(parser: argparse.ArgumentParser) -> None:
     add_json_option(parser)
 
 
-def replay(parser: Parser) -> None:
+def replay(parser: VerbParser) -> None:
     """Declare the arguments of ``replay``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
     _declare_execute(
@@ -71,7 +71,7 @@ def replay(parser: Parser) -> None:
     _declare_safety(_add_kind(kinds, "safety", "apply other safety limits to the recorded run; no bus"))
 
 
-def _add_kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
+def _add_kind(kinds: "argparse._SubParsersAction[VerbParser]", name: str, text: str) -> VerbParser:
     parser = add_sub_verb(kinds, name, text, EXAMPLES[f"replay {name}"])
     parser.add_argument("recorded", type=Path, metavar="LOG", help="log of the recorded run")
     return parser
@@ -104,11 +104,11 @@ def _declare_safety(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--limits", type=Path, required=True, metavar="FILE", help=text)
 
 
-def log(parser: Parser) -> None:
+def log(parser: VerbParser) -> None:
     """Declare the arguments of ``log``."""
     kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
 
-    def kind(name: str, text: str) -> Parser:
+    def kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"log {name}"])
         add_json_option(one)
         one.add_argument("log", type=Path, help="the log")
@@ -123,7 +123,7 @@ def log(parser: Parser) -> None:
     out = kind("export", "write the log in a format that other tools read")
     out.add_argument("more", type=Path, nargs="*", metavar="LOG", help="further logs of the hand, with --lerobot")
     group = out.add_mutually_exclusive_group(required=True)
-    for name, text in FORMATS.items():
+    for name, text in EXPORT_FORMATS.items():
         group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
     out.add_argument(
         "--fps", type=int, metavar="HZ", help="frame rate of a LeRobot dataset (default: the control rate)"

@@ -13,7 +13,7 @@ from handctl.log.read.reader import RunLog
 from handctl.output import atomic_path, path_with_suffix
 from handctl.session.exit_codes import ExitCode
 
-UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
+EXPORT_UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
 """Unit in which the exported data are counted, by format.
 
 For the other formats, rows are counted.
@@ -149,7 +149,7 @@ def _export_log(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"log": str(args.log), "output": str(out), "count": count})
     else:
-        print_escaped(f"{out}: {count} {UNITS.get(args.format, 'rows')}")
+        print_escaped(f"{out}: {count} {EXPORT_UNITS.get(args.format, 'rows')}")
     return code
 
 

@@ -66,6 +66,6 @@ def run(args: argparse.Namespace) -> int:
     if not complete:
         reason = outcome.state.failure or "stopped"
         print_escaped(f"handctl: {reason}: {seconds:.2f} of {end_s - start_s:.2f} s were driven", error=True)
-    if outcome.exit != ExitCode.DONE:
-        return outcome.exit
+    if outcome.exit_code != ExitCode.DONE:
+        return outcome.exit_code
     return lossy if complete else ExitCode.FAILED

@@ -98,9 +98,9 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
 
 def _writer_text(log: Any) -> tuple[str, str]:
     """Return version and code identity of the handctl that has written a log."""
-    from handctl.log.code_identity import UNKNOWN
+    from handctl.log.code_identity import UNKNOWN_IDENTITY
 
-    return log.header.metadata.get("version", UNKNOWN), log.header.metadata.get("code", UNKNOWN)
+    return log.header.metadata.get("version", UNKNOWN_IDENTITY), log.header.metadata.get("code", UNKNOWN_IDENTITY)
 
 
 def _difference_line(one: Any) -> str:
@@ -113,10 +113,10 @@ def _difference_line(one: Any) -> str:
 def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
     """Execute the log with other gains, and draw the resulting commands. Always return True."""
     from handctl.core.gains.gains import load_gains
-    from handctl.replay.counterfactual import Commands, command_change, draw_commands
+    from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
     from handctl.replay.execute import execute_log
 
-    commands = Commands()
+    commands = CommandCollector()
     picture = args.picture or path_with_suffix(args.recorded, ".gains.png")
     check_output(picture, "--picture", args.recorded, args.gains)
     gains = load_gains(args.gains)

@@ -19,9 +19,9 @@ def run(args: argparse.Namespace) -> int:
     os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
     _check_options(args)
     if args.follow:
-        from handctl.view.follow import follow
+        from handctl.view.follow import follow_log
 
-        follow(args.log)
+        follow_log(args.log)
         return ExitCode.DONE
     from handctl.log.read.reader import RunLog
     from handctl.view.scene.run_info import RunInfo

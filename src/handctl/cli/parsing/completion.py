@@ -8,9 +8,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.parsing.parser import Parser
+from handctl.cli.parsing.parser import VerbParser
 
-HANDS = Path(__file__).parents[2] / "hand" / "hands"
+HANDS_FOLDER = Path(__file__).parents[2] / "hand" / "hands"
 """Folder of the packaged hands, the same as in ``hand.load``.
 
 An import of ``hand.load`` would delay the completion.
@@ -22,7 +22,7 @@ def is_completing() -> bool:
     return "_ARGCOMPLETE" in os.environ
 
 
-def print_completions(parser: Parser) -> None:
+def print_completions(parser: VerbParser) -> None:
     """Print completions of the command line for the shell, and end this process."""
     import argcomplete
 
@@ -32,5 +32,5 @@ def print_completions(parser: Parser) -> None:
 def hand_names(prefix: str, **context: Any) -> list[str]:
     """Return the names of packaged hands and of hand files that begin with a prefix."""
     files = [path for path in Path().glob("*.toml") if path.is_file()]
-    return [name for name in (*sorted(path.stem for path in HANDS.glob("*.toml")), *map(str, files))
+    return [name for name in (*sorted(path.stem for path in HANDS_FOLDER.glob("*.toml")), *map(str, files))
             if name.startswith(prefix)]  # fmt: skip

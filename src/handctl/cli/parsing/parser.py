@@ -23,7 +23,7 @@ SIMULATED_HAND = "handctl sim --hand jamia --bus local:demo"
 RUNNING_HAND = "handctl run --hand jamia --bus local:demo"
 
 
-class Example(NamedTuple):
+class CommandExample(NamedTuple):
     """Example command line for a help text. The command works if pasted into a shell.
 
     Attributes:
@@ -51,7 +51,7 @@ class HelpFormatter(argparse.HelpFormatter):
         return "\n".join(lines)
 
 
-class Parser(argparse.ArgumentParser):
+class VerbParser(argparse.ArgumentParser):
     """Argument parser with the options that every command has.
 
     Parsers of subcommands have the same class.
@@ -161,7 +161,9 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
     return f", did you mean {near}?" if near else ""
 
 
-def add_sub_verb(sub_verbs: "argparse._SubParsersAction[Parser]", name: str, text: str, example: Example) -> "Parser":
+def add_sub_verb(
+    sub_verbs: "argparse._SubParsersAction[VerbParser]", name: str, text: str, example: CommandExample
+) -> "VerbParser":
     """Add the parser of a subcommand, and return this parser.
 
     Args:

@@ -3,7 +3,7 @@
 The table of renamed options in docs/reference/command-line.md has the same rows.
 """
 
-RENAMED = {
+RENAMED_OPTIONS = {
     "bus plan": {"--detail": "--verbose"},
     "conformance": {"--drive": "--protocol"},
     "fault campaign": {"--report": "--output"},
@@ -29,4 +29,4 @@ def new_spelling(verb: str, option: str) -> str:
     Returns:
         the new spelling. The text is empty if the option was not renamed.
     """
-    return RENAMED.get(verb, {}).get(option, "")
+    return RENAMED_OPTIONS.get(verb, {}).get(option, "")

@@ -18,18 +18,18 @@ from handctl.cli.console.options import (
     add_time_scale_option,
     add_wire_option,
 )
-from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, Example
+from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, CommandExample
 from handctl.drives.modes import DriveMode
-from handctl.drives.motor_description import PROTOCOLS
+from handctl.drives.motor_description import PROTOCOL_TRAITS
 
 EXAMPLES = {
-    "demo": Example("handctl demo --lockstep"),
-    "run": Example("handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"),
-    "stop": Example("handctl stop --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
-    "clear": Example("handctl clear --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
-    "commission": Example("handctl commission --hand jamia --bus local:demo --dry-run"),
-    "jog": Example("handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run"),
-    "sim": Example("handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"),
+    "demo": CommandExample("handctl demo --lockstep"),
+    "run": CommandExample("handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"),
+    "stop": CommandExample("handctl stop --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
+    "clear": CommandExample("handctl clear --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
+    "commission": CommandExample("handctl commission --hand jamia --bus local:demo --dry-run"),
+    "jog": CommandExample("handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run"),
+    "sim": CommandExample("handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"),
 }
 """Example command line for the help of each command."""
 DRIVE_EXAMPLE = (
@@ -116,7 +116,7 @@ def jog(parser: argparse.ArgumentParser) -> None:
 def _drive_options(group: argparse._ArgumentGroup) -> None:
     """Declare the options of ``jog`` for one drive on a bench."""
     add = group.add_argument
-    add("--protocol", choices=sorted(PROTOCOLS), help="protocol of the drive")
+    add("--protocol", choices=sorted(PROTOCOL_TRAITS), help="protocol of the drive")
     add("--node", type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus")
     text = "torque [N m], velocity [rad/s], or position relative to the present position [rad]"
     add("--setpoint", type=float, metavar="X", help=text)

@@ -6,7 +6,7 @@ from handctl.cli.console.dry_run import report_dry_run
 from handctl.cli.console.motion_confirmation import announce_motion
 from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import calibration_path, make_plan
-from handctl.session.calibration import commission, previous_identified, write_calibration
+from handctl.session.calibration import previous_identified, run_commissioning, write_calibration
 from handctl.session.plan import default_log
 from handctl.session.run import run_live
 
@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
         return report_dry_run(args, plan, line, calibration=path)
     announce_motion(args, plan, path, None)
     log = args.log or default_log(plan.hand, "commission")
-    calibration, outcome = commission(plan, log, run_live)
+    calibration, outcome = run_commissioning(plan, log, run_live)
     previous = previous_identified(path, plan.hand, calibration.drive, plan.tell)
     calibration = calibration.model_copy(update={"identified": previous})
     write_calibration(path, calibration)
@@ -28,4 +28,4 @@ def run(args: argparse.Namespace) -> int:
         print_json({"calibration": str(path), "log": str(log), **calibration.model_dump(by_alias=True)})
     else:
         print(f"calibration written to {path}")
-    return outcome.exit
+    return outcome.exit_code

@@ -22,20 +22,27 @@ from handctl.cli.console.options import (
 from handctl.cli.console.plan import make_plan
 from handctl.cli.console.verbosity import print_note
 from handctl.cli.runs.other_protocol import hand_in_protocol
-from handctl.cli.runs.run import report
+from handctl.cli.runs.run import print_run_result
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.runtime.paths import truth_path
-from handctl.session.calibration import IdentifiedByTendon, commission, identified_in, write_calibration
+from handctl.session.calibration import IdentifiedByTendon, identified_in, run_commissioning, write_calibration
 from handctl.session.exit_codes import ExitCode
-from handctl.session.gains import assignments
-from handctl.session.plan import Plan, commission_log, default_log
-from handctl.session.run import Outcome, Runner, make_controller, refuse_view_without_screen, run_live, run_lockstep
-from handctl.session.simulate import Simulator
+from handctl.session.gains import gain_assignments
+from handctl.session.plan import RunPlan, commission_log, default_log
+from handctl.session.run import (
+    RunFunction,
+    RunOutcome,
+    make_controller,
+    refuse_view_without_screen,
+    run_live,
+    run_lockstep,
+)
+from handctl.session.simulate import SimulatorSettings
 from handctl.session.tasks import find_scene, find_task
 
-SIMULATOR = "firmware_sim"
+SIMULATOR_PACKAGE = "firmware_sim"
 START_TIMEOUT_S = 20.0
 
 
@@ -57,7 +64,7 @@ def _run_demo(args: argparse.Namespace) -> int:
     plan = make_plan(args, lockstep=args.lockstep)
     task, text = find_task(args.task, plan.hand)
     args.scene = find_scene(args.scene, plan.hand)
-    assignments(args.perturb, "--perturb")
+    gain_assignments(args.perturb, "--perturb")
     identified = identified_in(args.calibration, plan.hand)
     if args.dry_run:
         _make_simulated_hand(args, None).check()
@@ -76,7 +83,7 @@ def _run_demo(args: argparse.Namespace) -> int:
 
     result = judge_run(plan, outcome, log, truth, task=task)
     result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
-    code = report(result, outcome, plan, args.json)
+    code = print_run_result(result, outcome, plan, args.json)
     if code == ExitCode.DONE and result["failure"]:
         print(f"handctl: {DriveError(result['failure'], f'{task.name} on {args.scene}')}", file=sys.stderr)
         return ExitCode.FAILED
@@ -93,8 +100,8 @@ def _bus_words(names: tuple[str, ...]) -> list[str]:
 
 
 def _run_in_real_time(
-    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
-) -> Outcome:
+    args: argparse.Namespace, plan: RunPlan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
+) -> RunOutcome:
     """Run the demo in real time, with the simulator as a separate process."""
     runners = (run_live, partial(run_live, live_view=args.view))
     with running_simulator(args, plan):
@@ -102,12 +109,16 @@ def _run_in_real_time(
 
 
 def _commission_and_run(
-    plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], identified: IdentifiedByTendon
-) -> Outcome:
+    plan: RunPlan,
+    program: TaskProgram,
+    log: Path,
+    runners: tuple[RunFunction, RunFunction],
+    identified: IdentifiedByTendon,
+) -> RunOutcome:
     """Commission the hand, then run the program with parameters of the hand that were identified earlier."""
     first, then = runners
     print_note(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon")
-    calibration, _ = commission(plan, commission_log(log), first)
+    calibration, _ = run_commissioning(plan, commission_log(log), first)
     calibration = calibration.model_copy(update={"identified": identified})
     path = log.with_suffix(".calibration.toml")
     write_calibration(path, calibration)
@@ -116,8 +127,8 @@ def _commission_and_run(
 
 
 def _run_in_lockstep(
-    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
-) -> tuple[Outcome, Path]:
+    args: argparse.Namespace, plan: RunPlan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
+) -> tuple[RunOutcome, Path]:
     """Run the demo in virtual time. Return the outcome and the path of the truth file."""
     truth = log.with_suffix(".truth")
     with _make_simulated_hand(args, truth).clock(plan.period_ns) as clock:
@@ -125,13 +136,13 @@ def _run_in_lockstep(
         return _commission_and_run(plan, program, log, (runner, runner), identified), truth
 
 
-def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> Simulator:
+def _make_simulated_hand(args: argparse.Namespace, truth: Path | None) -> SimulatorSettings:
     """Return the simulated hand for a run in lockstep."""
-    perturb = assignments(args.perturb, "--perturb")
-    return Simulator(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
+    perturb = gain_assignments(args.perturb, "--perturb")
+    return SimulatorSettings(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
-def _speed_ratio(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
+def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall: float) -> dict[str, Any]:
     """Return fields with simulated time, real time and their ratio.
 
     The times include commissioning.
@@ -141,13 +152,13 @@ def _speed_ratio(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
 
 
 @contextmanager
-def running_simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
+def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]:
     """Start the simulator as a separate process, and stop the process at the end of the context.
 
     Raises:
         BusError: the simulator does not start.
     """
-    command = [sys.executable, "-m", SIMULATOR, "--hand", str(args.hand)]
+    command = [sys.executable, "-m", SIMULATOR_PACKAGE, "--hand", str(args.hand)]
     command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_words(args)]
     command += ["--time-scale", str(plan.time_scale), *["--strict-clock"] * args.strict_clock, *perturb_words(args)]
     for name, spec in zip(plan.hand.bus_names, plan.buses, strict=True):
@@ -159,7 +170,7 @@ def running_simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
         if "ready" not in line:
             if child.wait(START_TIMEOUT_S) == ExitCode.BAD_INPUT:
                 raise SystemExit(ExitCode.BAD_INPUT)  # the simulator has printed the reason
-            raise BusError("the simulator did not start", SIMULATOR, "a line that says ready")
+            raise BusError("the simulator did not start", SIMULATOR_PACKAGE, "a line that says ready")
         yield
     finally:
         child.terminate()

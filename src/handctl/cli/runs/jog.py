@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
         print_json({"digit": args.digit, "log": str(log), "failure": outcome.state.failure})
     else:
         print(f"{args.digit}: {outcome.state.failure or 'done'}; log {log}")
-    return outcome.exit
+    return outcome.exit_code
 
 
 def _jog_program(args: argparse.Namespace, names: tuple[str, ...], ceiling: float) -> JogProgram:

@@ -17,13 +17,13 @@ from handctl.cli.console.bench import (
 )
 from handctl.cli.console.motion_confirmation import confirm_motion
 from handctl.cli.console.options import print_json
-from handctl.drives.contract import Drive, Phase
+from handctl.drives.contract import Drive, DrivePhase
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.modes import COMMAND_UNITS, DriveMode, MotionLimits
 from handctl.drives.registry import make_mode_drive
 from handctl.errors import ConfigError, PowerError
 from handctl.hand.file.sections import Motor
-from handctl.runtime.buses.open import check_spec
+from handctl.runtime.buses.open import check_bus_spec
 from handctl.runtime.diagnostics.conformance import release_drive
 from handctl.runtime.diagnostics.drive_jog import JogGoal, JogResult, jog_drive
 from handctl.runtime.mailbox import bus_lock
@@ -36,7 +36,7 @@ MAX_POSITION_RANGE_RAD = 1000.0
 
 No hand file may have a larger range.
 """
-ANGLE = "rad"
+ANGLE_UNIT = "rad"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     goal = _motion_goal(args)
     options = parse_options(args.option)
     args.bus = args.bus[0]
-    _describe(args, options, None, goal)
+    _describe_motion(args, options, None, goal)
     line = f"{args.protocol} {args.node} on {args.bus} is moved: {_goal_text(goal)}, at most {goal.torque:g} N m"
     if args.dry_run:
         if args.json:
@@ -59,8 +59,8 @@ def run(args: argparse.Namespace) -> int:
     print(f"{line}. Ctrl-C switches the drive off.", file=sys.stderr, flush=True)
     with bus_lock(args.bus):
         node = find_drive(args)
-        drive = _describe(args, options, node, goal)
-        torque_drive = _describe(args, _torque_options(options), node, goal._replace(mode=DriveMode.TORQUE))
+        drive = _describe_motion(args, options, node, goal)
+        torque_drive = _describe_motion(args, _torque_options(options), node, goal._replace(mode=DriveMode.TORQUE))
         result, off = _move_drive(args, goal, drive, with_torque_range(torque_drive, node))
     _print_result(args, goal, result, off)
     if not off:
@@ -80,7 +80,7 @@ def _motion_goal(args: argparse.Namespace) -> JogGoal:
         raise ConfigError(repr(args.digit), "digit", right)
     if len(args.bus) != 1:
         raise ConfigError(", ".join(args.bus), "--bus", "one bus")
-    check_spec(args.bus[0])
+    check_bus_spec(args.bus[0])
     needed = {"--protocol": args.protocol, "--node": args.node, "--setpoint": args.setpoint,
               "--torque-limit-Nm": args.limit}  # fmt: skip
     missing = [name for name, value in needed.items() if value is None]
@@ -92,7 +92,7 @@ def _motion_goal(args: argparse.Namespace) -> JogGoal:
     _check_number(args.travel, "--travel", 1e-2, MAX_POSITION_RANGE_RAD)
     _check_number(args.duration, "--for", 1e-2, MAX_JOG_S)
     mode = DriveMode(args.mode)
-    largest = {"N m": args.limit, "rad/s": args.speed_limit, ANGLE: args.travel}[COMMAND_UNITS[mode]]
+    largest = {"N m": args.limit, "rad/s": args.speed_limit, ANGLE_UNIT: args.travel}[COMMAND_UNITS[mode]]
     _check_number(args.setpoint, "--setpoint", -largest, largest)
     limits = MotionLimits(args.speed_limit, args.acceleration_limit)
     return JogGoal(mode, args.setpoint, args.duration, limits, args.limit, args.travel)
@@ -108,7 +108,9 @@ def _check_number(value: float, name: str, low: float, high: float) -> None:
         raise ConfigError(f"{value:g}", name, f"{low:g} to {high:g}")
 
 
-def _describe(args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None, goal: JogGoal) -> Drive:
+def _describe_motion(
+    args: argparse.Namespace, options: dict[str, Any], node: DiscoveredNode | None, goal: JogGoal
+) -> Drive:
     """Return the drive, described in the mode of the goal.
 
     Raises:
@@ -165,7 +167,7 @@ def _move_drive(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_dr
             if result is None:
                 bus.send(drive.cut())
             rig.idle_command = lambda state: 0.0
-            complete = result is not None and not result.failure and rig.state.phase != Phase.FAULT
+            complete = result is not None and not result.failure and rig.state.phase != DrivePhase.FAULT
             watchdog_s = WATCHDOG_MS / 1e3
             off = release_drive(rig, watchdog_s, torque_drive) if complete else rig.confirm_off(watchdog_s)
             if not off and result is None:  # ended by Ctrl-C or a bug: report it here
@@ -177,7 +179,7 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
     """Print the motion that the drive has reported."""
     if args.json:
         values = {
-            "moved_rad": result.moved, "fastest_rad_s": result.fastest, "strongest_N_m": result.strongest,
+            "moved_rad": result.moved_rad, "fastest_rad_s": result.fastest, "strongest_N_m": result.strongest,
             "final_rad_s": result.final_speed,
         }  # fmt: skip
         finite = {key: value if math.isfinite(value) else None for key, value in values.items()}
@@ -190,7 +192,7 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
         print_json({**done, **finite, "confirmed_off": off, "failure": result.failure})
         return
     strongest = "no torque reported" if math.isnan(result.strongest) else f"{result.strongest:.3g} N m"
-    print(f"moved {result.moved:+.3f} rad, at most {result.fastest:.2f} rad/s, {strongest}")
+    print(f"moved {result.moved_rad:+.3f} rad, at most {result.fastest:.2f} rad/s, {strongest}")
     if result.failure:
         print(f"stopped: {result.failure}", file=sys.stderr, flush=True)
     print("off, as reported by the drive" if off else "NOT confirmed off")

@@ -19,8 +19,8 @@ from handctl.programs.program import Program
 from handctl.runtime.paths import truth_path
 from handctl.session.calibration import ensure_calibration
 from handctl.session.pace import pace_advice
-from handctl.session.plan import Plan, commission_log, default_log
-from handctl.session.run import Outcome, make_controller, refuse_view_without_screen, run_live
+from handctl.session.plan import RunPlan, commission_log, default_log
+from handctl.session.run import RunOutcome, make_controller, refuse_view_without_screen, run_live
 from handctl.session.tasks import find_task, find_trajectory
 
 
@@ -47,10 +47,10 @@ def run(args: argparse.Namespace) -> int:
 
     truth = args.truth or truth_path(plan.buses[0])
     result = judge_run(plan, outcome, log, truth if truth.exists() else None)
-    return report(result, outcome, plan, args.json)
+    return print_run_result(result, outcome, plan, args.json)
 
 
-def _program_of_task(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, bytes]]:
+def _program_of_task(args: argparse.Namespace, plan: RunPlan) -> tuple[Program, dict[str, bytes]]:
     """Return the program of the task or dataset, with the files to attach to the log.
 
     Without task and dataset, return a program that waits for requests.
@@ -75,7 +75,7 @@ def _program_of_task(args: argparse.Namespace, plan: Plan) -> tuple[Program, dic
     return TaskProgram(task), {"task.toml": text}
 
 
-def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) -> int:
+def print_run_result(result: dict[str, Any], outcome: RunOutcome, plan: RunPlan, as_json: bool) -> int:
     """Print the result of a run, and return the exit code."""
     if as_json:
         print_json(result)
@@ -85,4 +85,4 @@ def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) 
         print_summary(result, plan)
     if outcome.state.failure:
         print(f"handctl: {DriveError(outcome.state.failure, right=pace_advice(plan, outcome))}", file=sys.stderr)
-    return outcome.exit
+    return outcome.exit_code

@@ -12,7 +12,7 @@ from handctl.cli.console.options import (
 )
 from handctl.cli.runs.other_protocol import hand_in_protocol, path_in_protocol, write_in_protocol
 from handctl.hand.load import load_hand
-from handctl.session.gains import assignments
+from handctl.session.gains import gain_assignments
 from handctl.session.tasks import find_scene
 
 
@@ -33,7 +33,7 @@ def _simulator_command(args: argparse.Namespace, hand: str) -> list[str]:
     command += ["--strict-clock"] * args.strict_clock
     for bus in args.bus:
         command += ["--bus", bus]
-    assignments(args.perturb, "--perturb")
+    gain_assignments(args.perturb, "--perturb")
     command += [word for serial in args.serial for word in ("--serial", serial)]
     return command + wire_words(args) + perturb_words(args) + ["--json"] * args.json
 

@@ -7,9 +7,9 @@ import os
 import select
 
 from handctl.core.types import TickIn, TickOut
-from handctl.runtime.mailbox import STOP
+from handctl.runtime.mailbox import STOP_REQUEST
 
-STDIN = 0
+STDIN_FD = 0
 READ_BYTES = 4096
 """Largest number of bytes that one read of standard input discards."""
 
@@ -23,10 +23,10 @@ class StdinWatch:
 
     def poll_requests(self) -> tuple[str, ...]:
         """Return a stop request once, after standard input has ended."""
-        if self.input_ended or not select.select([STDIN], [], [], 0)[0] or os.read(STDIN, READ_BYTES):
+        if self.input_ended or not select.select([STDIN_FD], [], [], 0)[0] or os.read(STDIN_FD, READ_BYTES):
             return ()
         self.input_ended = True
-        return (STOP,)
+        return (STOP_REQUEST,)
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
         """Ignore a tick of the run, which ``session.run.RunObserver`` passes on."""

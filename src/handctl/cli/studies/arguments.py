@@ -7,19 +7,19 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.console.options import add_hand_option, add_jobs_option, add_json_option, add_output_option
-from handctl.cli.parsing.parser import SIMULATED_HAND, Example, Parser, add_sub_verb
-from handctl.drives.motor_description import GUARDED
+from handctl.cli.parsing.parser import SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
 
 EXAMPLES = {
-    "fault": Example("handctl fault campaign --row N04 --calm 0"),
-    "fault inject": Example(
+    "fault": CommandExample("handctl fault campaign --row N04 --calm 0"),
+    "fault inject": CommandExample(
         "handctl fault inject 'drop node=3 p=0.05 at=3s for=2s' --bus local:demo", (SIMULATED_HAND,)
     ),
-    "fault list": Example("handctl fault list --bus local:demo", (SIMULATED_HAND,)),
-    "fault kinds": Example("handctl fault kinds --bus local:demo", (SIMULATED_HAND,)),
-    "fault campaign": Example("handctl fault campaign --row N04 --calm 0"),
-    "fault sequences": Example("handctl fault sequences --count 2 --seed 7"),
-    "paper": Example("handctl paper --quick"),
+    "fault list": CommandExample("handctl fault list --bus local:demo", (SIMULATED_HAND,)),
+    "fault kinds": CommandExample("handctl fault kinds --bus local:demo", (SIMULATED_HAND,)),
+    "fault campaign": CommandExample("handctl fault campaign --row N04 --calm 0"),
+    "fault sequences": CommandExample("handctl fault sequences --count 2 --seed 7"),
+    "paper": CommandExample("handctl paper --quick"),
 }
 """Example command line for the help of each command and subcommand."""
 FAULT_SYNTAX = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
@@ -27,11 +27,11 @@ FAULT_SYNTAX = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [f
 handctl fault kinds lists all faults that a running simulator can inject"""
 
 
-def fault(parser: Parser) -> None:
+def fault(parser: VerbParser) -> None:
     """Declare the arguments of ``fault``."""
     actions = parser.add_subparsers(dest="action", required=True, metavar="inject|list|kinds|campaign|sequences")
 
-    def action(name: str, text: str) -> Parser:
+    def action(name: str, text: str) -> VerbParser:
         return add_sub_verb(actions, name, text, EXAMPLES[f"fault {name}"])
 
     inject = action("inject", "start a fault in a running simulator")
@@ -66,7 +66,7 @@ def _declare_campaign(parser: argparse.ArgumentParser) -> None:
     add_hand_option(parser)
     add_json_option(parser)
     text = "protocol of the drives (default: mit)"
-    parser.add_argument("--protocol", default="mit", choices=[*GUARDED, "all"], help=text)
+    parser.add_argument("--protocol", default="mit", choices=[*GUARDED_PROTOCOLS, "all"], help=text)
     add_jobs_option(parser, 2, "number of scenarios at a time")
     parser.add_argument("--quick", action="store_true", help="run a sample of the campaign, in less than a minute")
     text = "inject only the fault of this row; may be repeated"
@@ -81,7 +81,9 @@ def _declare_campaign(parser: argparse.ArgumentParser) -> None:
 def _declare_sequences(parser: argparse.ArgumentParser) -> None:
     add_hand_option(parser)
     add_json_option(parser)
-    parser.add_argument("--protocol", default="mit", choices=GUARDED, help="protocol of the drives (default: mit)")
+    parser.add_argument(
+        "--protocol", default="mit", choices=GUARDED_PROTOCOLS, help="protocol of the drives (default: mit)"
+    )
     count = "number of random fault sequences (default: 30)"
     parser.add_argument("--count", type=int, default=30, metavar="N", help=count)
     text = "random seed of the first sequence, each further one adds 1 (default: 1)"

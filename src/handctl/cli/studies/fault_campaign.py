@@ -6,11 +6,11 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from handctl.campaign.campaign import Report
+from handctl.campaign.campaign import ReportFunction
 from handctl.campaign.campaign import run_campaign as run_campaign
 from handctl.campaign.page import summary_lines, write_page
 from handctl.campaign.scenario_run import ScenarioResult
-from handctl.campaign.scenarios import ALL_PROTOCOLS, MATRIX, scenarios
+from handctl.campaign.scenarios import ALL_PROTOCOLS, FAULT_MATRIX, scenarios_of_hand
 from handctl.campaign.stage import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
@@ -22,8 +22,8 @@ from handctl.log.write.recorder import Recorder
 from handctl.output import write_text_atomically
 from handctl.session.exit_codes import ExitCode
 from handctl.session.header import run_header
-from handctl.session.plan import Plan, highest_rate_of_buses
-from handctl.session.simulate import Simulation
+from handctl.session.plan import RunPlan, highest_rate_of_buses
+from handctl.session.simulate import SimulatedRun
 
 QUICK_FAULT_FREE_S = 4.0
 """Simulated time of the runs without faults for each protocol, in a quick campaign [s]."""
@@ -42,12 +42,14 @@ def run(args: argparse.Namespace) -> int:
     check_seed(args.seed)
     if not 1 <= args.jobs <= MAX_JOBS:
         raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {MAX_JOBS}")
-    for id_ in set(args.row) - {row.id for row in MATRIX}:
-        raise ConfigError(repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in MATRIX)))
+    for id_ in set(args.row) - {row.id for row in FAULT_MATRIX}:
+        raise ConfigError(repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in FAULT_MATRIX)))
     if args.calm is not None and not 0 <= args.calm <= MAX_FAULT_FREE_S:
         raise ConfigError(f"{args.calm:g}", "--calm", f"0 to {MAX_FAULT_FREE_S:g} s")
     protocols = ALL_PROTOCOLS if args.protocol == "all" else (args.protocol,)
-    tried = {one.row.id for name in protocols for one in scenarios(hand_with_protocol(args.hand, name), name, 1.0)}
+    tried = {
+        one.row.id for name in protocols for one in scenarios_of_hand(hand_with_protocol(args.hand, name), name, 1.0)
+    }
     for id_ in sorted(set(args.row) - tried):
         raise ConfigError(repr(id_), "--row", f"a fault that can occur in this hand with {args.protocol} drives")
     folder = report_folder(args)
@@ -85,7 +87,7 @@ def default_rate(hand: Hand) -> float:
     return highest_rate_of_buses(bus_loads(hand))
 
 
-def _print_report(report: Report, folder: Path, as_json: bool) -> None:
+def _print_report(report: ReportFunction, folder: Path, as_json: bool) -> None:
     if as_json:
         print_json(report.plain() | {"report": folder / "report.html"})
         return
@@ -94,13 +96,13 @@ def _print_report(report: Report, folder: Path, as_json: bool) -> None:
     print(f"written: {folder / 'report.html'}")
 
 
-def failure_log_writer(folder: Path) -> Callable[[Simulation, ScenarioResult], None]:
+def failure_log_writer(folder: Path) -> Callable[[SimulatedRun, ScenarioResult], None]:
     """Return a function that writes the log of a failed scenario into ``folder``."""
 
-    def write_log(simulation: Simulation, result: ScenarioResult) -> None:
+    def write_log(simulation: SimulatedRun, result: ScenarioResult) -> None:
         name = re.sub(r"[^A-Za-z0-9=.]+", "-", result.scenario)
         model = simulation.controller.model
-        plan = Plan(model.hand, model.gains, 1.0 / model.period, ())
+        plan = RunPlan(model.hand, model.gains, 1.0 / model.period, ())
         path = folder / f"{name}.mcap"
         path.unlink(missing_ok=True)
         recorder = Recorder.start(path, run_header(plan, simulation.controller, None, lockstep=True))

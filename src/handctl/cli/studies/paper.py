@@ -15,7 +15,7 @@ from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 from handctl.output import check_output, write_text_atomically
 from handctl.paper.bench.experiments import (
-    Job,
+    ExperimentJob,
     job_count,
     job_description,
     load_results,
@@ -29,7 +29,7 @@ from handctl.paper.page import items_as_json, page_as_html, page_as_markdown, va
 from handctl.paper.sections import PageSection, count_by_verdict, page_sections
 from handctl.session.exit_codes import ExitCode
 
-COLOURS = {
+VERDICT_COLOURS = {
     ErrataVerdict.EQUAL: "green",
     ErrataVerdict.ROUNDED: "blue",
     ErrataVerdict.TRUNCATED: "magenta",
@@ -110,7 +110,7 @@ def _measure_all(jobs: int) -> dict[str, Any]:
     done = 0
     with progress_bar("starting the simulator", job_count()) as update_progress:
 
-        def at(job: Job, finished: bool) -> None:
+        def at(job: ExperimentJob, finished: bool) -> None:
             nonlocal done
             done += finished
             update_progress(done, label=None if finished else job_description(job))
@@ -136,7 +136,7 @@ def _print_table(parts: tuple[PageSection, ...]) -> None:
         table.add_column("verdict", no_wrap=True)
         table.add_column("printed → right, and why", ratio=1)
         for item in part.items:
-            verdict = Text(item.verdict.value, COLOURS[item.verdict])
+            verdict = Text(item.verdict.value, VERDICT_COLOURS[item.verdict])
             cell = Text.assemble(item.printed, (" → ", "bold"), value_text(item), "\n", (item.why, "dim"))
             table.add_row(item.id, verdict, cell)
         console.print(table)

@@ -20,26 +20,28 @@ from handctl.cli.console.options import (
     add_time_scale_option,
     add_yes_option,
 )
-from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, Example, Parser, add_sub_verb
+from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
 
 NEW_GAINS = "printf 'schema = 1\\n[motion]\\nforce_N = 12.0\\n' > new.toml;"
 """Shell command that writes a small gains file."""
 
 EXAMPLES = {
-    "identify": Example(
+    "identify": CommandExample(
         "handctl identify --hand jamia --lockstep --digits thumb --calibration identified.calibration.toml"
     ),
-    "gains": Example("handctl gains show --hand jamia"),
-    "gains show": Example("handctl gains show --hand jamia"),
-    "gains diff": Example("handctl gains diff packaged present --hand jamia"),
-    "gains apply": Example(f"{NEW_GAINS} handctl gains apply new.toml --hand jamia --note 'a softer motion loop'"),
-    "gains rollback": Example("handctl gains rollback --to 0 --hand jamia"),
-    "gains log": Example("handctl gains log --hand jamia"),
-    "gains set": Example("handctl gains set motion.force_N=12 --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
-    "tune": Example("handctl tune design --hand jamia --plants 2 --output designed.toml"),
-    "tune design": Example("handctl tune design --hand jamia --plants 2 --output designed.toml"),
-    "tune search": Example("handctl tune search --hand jamia --plants 1 --trials 2 --output found.toml"),
-    "tune verify": Example(f"{NEW_GAINS} handctl tune verify new.toml --hand jamia --lockstep --dry-run"),
+    "gains": CommandExample("handctl gains show --hand jamia"),
+    "gains show": CommandExample("handctl gains show --hand jamia"),
+    "gains diff": CommandExample("handctl gains diff packaged present --hand jamia"),
+    "gains apply": CommandExample(
+        f"{NEW_GAINS} handctl gains apply new.toml --hand jamia --note 'a softer motion loop'"
+    ),
+    "gains rollback": CommandExample("handctl gains rollback --to 0 --hand jamia"),
+    "gains log": CommandExample("handctl gains log --hand jamia"),
+    "gains set": CommandExample("handctl gains set motion.force_N=12 --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
+    "tune": CommandExample("handctl tune design --hand jamia --plants 2 --output designed.toml"),
+    "tune design": CommandExample("handctl tune design --hand jamia --plants 2 --output designed.toml"),
+    "tune search": CommandExample("handctl tune search --hand jamia --plants 1 --trials 2 --output found.toml"),
+    "tune verify": CommandExample(f"{NEW_GAINS} handctl tune verify new.toml --hand jamia --lockstep --dry-run"),
 }
 """Example command line for the help of each command and subcommand."""
 
@@ -65,11 +67,11 @@ def identify(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-write", action="store_true", help="do not change the calibration file")
 
 
-def gains(parser: Parser) -> None:
+def gains(parser: VerbParser) -> None:
     """Declare the arguments of ``gains``."""
     kinds = parser.add_subparsers(dest="what", required=True, metavar="show|diff|apply|rollback|log|set")
 
-    def kind(name: str, text: str) -> Parser:
+    def kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
         add_json_option(one)
         if name != "set":  # no --hand for set: the running controller has loaded its hand
@@ -98,7 +100,7 @@ def gains(parser: Parser) -> None:
     add_bus_option(live)
 
 
-def tune(parser: Parser) -> None:
+def tune(parser: VerbParser) -> None:
     """Declare the arguments of ``tune``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="design|search|verify")
     _declare_design(
@@ -109,7 +111,7 @@ def tune(parser: Parser) -> None:
     _declare_verify(_add_kind(kinds, "verify", text))
 
 
-def _add_kind(kinds: "argparse._SubParsersAction[Parser]", name: str, text: str) -> Parser:
+def _add_kind(kinds: "argparse._SubParsersAction[VerbParser]", name: str, text: str) -> VerbParser:
     parser = add_sub_verb(kinds, name, text, EXAMPLES[f"tune {name}"])
     add_hand_option(parser)
     add_json_option(parser)

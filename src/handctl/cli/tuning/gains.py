@@ -9,15 +9,15 @@ from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import layered_gains, print_notice
 from handctl.cli.console.verbosity import is_quiet
-from handctl.core.gains.bounds import Bound, checked_bound, different_values, values_by_key, with_values
-from handctl.core.gains.gains import Gains, Provenance, load_gains_file, packaged_gains
+from handctl.core.gains.bounds import GainBounds, checked_bound, different_values, values_by_key, with_values
+from handctl.core.gains.gains import Gains, GainsProvenance, load_gains_file, packaged_gains
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.session.exit_codes import ExitCode
-from handctl.session.gains import assignments, gains_for
-from handctl.session.plan import check_design
+from handctl.session.gains import gain_assignments, gains_for
+from handctl.session.plan import check_gain_margins
 from handctl.tune.gains_store import GainsStore, StoredGains
 
 GAIN_CHANGE_TIMEOUT_S = 3.0
@@ -66,12 +66,12 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     return ExitCode.DONE
 
 
-def gain_meaning(gain: Bound) -> str:
+def gain_meaning(gain: GainBounds) -> str:
     """Return the meaning and the unit of a gain, from the first line of the gain's description."""
     return gain.why.partition("\n")[0]
 
 
-def _provenance_text(provenance: Provenance) -> str:
+def _provenance_text(provenance: GainsProvenance) -> str:
     """Return the provenance of gains as one phrase with number, time and sources."""
     sources = [*provenance.log, *filter(None, (provenance.fit, provenance.study, provenance.note))]
     number = f", number {provenance.number}" if provenance.number else ""
@@ -128,7 +128,7 @@ def _gains_to_compare(word: str, hand: Hand) -> Gains:
 def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
     """Make the gains of a file the present gains of the hand."""
     file = gains_for(hand, args.file, print_notice)
-    check_design(hand, file.gains)
+    check_gain_margins(hand, file.gains)
     options = {
         "fit": args.fit,
         "study": args.study,
@@ -164,7 +164,7 @@ def _rename_unusable(store: GainsStore) -> bool:
     return bool(aside)
 
 
-def _report_done(args: argparse.Namespace, store: GainsStore, provenance: Provenance) -> int:
+def _report_done(args: argparse.Namespace, store: GainsStore, provenance: GainsProvenance) -> int:
     if args.json:
         print_json({"file": str(store.path), "provenance": provenance.model_dump()})
     else:
@@ -218,15 +218,15 @@ def _change_live_gains(args: argparse.Namespace) -> int:
 
     If a value is invalid, an error is raised before a request is sent.
     """
-    from handctl.runtime.confirm import open_watcher, send_confirmed
+    from handctl.runtime.confirm import open_watcher, send_with_confirmation
 
-    values = assignments(args.values, "gains set")
+    values = gain_assignments(args.values, "gains set")
     with_values(Gains(), values, "gains set", live=True)
     bus = controller_bus(args)
     watcher = open_watcher(bus, "gains")
     try:
         watcher.fresh_line(GAIN_CHANGE_TIMEOUT_S)
-        line, texts = send_confirmed(watcher, {"do": "gains", "set": values})
+        line, texts = send_with_confirmation(watcher, {"do": "gains", "set": values})
         for text in texts:
             _raise_refusal(text)
         applied = _wait_for_answers(watcher, values, line)

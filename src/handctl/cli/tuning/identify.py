@@ -30,17 +30,17 @@ from handctl.programs.excite import ExciteProgram
 from handctl.replay.rebuild import logged_hand
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.session.calibration import (
-    commission,
     ensure_calibration,
     previous_identified,
+    run_commissioning,
     write_calibration,
 )
 from handctl.session.exit_codes import ExitCode
-from handctl.session.gains import assignments
-from handctl.session.plan import Plan, commission_log, default_log
-from handctl.session.run import Outcome, Runner, make_controller, run_live, run_lockstep
-from handctl.session.simulate import Simulator
-from handctl.tune.identify.excitation import excitation
+from handctl.session.gains import gain_assignments
+from handctl.session.plan import RunPlan, commission_log, default_log
+from handctl.session.run import RunFunction, RunOutcome, make_controller, run_live, run_lockstep
+from handctl.session.simulate import SimulatorSettings
+from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.figure import draw_identification
 from handctl.tune.identify.identify import (
     TendonResult,
@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     if args.logs:
         return _identify_from_logs(args)
     plan = make_plan(args, lockstep=args.lockstep)
-    program = ExciteProgram(excitation(plan.hand, tuple(args.digits or plan.hand.digit_names)))
+    program = ExciteProgram(excitation_steps(plan.hand, tuple(args.digits or plan.hand.digit_names)))
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.lockstep and not args.calibration:  # keep simulated results out of the real calibration
         path = _simulated_calibration_path(plan.hand)
@@ -99,25 +99,25 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _in_lockstep(
-    args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path, about: str
-) -> tuple[Calibration, Outcome]:
+    args: argparse.Namespace, plan: RunPlan, program: ExciteProgram, log: Path, about: str
+) -> tuple[Calibration, RunOutcome]:
     """Commission and excite a simulated hand in virtual time.
 
     Return the calibration and the outcome.
     """
-    perturb = assignments(args.perturb, "--perturb")
-    simulator = Simulator(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
+    perturb = gain_assignments(args.perturb, "--perturb")
+    simulator = SimulatorSettings(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
     with simulator.clock(plan.period_ns) as clock:
         print_note(about)
         return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
 
 
 def _commission_and_excite(
-    plan: Plan, program: ExciteProgram, log: Path, runner: Runner
-) -> tuple[Calibration, Outcome]:
+    plan: RunPlan, program: ExciteProgram, log: Path, runner: RunFunction
+) -> tuple[Calibration, RunOutcome]:
     """Commission and then excite a hand. Return the calibration and the outcome."""
     started = time.monotonic()
-    calibration, _ = commission(plan, commission_log(log), runner)
+    calibration, _ = run_commissioning(plan, commission_log(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     print_note(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
 
     The command fails if the stability margins are too small.
     """
-    from handctl.tune.loops.design import Design, design_gains, linear_factors, model_with_gains
+    from handctl.tune.loops.design import GainDesign, design_gains, linear_factors, model_with_gains
     from handctl.tune.loops.steps import RestTest
     from handctl.tune.plots import draw_loops
 
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     console.quiet = is_quiet()
     with console.status(f"keeping margins on {len(plants)} plants"):
         try:
-            result: Design = (
+            result: GainDesign = (
                 _place_poles(args, model, plants, rate)
                 if args.poles is not None
                 else design_gains(model, plants, proof)

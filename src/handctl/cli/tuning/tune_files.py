@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from handctl.cli.console.options import checked_count, perturb_words
 from handctl.cli.console.plan import check_perturb
-from handctl.core.gains.gains import Gains, Provenance, gains_text
+from handctl.core.gains.gains import Gains, GainsProvenance, gains_text
 from handctl.core.identified import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -69,7 +69,7 @@ def same_hand_words(args: argparse.Namespace) -> list[str]:
 
 def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
     """Write a gains file that states where the gains come from."""
-    provenance = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
+    provenance = GainsProvenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
     write_text_atomically(path, gains_text(gains, provenance))
 
 

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     trials = checked_count(args.trials, "--trials", 100_000)
     crew_size = checked_count(args.jobs, "--jobs", 64)
     storage = args.study or Path(f"{hand.name}.study")
-    with _Progress(trials, args.json or is_quiet()) as progress:
+    with _SearchProgress(trials, args.json or is_quiet()) as progress:
         plan = SearchPlan(
             twin.to_toml(),
             rate,
@@ -105,7 +105,7 @@ def _designed_gains(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[st
     return (result.as_weights(),)
 
 
-class _Progress:
+class _SearchProgress:
     """Display of a search's progress: completed trials, best trial and remaining time."""
 
     def __init__(self, trials: int, quiet: bool) -> None:
@@ -130,7 +130,7 @@ class _Progress:
         self._quiet = quiet
         self._next = 0.0
 
-    def __enter__(self) -> "_Progress":
+    def __enter__(self) -> "_SearchProgress":
         self._bar.start()
         if not self._quiet and self._bar.disable:
             self._console.print("designing the initial gains")
@@ -163,7 +163,7 @@ def _report_fields(result: Any, storage: Path, out: Path | None, picture: Path) 
     }
     return {
         "trials": len(result.trials),
-        "good": sum(one.feasible for one in result.trials),
+        "good": sum(one.is_feasible for one in result.trials),
         "best": best_fields and best_fields | {"cost": result.cost(best)},
         "first": asdict(first.score),
         "front": list(result.front),

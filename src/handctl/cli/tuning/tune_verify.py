@@ -18,16 +18,16 @@ from handctl.cli.console.verbosity import print_note
 from handctl.errors import ConfigError
 from handctl.session.calibration import ensure_calibration, homed_calibration, identified_in
 from handctl.session.exit_codes import ExitCode
-from handctl.session.gains import assignments, gains_for
-from handctl.session.plan import Plan, check_design, commission_log, default_log
-from handctl.session.run import Outcome, make_controller, run_live, run_lockstep
-from handctl.session.simulate import Simulator
+from handctl.session.gains import gain_assignments, gains_for
+from handctl.session.plan import RunPlan, check_gain_margins, commission_log, default_log
+from handctl.session.run import RunOutcome, make_controller, run_live, run_lockstep
+from handctl.session.simulate import SimulatorSettings
 
 
 def run(args: argparse.Namespace) -> int:
     """Verify new gains on the hand. Return 0 only if the new gains pass at full amplitude."""
-    from handctl.programs.exercise import Exercise
-    from handctl.tune.verify import AMPLITUDES, VerifyObserver
+    from handctl.programs.exercise import ExerciseProgram
+    from handctl.tune.verify import ROUND_AMPLITUDES, VerifyObserver
 
     if bool(args.bus) == args.lockstep:
         raise ConfigError("none or both given", "--bus, --lockstep", "one of them, --lockstep for a simulated hand")
@@ -36,14 +36,14 @@ def run(args: argparse.Namespace) -> int:
         refuse_bus_options(args)
     plan = make_plan(args, lockstep=args.lockstep)
     new = gains_for(plan.hand, args.candidate, plan.tell)
-    check_design(plan.hand, new.gains, plan.rate_hz)
+    check_gain_margins(plan.hand, new.gains, plan.rate_hz)
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
     if old.filter != new.gains.filter:
         print_note("the filter's gains cannot change in a run: both halves use the new filter gains")
     if args.dry_run:
-        line = f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds"
-        return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
+        line = f"{plan.hand.name}: would verify {args.candidate} in {len(ROUND_AMPLITUDES)} rounds"
+        return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=ROUND_AMPLITUDES)
     log = args.log or default_log(plan.hand, "verify")
     plan = _with_gains(plan, base, args.candidate)
     first = args.seed
@@ -52,23 +52,23 @@ def run(args: argparse.Namespace) -> int:
         args.seed = seed
         run_log = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
         observer = VerifyObserver(plan.hand, base, new.gains)
-        outcome, truth = _run_once(args, plan, Exercise(AMPLITUDES), observer, run_log)
+        outcome, truth = _run_once(args, plan, ExerciseProgram(ROUND_AMPLITUDES), observer, run_log)
         runs.append(_judge_run(plan, outcome, observer, run_log, truth))
         if not runs[-1]["through"]:
             break
     args.seed = first
-    return _report(args, runs, outcome)
+    return _report_verification(args, runs, outcome)
 
 
-def _with_gains(plan: Plan, gains: Any, candidate: Path) -> Plan:
+def _with_gains(plan: RunPlan, gains: Any, candidate: Path) -> RunPlan:
     from dataclasses import replace
 
     return replace(plan, gains=gains, attachments=plan.attachments | {"candidate.toml": candidate.read_bytes()})
 
 
 def _run_once(
-    args: argparse.Namespace, plan: Plan, program: Any, observer: Any, log: Path
-) -> tuple[Outcome, Path | None]:
+    args: argparse.Namespace, plan: RunPlan, program: Any, observer: Any, log: Path
+) -> tuple[RunOutcome, Path | None]:
     if not args.lockstep:
         path, calibration, reason = find_calibration(args, plan.hand)
         announce_motion(args, plan, path, calibration)
@@ -78,12 +78,12 @@ def _run_once(
         return run_live(plan, controller, log, observer=observer), None
     calibration = homed_calibration(plan.hand, identified_in(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
-    perturb = assignments(args.perturb, "--perturb")
-    with Simulator(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(plan.period_ns) as clock:
+    perturb = gain_assignments(args.perturb, "--perturb")
+    with SimulatorSettings(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(plan.period_ns) as clock:
         return run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock, observer), truth
 
 
-def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
+def _judge_run(plan: RunPlan, outcome: RunOutcome, observer: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
     """Score one run of the test, and draw a picture of the run.
 
     Return the fields of the JSON result.
@@ -91,7 +91,7 @@ def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_fil
     from handctl.log.read.reader import RunLog
     from handctl.report.truth import read_truth
     from handctl.tune.plots import draw_verify
-    from handctl.tune.verify import AMPLITUDES, scores_by_round
+    from handctl.tune.verify import ROUND_AMPLITUDES, scores_by_round
 
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
@@ -99,7 +99,7 @@ def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_fil
         picture = log.with_suffix(".png")
         draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, observer.rollback)
     return {
-        "through": observer.rollback is None and not outcome.state.failure and len(rounds) == len(AMPLITUDES),
+        "through": observer.rollback is None and not outcome.state.failure and len(rounds) == len(ROUND_AMPLITUDES),
         "returned": asdict(observer.rollback) if observer.rollback else None,
         "failure": outcome.state.failure,
         "rounds": rounds,
@@ -109,7 +109,7 @@ def _judge_run(plan: Plan, outcome: Outcome, observer: Any, log: Path, truth_fil
     }
 
 
-def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outcome) -> int:
+def _report_verification(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: RunOutcome) -> int:
     """Print the result of all runs of the test, with the table of the last run.
 
     Return the exit code.
@@ -132,8 +132,8 @@ def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outco
         print_json(result)
     else:
         _print_rounds(result, last["rounds"], args)
-    if outcome.exit != ExitCode.DONE:
-        return outcome.exit
+    if outcome.exit_code != ExitCode.DONE:
+        return outcome.exit_code
     return ExitCode.DONE if verified else ExitCode.FAILED
 
 
@@ -148,7 +148,7 @@ def _print_columns(result: dict[str, Any]) -> None:
 def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
     from rich.table import Table
 
-    from handctl.tune.verify import AMPLITUDES
+    from handctl.tune.verify import ROUND_AMPLITUDES
 
     table = Table(title=f"judged by the {result['judged_by']}")
     for heading in (
@@ -160,7 +160,7 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
         "peak tension [N]",
     ):
         table.add_column(heading)
-    for i, (one, amplitude) in enumerate(zip(rounds, AMPLITUDES, strict=False)):
+    for i, (one, amplitude) in enumerate(zip(rounds, ROUND_AMPLITUDES, strict=False)):
         numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
         table.add_row(
             _gains_label(i, result["returned"]),
@@ -191,11 +191,11 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
 
 def _gains_label(number: int, back: dict[str, Any] | None) -> str:
     """Return the label for the gains in a round of the test: old, new, or back to the old gains."""
-    from handctl.tune.verify import AMPLITUDES, OLD_ROUNDS
+    from handctl.tune.verify import OLD_GAINS_ROUNDS, ROUND_AMPLITUDES
 
-    if number < OLD_ROUNDS:
+    if number < OLD_GAINS_ROUNDS:
         return "old"
     if back is None:
         return "new"
-    end = OLD_ROUNDS + AMPLITUDES[OLD_ROUNDS:].index(back["amplitude"])
+    end = OLD_GAINS_ROUNDS + ROUND_AMPLITUDES[OLD_GAINS_ROUNDS:].index(back["amplitude"])
     return "new" if number < end else "new, then old" if number == end else "old again"

@@ -14,7 +14,7 @@ from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
-from handctl.drives.sensors.contract import Sensors
+from handctl.drives.sensors.contract import SensorInterface
 
 LATE_TICKS = 50
 """Number of ticks for which a missing answer may still arrive.
@@ -24,7 +24,7 @@ A busy node may answer its queued requests over many ticks.
 
 
 def detect_unsolicited_replies(
-    drives: tuple[Drive, ...], sensors: Sensors, before: State, state: State, frames: Sequence[Frame]
+    drives: tuple[Drive, ...], sensors: SensorInterface, before: State, state: State, frames: Sequence[Frame]
 ) -> tuple[str, ...]:
     """Detect unsolicited and duplicate replies in a tick.
 
@@ -54,7 +54,7 @@ def detect_unsolicited_replies(
     return tuple(signs)
 
 
-def _detect_duplicate_answers(sensors: Sensors, before: State, state: State, frames: Sequence[Frame]) -> None:
+def _detect_duplicate_answers(sensors: SensorInterface, before: State, state: State, frames: Sequence[Frame]) -> None:
     """Write duplicate answers of the load cells into ``DUPLICATES``, and count late answers in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
     excused = not sensors.has_counter and (state.whole(s.MISSED_TICKS) > 0 or _has_lost_answers(before))

@@ -8,8 +8,8 @@ from handctl.core.hand_constants import HandConstants, low_pass_fractions, servo
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
 from handctl.drives.contract import Drive
-from handctl.drives.sensors.contract import Sensors
-from handctl.drives.signals import Coding, Quantity
+from handctl.drives.sensors.contract import SensorInterface
+from handctl.drives.signals import Quantity, SignalCoding
 from handctl.safety.faults.node import NOISE_FACTOR
 from handctl.safety.limits import (
     MIN_FRAMES_LIMIT,
@@ -17,7 +17,7 @@ from handctl.safety.limits import (
     MIN_STALLED_TICKS,
     SILENT_S,
     STALLED_S,
-    Limits,
+    SafetyLimits,
     ticks_for,
 )
 
@@ -32,10 +32,10 @@ ROUNDING_NOISE_COUNTS = 6.0
 """Mean squared jerk of a motor position that rounding of the encoder causes [squared encoder counts]."""
 
 
-def safety_limits(model: HandModel, drives: tuple[Drive, ...], sensors: Sensors) -> Limits:
+def safety_limits(model: HandModel, drives: tuple[Drive, ...], sensors: SensorInterface) -> SafetyLimits:
     """Return the safety thresholds of a hand."""
     hand = model.hand
-    return Limits(
+    return SafetyLimits(
         tendons=hand.tendon_names,
         motors=tuple(drive.name for drive in drives),
         joints=hand.joints,
@@ -54,7 +54,12 @@ def safety_limits(model: HandModel, drives: tuple[Drive, ...], sensors: Sensors)
 
 
 def compiled_constants(
-    model: HandModel, drives: tuple[Drive, ...], sensors: Sensors, limits: Limits, tare: Vector, zero: Vector
+    model: HandModel,
+    drives: tuple[Drive, ...],
+    sensors: SensorInterface,
+    limits: SafetyLimits,
+    tare: Vector,
+    zero: Vector,
 ) -> HandConstants:
     """Return the constants of a hand for the compiled code.
 
@@ -148,10 +153,10 @@ def torque_resolution(drive: Drive) -> float:
     """
     messages = (*drive.cyclic.feedback, *drive.cyclic.commands)
     signals = [signal for message in messages for signal in message.signals if signal.quantity == Quantity.TORQUE]
-    return max((abs(signal.scale) for signal in signals if signal.coding != Coding.FLOAT), default=0.0)
+    return max((abs(signal.scale) for signal in signals if signal.coding != SignalCoding.FLOAT), default=0.0)
 
 
-def max_frames_per_tick(drives: Sequence[Drive], sensors: Sensors) -> int:
+def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> int:
     """Return the number of frames in a tick above which the bus counts as flooded: twice the replies of all nodes."""
     return max(MIN_FRAMES_LIMIT, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
 

@@ -3,16 +3,16 @@
 The host sends a request to each motor in every tick. A missing reply may be lost. It may also come
 later, together with other replies. Or all replies come a tick late because a computer is busy. At
 first the host cannot distinguish these cases, so a request stays outstanding until its reply comes,
-or for ``WINDOW`` ticks. The last request to a motor stays outstanding without a time limit. If more
+or for ``LOSS_WINDOW_TICKS`` ticks. The last request to a motor stays outstanding without a time limit. If more
 replies come than requests are outstanding, a reply is a duplicate, or it comes from another node.
 """
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.safety.faults.bus import WINDOW
+from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 
 MAX_REQUESTS = 8
 """Largest number of outstanding requests of a motor.
@@ -20,10 +20,10 @@ MAX_REQUESTS = 8
 A motor with more of them is silent, and its older requests are dropped.
 """
 PHASE_READY = 2
-"""Value of ``drives.contract.Phase.READY``."""
+"""Value of ``drives.contract.DrivePhase.READY``."""
 
 
-@inner
+@kernel_helper
 def close_answered_requests(x: Tables, c: ConstantTables) -> bool:
     """Close the newest outstanding request for each reply of this tick.
 
@@ -48,7 +48,7 @@ def close_answered_requests(x: Tables, c: ConstantTables) -> bool:
     return any_excess
 
 
-@inner
+@kernel_helper
 def add_requests(x: Tables, k: int) -> None:
     """Add an outstanding request for every motor in tick k.
 
@@ -63,7 +63,7 @@ def add_requests(x: Tables, k: int) -> None:
         # Keep at most MAX_REQUESTS - 1 old requests, to leave a place for the new request.
         for i in range(max(count - MAX_REQUESTS + 1, 0), count):
             outstanding = x.tendon_int[s.REQUEST_TICKS + i, n]
-            if i == count - 1 or k - outstanding < WINDOW:
+            if i == count - 1 or k - outstanding < LOSS_WINDOW_TICKS:
                 x.tendon_int[s.REQUEST_TICKS + remaining, n] = outstanding
                 remaining += 1
         x.tendon_int[s.REQUEST_TICKS + remaining, n] = k

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -24,20 +24,20 @@ from handctl.safety.faults.bus import (
     B11A,
     B11B,
     B17,
-    HOLD_LOSSES,
-    MALFORMED_LIMIT,
-    RELAX_LOSSES,
-    UNKNOWN_LIMIT,
+    HOLD_LOST_FRAMES,
+    MALFORMED_FRAMES_LIMIT,
+    MAX_UNKNOWN_FRAMES_PER_S,
+    RELAX_LOST_FRAMES,
 )
 
 Evidence = NDArray[np.float64]
 """Result table of all detectors (faults, instances): a number that shows each fault, NaN where the fault is absent."""
 
 
-@inner
+@kernel_helper
 def detect_bus_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of bus faults, and write their results into the evidence table."""
-    if x.run[s.UNKNOWN_RATE] > UNKNOWN_LIMIT:
+    if x.run[s.UNKNOWN_RATE] > MAX_UNKNOWN_FRAMES_PER_S:
         evidence[B10, 0] = x.run[s.UNKNOWN_RATE]
     if not armed:
         return
@@ -53,7 +53,7 @@ def detect_bus_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evide
         evidence[B11A, 0] = evidence[B11B, 0] = frames
 
 
-@inner
+@kernel_helper
 def _detect_overdue_feedback(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find motors with overdue feedback.
 
@@ -72,25 +72,25 @@ def _detect_overdue_feedback(x: Tables, c: ConstantTables, evidence: Evidence) -
             evidence[B17, n] = age
 
 
-@inner
+@kernel_helper
 def _detect_lost_replies(x: Tables, evidence: Evidence) -> None:
     """Find nodes of which many replies are missing."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
-        if number > HOLD_LOSSES:
+        if number > HOLD_LOST_FRAMES:
             evidence[B03A, node] = number
-        if number > RELAX_LOSSES:
+        if number > RELAX_LOST_FRAMES:
             evidence[B03B, node] = number
 
 
-@inner
+@kernel_helper
 def _detect_bad_frames(x: Tables, evidence: Evidence) -> None:
     """Find malformed frames, and duplicate replies with equal or different bytes."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MALFORMED, node] & 1:
             number = count_set_bits(x.node_int[s.MALFORMED, node])
             evidence[B09, node] = number
-            if number >= MALFORMED_LIMIT:
+            if number >= MALFORMED_FRAMES_LIMIT:
                 evidence[B08, node] = number
         if x.node_int[s.DUPLICATES, node] == 1:
             evidence[B05, node] = 0.0

@@ -27,7 +27,7 @@ delay.
 
 import math
 
-from handctl.compiled import inner, square
+from handctl.compiled import kernel_helper, square
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -39,7 +39,7 @@ MIN_FILLING = 0.9
 
 Its memory is then 90 % filled.
 """
-SIGMAS = 4.0
+COVARIANCE_MARGIN_SIGMAS = 4.0
 """Margin of the test, in standard deviations of the estimated covariance."""
 SETTLED_TICKS = 3
 """Ticks in a row with a reply in time after which a report is attributed to a command.
@@ -62,7 +62,7 @@ differ by 0.3 counts (rms).
 """
 MIN_SERVO_SHARE = 0.01
 """If a drive closed its position loop in a larger fraction of the recent ticks, ``SERVO_COUNTS`` applies."""
-AA, AB, AB_LATE, BB, FULL = range(5)
+COMMAND_SQUARED_ROW, COMMAND_REPORT_ROW, LATE_COMMAND_REPORT_ROW, REPORT_SQUARED_ROW, FILTER_RESPONSE_ROW = range(5)
 """Rows of ``block.REPORT_MOMENTS``, low-passed products of increments.
 
 They are: command squared, command times report, the earlier command times report (for a report that
@@ -70,7 +70,7 @@ comes a tick late), report squared, and the response of the filter to a constant
 """
 
 
-@inner
+@kernel_helper
 def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
     """Update the low-passed products of the increments of command and report.
 
@@ -97,18 +97,18 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
             first = x.servo[s.SERVO_REPORT, n]
         report = x.tendon[s.MEASURED_FORCE, n]
         largest = LARGEST_INCREMENT * _smallest_increment(x, c, n)
-        a = _limited(first - second, largest)
-        b = _limited(report - x.tendon[s.REPORT_FORCES + 3, n], largest)
-        late = _limited(second - last, largest)
+        a = _clipped_increment(first - second, largest)
+        b = _clipped_increment(report - x.tendon[s.REPORT_FORCES + 3, n], largest)
+        late = _clipped_increment(second - last, largest)
         settled = 0.0
         if missed == 0 and math.isfinite(report):
             settled = x.tendon[s.REPORT_ON_TIME, n] + 1.0
         if math.isfinite(a + b + late) and settled > SETTLED_TICKS:
-            _low_pass_moment(x, n, AA, fraction, a * a)
-            _low_pass_moment(x, n, AB, fraction, a * b)
-            _low_pass_moment(x, n, AB_LATE, fraction, late * b)
-            _low_pass_moment(x, n, BB, fraction, b * b)
-            _low_pass_moment(x, n, FULL, fraction, 1.0)
+            _low_pass_moment(x, n, COMMAND_SQUARED_ROW, fraction, a * a)
+            _low_pass_moment(x, n, COMMAND_REPORT_ROW, fraction, a * b)
+            _low_pass_moment(x, n, LATE_COMMAND_REPORT_ROW, fraction, late * b)
+            _low_pass_moment(x, n, REPORT_SQUARED_ROW, fraction, b * b)
+            _low_pass_moment(x, n, FILTER_RESPONSE_ROW, fraction, 1.0)
         x.tendon[s.REPORT_ON_TIME, n] = settled
         if c.tendon_int[h.DRIVE_CLOSES_LOOP, n]:
             # For such a drive, the force predicted for this report replaces the command, so the
@@ -122,7 +122,7 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
         x.tendon[s.REPORT_FORCES + 3, n] = report
 
 
-@inner
+@kernel_helper
 def _smallest_increment(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the smallest increment of a motor's torque, as force at the spool, that counts as a change [N]."""
     rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
@@ -131,36 +131,43 @@ def _smallest_increment(x: Tables, c: ConstantTables, n: int) -> float:
     return float(rounding)
 
 
-@inner
-def _limited(increment: float, largest: float) -> float:
+@kernel_helper
+def _clipped_increment(increment: float, largest: float) -> float:
     """Return an increment limited to plus or minus ``largest``. NaN stays NaN."""
     if increment > largest:
         return largest
     return -largest if increment < -largest else increment
 
 
-@inner
+@kernel_helper
 def _low_pass_moment(x: Tables, n: int, moment: int, fraction: float, value: float) -> None:
     x.tendon[s.REPORT_MOMENTS + moment, n] += fraction * (value - x.tendon[s.REPORT_MOMENTS + moment, n])
 
 
-@inner
+@kernel_helper
 def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if the torque that a motor reports does not follow its commanded torque."""
-    aa = x.tendon[s.REPORT_MOMENTS + AA, n]
-    bb = x.tendon[s.REPORT_MOMENTS + BB, n]
-    ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
+    aa = x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n]
+    bb = x.tendon[s.REPORT_MOMENTS + REPORT_SQUARED_ROW, n]
+    ab = max(
+        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n], x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n]
+    )
     # Command and report must both change by more than rounding errors. A constant report is a sign
     # of another fault.
     moves = min(aa, bb) > square(_smallest_increment(x, c, n))
-    if x.tendon[s.REPORT_MOMENTS + FULL, n] <= MIN_FILLING or not moves:
+    if x.tendon[s.REPORT_MOMENTS + FILTER_RESPONSE_ROW, n] <= MIN_FILLING or not moves:
         return False
-    return ab + SIGMAS * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORTED_S)) < REPORTED_FRACTION * aa
+    return (
+        ab + COVARIANCE_MARGIN_SIGMAS * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORTED_S))
+        < REPORTED_FRACTION * aa
+    )
 
 
-@inner
+@kernel_helper
 def fraction_of_command_reported(x: Tables, n: int) -> float:
     """Return the fraction of the changes of a motor's command that its reports show, 1 for a drive that obeys."""
-    ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
+    ab = max(
+        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n], x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n]
+    )
     # The lower bound of the divisor prevents a division by 0.
-    return ab / max(x.tendon[s.REPORT_MOMENTS + AA, n], 1e-300)
+    return ab / max(x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n], 1e-300)

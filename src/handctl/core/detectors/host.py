@@ -1,15 +1,15 @@
 """Detectors of host faults, rows H01 to H03, I07 and I11 of the fault catalogue, see ``safety.faults.host``."""
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors.bus import Evidence
-from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, I11A, I11B, LATE_FRACTION, REFUSED_LIMIT
+from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, I11A, I11B, LATE_FRACTION, REFUSED_REQUESTS_LIMIT
 
 
-@inner
+@kernel_helper
 def detect_host_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of host faults, and write their results into the evidence table."""
     # Delay of the tick's start, as a fraction of the control period.
@@ -23,7 +23,7 @@ def detect_host_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evid
         evidence[H03, 0] = missed
     if armed and x.run_int[s.REFUSED_REQUESTS_NOW]:
         evidence[I07A, 0] = x.run_int[s.REFUSED_REQUESTS_NOW]
-        if x.run_int[s.REFUSED_REQUESTS] >= REFUSED_LIMIT:
+        if x.run_int[s.REFUSED_REQUESTS] >= REFUSED_REQUESTS_LIMIT:
             evidence[I07B, 0] = x.run_int[s.REFUSED_REQUESTS]
     if armed and x.run_int[s.STREAMING] == 2:
         silence_ns = x.run_int[s.T_NS] - x.run_int[s.STREAM_SENT_NS]

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core.block import Tables, reset_monitor
 from handctl.core.constants import ConstantTables
@@ -28,9 +28,9 @@ from handctl.core.detectors import (
 )
 from handctl.core.detectors.bus import Evidence
 from handctl.core.law import servo
-from handctl.safety.faults.table import ACTIONS, DEBOUNCE
+from handctl.safety.faults.table import ACTION_NUMBERS, DEBOUNCE_TICKS
 
-FAULT_ROWS = len(ACTIONS)
+FAULT_ROWS = len(ACTION_NUMBERS)
 ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
 """Values of ``core.types.Mode``.
 
@@ -38,7 +38,7 @@ Motor torque may act from ARMING to RELAX, and must not act in DISARM and CUT.
 """
 
 
-@inner
+@kernel_helper
 def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]:
     """Find the faults of a tick, debounce them, and write the number of newly active faults to ``NEW_FAULTS``.
 
@@ -74,7 +74,7 @@ def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> t
     return debounce_faults(x, evidence), evidence
 
 
-@inner
+@kernel_helper
 def update_fault_memory(x: Tables, c: ConstantTables) -> None:
     """Update the memory of the detectors that work while the hand is under torque."""
     missed = x.run_int[s.MISSED_TICKS]
@@ -89,7 +89,7 @@ def update_fault_memory(x: Tables, c: ConstantTables) -> None:
     swings.update_swing(x, c, tared)
 
 
-@inner
+@kernel_helper
 def debounce_faults(x: Tables, evidence: Evidence) -> int:
     """Count the ticks in a row in which each fault is present.
 
@@ -104,8 +104,8 @@ def debounce_faults(x: Tables, evidence: Evidence) -> int:
                 continue
             ticks = x.instance_int[s.FAULT_TICKS + row, i] + 1
             x.instance_int[s.FAULT_TICKS + row, i] = ticks
-            if ticks >= DEBOUNCE[row]:
-                action = max(action, ACTIONS[row])
-                fresh += ticks == DEBOUNCE[row]
+            if ticks >= DEBOUNCE_TICKS[row]:
+                action = max(action, ACTION_NUMBERS[row])
+                fresh += ticks == DEBOUNCE_TICKS[row]
     x.run_int[s.NEW_FAULTS] = fresh
     return action

@@ -4,25 +4,25 @@ A word stores one bit for each tick in which a frame of a node was lost, the new
 Another word stores the ticks with malformed frames.
 """
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.safety.faults.bus import SHORT_WINDOW, WINDOW
+from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
 from handctl.safety.faults.node import HALF_RATE_MISSES
 
 AGE_WITHOUT_READING = 1_000_000
 """Age that is used for a node from which no reading was received so far [ticks]."""
-BITS_PER_WORD = WINDOW // 2
-"""Number of bits in each of the two words that store the lost frames of ``WINDOW`` ticks."""
+BITS_PER_WORD = LOSS_WINDOW_TICKS // 2
+"""Number of bits in each of the two words that store the lost frames of ``LOSS_WINDOW_TICKS`` ticks."""
 WORD_MASK = (1 << BITS_PER_WORD) - 1
 """Mask of the used bits of a word with ``BITS_PER_WORD`` bits."""
-SHORT_MASK = (1 << SHORT_WINDOW) - 1
-"""Mask of the bits that belong to the last ``SHORT_WINDOW`` ticks."""
+SHORT_MASK = (1 << MALFORMED_WINDOW_TICKS) - 1
+"""Mask of the bits that belong to the last ``MALFORMED_WINDOW_TICKS`` ticks."""
 
 
-@inner
+@kernel_helper
 def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
     """Return by how many whole ticks a reading of a node is overdue. A reading from the last period is in time.
 
@@ -38,13 +38,13 @@ def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) ->
     return max((now_ns - cyclic_ns - heard_ns) // period_ns, 0)
 
 
-@inner
+@kernel_helper
 def motor_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the feedback of motor n is overdue."""
     return ticks_overdue(now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS])
 
 
-@inner
+@kernel_helper
 def cell_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the reading of a tendon's load cell is overdue.
 
@@ -61,7 +61,7 @@ def cell_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int
     return ticks_overdue(now_ns, heard_ns, 0, c.run_int[h.PERIOD_NS])
 
 
-@inner
+@kernel_helper
 def update_loss_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool) -> None:
     """Update the counts of lost, malformed and unknown frames of all nodes.
 
@@ -95,7 +95,7 @@ def update_loss_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, 
     x.run[s.UNKNOWN_RATE] = leaked if leaked > 1e-3 else 0.0
 
 
-@inner
+@kernel_helper
 def count_set_bits(bits: int) -> int:
     """Return the number of bits that are set in a word."""
     number = 0
@@ -106,15 +106,15 @@ def count_set_bits(bits: int) -> int:
     return number
 
 
-@inner
+@kernel_helper
 def count_lost_replies(x: Tables, node: int) -> int:
-    """Return in how many of the last ``WINDOW`` ticks a node sent no reply."""
+    """Return in how many of the last ``LOSS_WINDOW_TICKS`` ticks a node sent no reply."""
     return count_set_bits(x.node_int[s.LOST_REPLIES, node]) + count_set_bits(x.node_int[s.LOST_REPLIES + 1, node])
 
 
-@inner
+@kernel_helper
 def misses_every_second(x: Tables, node: int) -> bool:
-    """Return True if about every second reply of a node is missing in the last ``SHORT_WINDOW`` ticks.
+    """Return True if about every second reply of a node is missing in the last ``MALFORMED_WINDOW_TICKS`` ticks.
 
     Two replies in a row may be missing at most once.
     """

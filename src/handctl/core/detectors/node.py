@@ -2,7 +2,7 @@
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -48,12 +48,12 @@ from handctl.safety.faults.node import (
 )
 
 ROW_OF_CAUSE = (N11, N01, N08, N10, N11, N12, N11, N11B)
-"""Fault for each value of ``drives.causes.Cause``."""
+"""Fault for each value of ``drives.causes.DriveFaultCause``."""
 PHASE_FAULT = 4
-"""Value of ``drives.contract.Phase.FAULT``."""
+"""Value of ``drives.contract.DrivePhase.FAULT``."""
 
 
-@inner
+@kernel_helper
 def detect_node_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of node faults that need no torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
@@ -73,7 +73,7 @@ def detect_node_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evid
             evidence[N13, node] = x.node_int[s.DUPLICATES, node] - 1.0
 
 
-@inner
+@kernel_helper
 def _detect_drive_errors(x: Tables, evidence: Evidence) -> None:
     """Find the errors that drives report.
 
@@ -84,7 +84,7 @@ def _detect_drive_errors(x: Tables, evidence: Evidence) -> None:
             evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[s.FAULT_CODE, n]
 
 
-@inner
+@kernel_helper
 def _detect_silent_sensors(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find load cells and joint encoders that have sent no reading for too long."""
     now_ns = x.run_int[s.T_NS]
@@ -102,7 +102,7 @@ def _detect_silent_sensors(x: Tables, c: ConstantTables, evidence: Evidence) -> 
                 evidence[N02B, j] = (now_ns - heard_ns) * 1e-9
 
 
-@inner
+@kernel_helper
 def _detect_rejected_positions(x: Tables, evidence: Evidence) -> None:
     """Find rejected positions of motors and joints.
 
@@ -122,7 +122,7 @@ def _detect_rejected_positions(x: Tables, evidence: Evidence) -> None:
                 evidence[N05B + 1, j] = x.joint[s.REJECTED_JOINT_STEP, j]
 
 
-@inner
+@kernel_helper
 def detect_node_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Run the detectors of node faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
@@ -144,7 +144,7 @@ def detect_node_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evid
     _detect_stuck_encoders(x, c, evidence)
 
 
-@inner
+@kernel_helper
 def _detect_stuck_encoders(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find encoders whose readings are constant despite motion.
 
@@ -166,7 +166,7 @@ def _detect_stuck_encoders(x: Tables, c: ConstantTables, evidence: Evidence) -> 
                 evidence[N04 + 1, j] = turned
 
 
-@inner
+@kernel_helper
 def detect_tension_after_cut(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Find tendons that are still under tension after the torque was cut."""
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:

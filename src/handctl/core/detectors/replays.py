@@ -9,7 +9,7 @@ here. The detector ``stuck`` judges constant readings.
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core.block import Tables
 from handctl.safety.faults.tendon import MIN_REPEATS, REPEAT_WINDOW
@@ -29,7 +29,7 @@ reaches the threshold. With noise of 1.5 counts, a run of 22 pairs is necessary.
 """
 
 
-@inner
+@kernel_helper
 def update_repetitions(x: Tables, tared: bool) -> None:
     """Compare the load-cell readings of this tick with the readings of the last ``MAX_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
@@ -49,7 +49,7 @@ def update_repetitions(x: Tables, tared: bool) -> None:
         x.tendon[s.PAST_READINGS, n] = x.tendon[s.COMPARED_READING, n]
 
 
-@inner
+@kernel_helper
 def age_of_repeated_readings(x: Tables, n: int) -> int:
     """Return the age of the readings that a load-cell channel repeats [ticks], 0 if it repeats none."""
     longest = x.tendon_int[s.LONGEST_REPETITION, n]
@@ -63,7 +63,7 @@ def age_of_repeated_readings(x: Tables, n: int) -> int:
     return 0
 
 
-@inner
+@kernel_helper
 def _chance_of_equal_readings(x: Tables, n: int) -> float:
     """Return the probability that two readings are equal, from all pairs of the last ``REPEAT_WINDOW`` readings."""
     pairs = 0

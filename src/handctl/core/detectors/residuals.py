@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from handctl.compiled import inner, square
+from handctl.compiled import kernel_helper, square
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -28,7 +28,7 @@ FULL_FRICTION_SPEED = 5e-3
 """Tendon speed above which friction is fully developed [m/s]."""
 
 
-@inner
+@kernel_helper
 def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
     """Update the low-passed residuals of all tendons.
 
@@ -80,14 +80,14 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
         x.tendon[s.LAST_POSITION_STEP, n] = turned
 
 
-@inner
+@kernel_helper
 def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the difference of tension that friction and torque-constant tolerance do not explain [N], 0 or more."""
     explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n])
     return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - explained, 0.0)
 
 
-@inner
+@kernel_helper
 def excess_friction(x: Tables, n: int) -> float:
     """Return by how much the friction of a moving rotor exceeds the friction of the model [N], 0 or more."""
     return max(

@@ -2,7 +2,7 @@
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -14,7 +14,7 @@ LATE_READING_S = 0.08
 """Time after a cut of the torque from which each new reading is stored as the tension after the cut [s]."""
 
 
-@inner
+@kernel_helper
 def update_slack_history(x: Tables, c: ConstantTables) -> None:
     """Update the tension history of a hand under torque.
 
@@ -46,7 +46,7 @@ def update_slack_history(x: Tables, c: ConstantTables) -> None:
         x.tendon_int[s.IS_TAUT, n] = is_taut or pair  # one tendon of a spool pair is always taut
 
 
-@inner
+@kernel_helper
 def update_history_after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the tension history of a hand whose torque was cut.
 

@@ -2,7 +2,7 @@
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -15,7 +15,7 @@ SETTLE_S = 0.1
 DEG_PER_RAD = 180.0 / math.pi
 
 
-@inner
+@kernel_helper
 def update_slip(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the slip of each tendon.
 

@@ -8,7 +8,7 @@ the spools.
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -29,7 +29,7 @@ PRESSED_N = 8.0
 """Tension in excess of its goal above which a streamed digit counts as held by an object [N]."""
 
 
-@inner
+@kernel_helper
 def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the number of constant readings of each sensor. A missing reading changes no number.
 
@@ -75,7 +75,7 @@ def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
             x.joint[s.STUCK_TEST_ANGLE, j] = value
 
 
-@inner
+@kernel_helper
 def reference_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the tension of a tendon as a reference for its motor's encoder [N], NaN if other motors change it too.
 
@@ -84,7 +84,7 @@ def reference_tension(x: Tables, c: ConstantTables, n: int) -> float:
     return math.nan if c.tendon_int[h.HAS_SURPLUS, n] else x.tendon[s.RESIDUAL + TENSION, n]
 
 
-@inner
+@kernel_helper
 def are_all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
     """Return True if all tendons that move a joint are taut.
 
@@ -96,7 +96,7 @@ def are_all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
     return True
 
 
-@inner
+@kernel_helper
 def joint_angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
     """Return the joint angle by the positions of the spools [rad], NaN if a tendon that moves the joint is slack."""
     if not are_all_tendons_taut(x, c, j):
@@ -109,14 +109,14 @@ def joint_angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
     return angle
 
 
-@inner
+@kernel_helper
 def motion_since_reading(reference: float, anchor: float) -> float:
     """Return how far a reference has moved since the sensor's reading became constant, 0 if unknown."""
     apart = abs(reference - anchor)
     return 0.0 if math.isnan(apart) else apart
 
 
-@inner
+@kernel_helper
 def filter_goals(x: Tables, c: ConstantTables) -> None:
     """Filter the goal of each motor to the speed of a motor, so that no motor counts as stuck when its goal jumps.
 
@@ -149,11 +149,11 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
                 # The filtered goal jumps to the estimated excursion. No motor had to follow this
                 # jump, so the anchor moves too.
                 x.tendon[s.MOTOR_ANCHOR, n] += present - before
-        elif _presses(x, c, n):
+        elif _is_digit_pressing(x, c, n):
             x.tendon[s.MOTOR_ANCHOR, n] += x.tendon[s.FILTERED_GOAL, n] - before
 
 
-@inner
-def _presses(x: Tables, c: ConstantTables, n: int) -> bool:
+@kernel_helper
+def _is_digit_pressing(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if a streamed digit presses: the tension of its tendon is much larger than the tension goal."""
     return is_tendon_streamed(x, c, n) and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSED_N

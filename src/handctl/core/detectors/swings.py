@@ -7,7 +7,7 @@ not appear in the motor current, so fault N14 (reported against commanded torque
 
 import math
 
-from handctl.compiled import inner, square
+from handctl.compiled import kernel_helper, square
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -23,7 +23,7 @@ MEAN_S = 0.025
 """Time constant of the mean square of the remaining, fast part [s]."""
 
 
-@inner
+@kernel_helper
 def update_swing(x: Tables, c: ConstantTables, tared: bool) -> None:
     """Update the mean square of the oscillation of each tension, from measured minus commanded tension."""
     period = c.run[h.PERIOD]

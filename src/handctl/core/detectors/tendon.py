@@ -2,7 +2,7 @@
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -48,7 +48,7 @@ MODE_RELAX = 5
 """Value of ``core.types.Mode.RELAX``."""
 
 
-@inner
+@kernel_helper
 def detect_tendon_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
     rail = c.run[h.TENSION_RAIL]
@@ -74,7 +74,7 @@ def detect_tendon_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Ev
             evidence[T06, n] = tension
 
 
-@inner
+@kernel_helper
 def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
     """Run the detectors of tendon faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
@@ -99,7 +99,7 @@ def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Ev
             evidence[T08, n] = slip
 
 
-@inner
+@kernel_helper
 def _planned_speed(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
@@ -117,7 +117,7 @@ def _planned_speed(x: Tables, c: ConstantTables, n: int) -> float:
     return speed
 
 
-@inner
+@kernel_helper
 def _detect_slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     """Find a tendon that lost its tension: snapped if its spool runs, slack if tension is commanded."""
     period = c.run[h.PERIOD]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from handctl.core.estimation.kalman import MEAN_NIS_S
 from handctl.core.model import HandModel
-from handctl.core.types import Event
+from handctl.core.types import TickEvent
 
 
 class NamedFields(Protocol):
@@ -18,7 +18,7 @@ class NamedFields(Protocol):
         ...
 
 
-def consistency_events(model: HandModel, before: NamedFields, after: NamedFields) -> tuple[Event, ...]:
+def consistency_events(model: HandModel, before: NamedFields, after: NamedFields) -> tuple[TickEvent, ...]:
     """Return the log events for changes of consistency and blocking between two ticks.
 
     Args:
@@ -26,7 +26,7 @@ def consistency_events(model: HandModel, before: NamedFields, after: NamedFields
         before: state after the last tick.
         after: state in the present tick.
     """
-    events: list[Event] = []
+    events: list[TickEvent] = []
     doubtful = after.view("doubtful")
     was = before.view("doubtful")
     if (doubtful != was).any():
@@ -35,7 +35,7 @@ def consistency_events(model: HandModel, before: NamedFields, after: NamedFields
             nis = after.view("nis_mean")[n]
             verdict = "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
             text = f"{name}: NIS {nis:.1f} over {MEAN_NIS_S:g} s, 2 is right: {verdict}"
-            events.append(Event("warn" if doubtful[n] else "info", "estimate", name, text))
+            events.append(TickEvent("warn" if doubtful[n] else "info", "estimate", name, text))
     blocked = after.view("blocked")
     was = before.view("blocked")
     if (blocked != was).any():
@@ -44,5 +44,5 @@ def consistency_events(model: HandModel, before: NamedFields, after: NamedFields
             name = model.hand.digit_names[d]
             tension = after.view("touch")[d]
             text = f"{name} is blocked: {tension:.1f} N of unexplained tension"
-            events.append(Event("info", "blocked", name, text if blocked[d] else f"{name} is free again"))
+            events.append(TickEvent("info", "blocked", name, text if blocked[d] else f"{name} is free again"))
     return tuple(events)

@@ -21,7 +21,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -43,7 +43,7 @@ SLOW_GRIP_S = 0.2
 """Time constant of the slow average of wound length minus stretch, while the hand holds an object [s]."""
 
 
-@inner
+@kernel_helper
 def update_tip_forces(x: Tables, c: ConstantTables) -> None:
     """Update the tip forces of closing digits.
 
@@ -75,7 +75,7 @@ def update_tip_forces(x: Tables, c: ConstantTables) -> None:
         x.digit[s.TIP_FORCE_DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (force - drift)
 
 
-@inner
+@kernel_helper
 def _write_tip_levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
     """Write the lever (J,) [m] of a force at a digit's tip about each joint, at the joint angles of a free digit.
 
@@ -88,7 +88,7 @@ def _write_tip_levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
         write_tip_levers(c, d, pose, lever)
 
 
-@inner
+@kernel_helper
 def _fit_tip_force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float:
     """Return the tip force that fits the unexplained tensions of a digit best, by least squares [N]."""
     work = 0.0
@@ -102,7 +102,7 @@ def _fit_tip_force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float
     return work / size
 
 
-@inner
+@kernel_helper
 def average_grip_travel(x: Tables, c: ConstantTables) -> None:
     """Update both averages of wound length minus stretch.
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -21,7 +21,7 @@ from handctl.core.constants import ConstantTables
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-STATES = 7
+STATE_COUNT = 7
 CELL_ERROR = 5
 """Index of the load-cell error among the states of a tendon."""
 MISSING_VARIANCE_FACTOR = 1e12
@@ -35,7 +35,7 @@ After this time the watchdogs of the drives have removed the torque.
 """
 
 
-@inner
+@kernel_helper
 def correct_covariance(
     x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after: Matrix, information: Vector
 ) -> float:
@@ -55,15 +55,15 @@ def correct_covariance(
         Standard deviation of the load-cell innovation [N].
     """
     kind = x.tendon_int[s.FILTER_KIND, n]
-    H = np.zeros((2, STATES))
+    H = np.zeros((2, STATE_COUNT))
     for m in range(2):
-        for i in range(STATES):
-            H[m, i] = c.design[n, kind, h.H_AT + STATES * m + i]
+        for i in range(STATE_COUNT):
+            H[m, i] = c.design[n, kind, h.H_AT + STATE_COUNT * m + i]
     observable = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT]
     H[1, CELL_ERROR] = observable
     P = _present_covariance(x, c, n, kind)
     crossed = _multiply_by_transposed(P, H)
-    size = _multiply(H, crossed)
+    size = _multiply_matrices(H, crossed)
     R = np.zeros(2)
     for m in range(2):
         R[m] = c.design[n, kind, h.R_AT + m] * (MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0)
@@ -75,26 +75,26 @@ def correct_covariance(
     information[0] = d / determinant
     information[1] = -2.0 * b / determinant
     information[2] = a / determinant
-    for i in range(STATES):
+    for i in range(STATE_COUNT):
         # A load-cell error that cannot be distinguished from tension is not corrected. Instead, the
         # variance of this error grows.
         observed = observable if i == CELL_ERROR else 1.0
         gain[i, 0] = observed * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
         gain[i, 1] = observed * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
-    rest = np.zeros((STATES, STATES))
-    for i in range(STATES):
-        for j in range(STATES):
+    rest = np.zeros((STATE_COUNT, STATE_COUNT))
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
             rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
     # Joseph form (I - K H) P (I - K H)^T + K R K^T. It is symmetric and positive for any gain, also
     # for a gain that does not correct the cell error (Schmidt's consider filter).
-    joseph = _multiply_by_transposed(_multiply(rest, P), rest)
-    for i in range(STATES):
-        for j in range(STATES):
+    joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
             after[i, j] = joseph[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
     return math.sqrt(d)
 
 
-@inner
+@kernel_helper
 def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
     """Predict the covariances (N, 7, 7) of all tendons to the next tick. End the propagation if all are steady.
 
@@ -109,52 +109,52 @@ def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int
         Q = _copy_design_matrix(c, n, kind, h.Q_AT)
         P = after[n]
         for _ in range(periods):
-            P = _multiply_by_transposed(_multiply(F, P), F)
-            for i in range(STATES):
-                for j in range(STATES):
+            P = _multiply_by_transposed(_multiply_matrices(F, P), F)
+            for i in range(STATE_COUNT):
+                for j in range(STATE_COUNT):
                     P[i, j] += Q[i, j]
         # The propagated covariance belongs to the old filter design.
         if kind != x.tendon_int[s.FILTER_KIND_BEFORE, n]:
             P = _copy_design_matrix(c, n, kind, h.P_AT)
-        for i in range(STATES):
-            for j in range(STATES):
-                x.tendon[s.COVARIANCE + STATES * i + j, n] = P[i, j]
+        for i in range(STATE_COUNT):
+            for j in range(STATE_COUNT):
+                x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n] = P[i, j]
         steady &= _is_steady(c, n, kind, P)
     x.run_int[s.COVARIANCE_PROPAGATED] = not steady
 
 
-@inner
+@kernel_helper
 def ticks_to_predict(c: ConstantTables, missed: int) -> int:
     """Return for how many of the missed ticks the covariance is predicted."""
     return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 
-@inner
+@kernel_helper
 def predicted_tension_sigma(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the standard deviation of a tendon's predicted tension [N], from the propagated covariance."""
     kind = x.tendon_int[s.FILTER_KIND, n]
-    P = np.empty((STATES, STATES))
-    for i in range(STATES):
-        for j in range(STATES):
-            P[i, j] = x.tendon[s.COVARIANCE + STATES * i + j, n]
+    P = np.empty((STATE_COUNT, STATE_COUNT))
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
+            P[i, j] = x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n]
     return math.sqrt(_tension_variance(c, n, kind, P) + c.design[n, kind, h.CELL_ERROR_VARIANCE_AT])
 
 
-@inner
+@kernel_helper
 def _present_covariance(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's predicted states: the propagated or else the steady covariance."""
     P = _copy_design_matrix(c, n, kind, h.P_AT)
     if x.run_int[s.COVARIANCE_PROPAGATED]:
-        for i in range(STATES):
-            for j in range(STATES):
-                P[i, j] = x.tendon[s.COVARIANCE + STATES * i + j, n]
+        for i in range(STATE_COUNT):
+            for j in range(STATE_COUNT):
+                P[i, j] = x.tendon[s.COVARIANCE + STATE_COUNT * i + j, n]
     return P
 
 
-@inner
+@kernel_helper
 def _is_steady(c: ConstantTables, n: int, kind: int, P: Matrix) -> bool:
     steady = _copy_design_matrix(c, n, kind, h.P_AT)
-    for i in range(STATES):
+    for i in range(STATE_COUNT):
         observed = c.design[n, kind, h.CELL_ERROR_OBSERVABLE_AT] if i == CELL_ERROR else 1.0
         if abs(P[i, i] - steady[i, i]) * observed > STEADY_FRACTION * steady[i, i] * observed:
             return False
@@ -162,27 +162,27 @@ def _is_steady(c: ConstantTables, n: int, kind: int, P: Matrix) -> bool:
     return abs(_tension_variance(c, n, kind, P) - variance) <= STEADY_FRACTION * variance
 
 
-@inner
+@kernel_helper
 def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
     variance = 0.0
-    for i in range(STATES):
-        for j in range(STATES):
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
             variance += c.design[n, kind, h.TENSION_ROW_AT + i] * P[i, j] * c.design[n, kind, h.TENSION_ROW_AT + j]
     return variance
 
 
-@inner
+@kernel_helper
 def _copy_design_matrix(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
     """Return a copy of a (7, 7) matrix of a tendon's filter design."""
-    matrix = np.empty((STATES, STATES))
-    for i in range(STATES):
-        for j in range(STATES):
-            matrix[i, j] = c.design[n, kind, at + STATES * i + j]
+    matrix = np.empty((STATE_COUNT, STATE_COUNT))
+    for i in range(STATE_COUNT):
+        for j in range(STATE_COUNT):
+            matrix[i, j] = c.design[n, kind, at + STATE_COUNT * i + j]
     return matrix
 
 
-@inner
-def _multiply(left: Matrix, right: Matrix) -> Matrix:
+@kernel_helper
+def _multiply_matrices(left: Matrix, right: Matrix) -> Matrix:
     """Return the product of two matrices. The sums are added in a fixed order."""
     matrix = np.zeros((left.shape[0], right.shape[1]))
     for i in range(left.shape[0]):
@@ -192,7 +192,7 @@ def _multiply(left: Matrix, right: Matrix) -> Matrix:
     return matrix
 
 
-@inner
+@kernel_helper
 def _multiply_by_transposed(left: Matrix, right: Matrix) -> Matrix:
     """Return the product of a matrix and a transposed matrix."""
     matrix = np.zeros((left.shape[0], right.shape[0]))

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 Matrix = NDArray[np.float64]
 
-STATES = 7
-INPUTS = 2
-MEASUREMENTS = 3
-X, V, S, W, D, E, O = range(STATES)  # noqa: E741 - the names of the states, as below
+STATE_COUNT = 7
+INPUT_COUNT = 2
+MEASUREMENT_COUNT = 3
+X, V, S, W, D, E, O = range(STATE_COUNT)  # noqa: E741 - the names of the states, as below
 """States of a tendon.
 
 They are travel [m] and speed [m/s] at the spool, excursion [m] and its rate [m/s], disturbance
@@ -22,7 +22,7 @@ force on the motor [N], load-cell error [N], stretch offset [m].
 """
 
 
-class Regime(enum.IntEnum):
+class TendonRegime(enum.IntEnum):
     """Regime of a tendon: how the filter's model couples motor and digit."""
 
     FREE = 0
@@ -77,7 +77,7 @@ class FilterBlock:
     cell_sigma: float
 
 
-class Transition(NamedTuple):
+class StateTransition(NamedTuple):
     """Transition of the states of all tendons over a period.
 
     The 7 N states are the travels of all tendons, then their speeds, and so on.
@@ -111,7 +111,7 @@ class FilterDesign:
     """
 
     blocks: tuple[tuple[FilterBlock, ...], ...]
-    transition: "Callable[[bytes], Transition]" = field(init=False, compare=False, repr=False)
+    transition: "Callable[[bytes], StateTransition]" = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         """Create the cache of the transition matrices."""
@@ -120,11 +120,13 @@ class FilterDesign:
     @property
     def held_sigma(self) -> Matrix:
         """Return the standard deviation of each tendon's tension in the regime ``HELD``, (N,) [N]."""
-        return np.sqrt([tendon[Regime.HELD].tension_variance for tendon in self.blocks])
+        return np.sqrt([tendon[TendonRegime.HELD].tension_variance for tendon in self.blocks])
 
-    def _transition(self, kinds: bytes) -> Transition:
+    def _transition(self, kinds: bytes) -> StateTransition:
         in_use = [tendon[kind] for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)]
-        return Transition(_stack_blocks([block.F for block in in_use]), _stack_blocks([block.B for block in in_use]))
+        return StateTransition(
+            _stack_blocks([block.F for block in in_use]), _stack_blocks([block.B for block in in_use])
+        )
 
 
 def _stack_blocks(blocks: list[Matrix]) -> Matrix:

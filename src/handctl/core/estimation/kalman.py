@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -39,10 +39,10 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-STATES = 7
-FREE = 0
-HELD = 1
-SLACK = 2
+STATE_COUNT = 7
+FREE_REGIME = 0
+HELD_REGIME = 1
+SLACK_REGIME = 2
 STOP_BAND_REST_M = 2e-5
 """Largest distance of the excursion from the open stop at which a digit comes to rest on the stop [m]."""
 STOP_BAND_STAY_M = 1e-4
@@ -97,14 +97,14 @@ MAX_NIS_SAMPLE = 100.0
 """Upper limit of each NIS sample, so that a single sample does not make the model of a tendon inconsistent."""
 
 
-@inner
+@kernel_helper
 def filter_kind(x: Tables, n: int) -> int:
     """Return the index of a tendon's filter design: the regime, plus 3 while process noise is added."""
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
 
 
-@inner
+@kernel_helper
 def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
     """Correct the filter by the measurements of a tick, and judge the slack, the stop and the contact of each tendon.
 
@@ -123,10 +123,10 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
     z = _usable_measurements(x)
     innovation = _innovations(x, c, z)
     full = missed > 0 or x.run_int[s.COVARIANCE_PROPAGATED] == 1 or _is_measurement_missing(x, c, z)
-    gain = np.zeros((count, STATES, 3))
+    gain = np.zeros((count, STATE_COUNT, 3))
     information = np.zeros((count, 3))
     cell_sigma = np.zeros(count)
-    after = np.zeros((count, STATES, STATES) if full else (0, 0, 0))
+    after = np.zeros((count, STATE_COUNT, STATE_COUNT) if full else (0, 0, 0))
     for n in range(count):
         kind = x.tendon_int[s.FILTER_KIND, n]
         _write_steady_gain(c, n, kind, gain[n], information[n])
@@ -143,7 +143,7 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
         covariance.predict_covariances(x, c, after, missed)
 
 
-@inner
+@kernel_helper
 def _usable_measurements(x: Tables) -> Matrix:
     """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN if missing.
 
@@ -157,52 +157,53 @@ def _usable_measurements(x: Tables) -> Matrix:
         z[n, 2] = x.tendon[s.MEASURED_EXCURSION, n]
         if x.tendon_int[s.SATURATED, n]:
             z[n, 1] = math.nan
-        if x.tendon_int[s.REGIME, n] == SLACK:
+        if x.tendon_int[s.REGIME, n] == SLACK_REGIME:
             stretch = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
             if not (stretch < -SLACK_LENGTH_M and x.tendon_int[s.LENGTH_KNOWN, n]):
                 z[n, 1] = math.nan
     return z
 
 
-@inner
+@kernel_helper
 def _innovations(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
     """Return the measurements minus their expected values, (N, 3), NaN where a measurement is missing."""
     innovation = np.empty_like(z)
     for n in range(len(z)):
         for m in range(3):
             expected = 0.0
-            for i in range(STATES):
+            for i in range(STATE_COUNT):
                 expected += (
-                    c.design[n, x.tendon_int[s.FILTER_KIND, n], h.H_AT + STATES * m + i] * x.tendon[s.TRAVEL + i, n]
+                    c.design[n, x.tendon_int[s.FILTER_KIND, n], h.H_AT + STATE_COUNT * m + i]
+                    * x.tendon[s.TRAVEL + i, n]
                 )
             innovation[n, m] = z[n, m] - expected
     return innovation
 
 
-@inner
+@kernel_helper
 def _is_measurement_missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
     """Return True if a measurement is missing that the steady gains assume.
 
     For a slack tendon, these gains assume no load-cell reading.
     """
     for n in range(len(z)):
-        assumed = x.tendon_int[s.REGIME, n] != SLACK and c.tendon_int[h.CELL_GROUP, n] >= 0
+        assumed = x.tendon_int[s.REGIME, n] != SLACK_REGIME and c.tendon_int[h.CELL_GROUP, n] >= 0
         if math.isnan(z[n, 0]) or (math.isnan(z[n, 1]) and assumed):
             return True
     return False
 
 
-@inner
+@kernel_helper
 def _write_steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector) -> None:
     """Write the steady gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of its innovations."""
-    for i in range(STATES):
+    for i in range(STATE_COUNT):
         for m in range(3):
             gain[i, m] = c.design[n, kind, h.K_AT + 3 * i + m]
     for i in range(3):
         information[i] = c.design[n, kind, h.INFORMATION_AT + i]
 
 
-@inner
+@kernel_helper
 def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector) -> None:
     """Correct the states by the innovations. Reject a single outlier of a load cell, but accept two in a row.
 
@@ -219,10 +220,10 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
         before = x.tendon[s.CELL_INNOVATION_SIGMAS, n]
         again = abs(sigmas) > STEP_GATE and before * sigmas > 0.0 and abs(before) > STEP_GATE
         jump = 0.0
-        if again and x.tendon_int[s.REGIME, n] != SLACK:
+        if again and x.tendon_int[s.REGIME, n] != SLACK_REGIME:
             steady = 0.0
             kind = x.tendon_int[s.FILTER_KIND, n]
-            for i in range(STATES):
+            for i in range(STATE_COUNT):
                 steady += c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
             # The correction by the gain is added below, so only the rest of STEP_FRACTION is
             # computed here.
@@ -230,7 +231,7 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
         if abs(sigmas) > OUTLIER_GATE and not again:
             innovation[n, 1] = math.nan
         x.tendon[s.CELL_INNOVATION_SIGMAS, n] = sigmas
-        for i in range(STATES):
+        for i in range(STATE_COUNT):
             for m in range(3):
                 if not math.isnan(innovation[n, m]):
                     x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovation[n, m]
@@ -238,7 +239,7 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
         x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.TENDON_STIFFNESS, n]
 
 
-@inner
+@kernel_helper
 def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
     """Move the excursion of each slack tendon with the other tendons of its digit, in digits with surplus tendons.
 
@@ -246,7 +247,7 @@ def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
     the other tendons. If several are slack, each tick is an iteration of a Gauss-Seidel solution.
     """
     for n in range(x.tendon.shape[1]):
-        if c.tendon_int[h.HAS_SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK:
+        if c.tendon_int[h.HAS_SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
             excursion = value_from_other_tendons(c, n, x.tendon[s.EXCURSION], c.tendon[h.EXPLAINED_OFFSET, n])
             rate = value_from_other_tendons(c, n, x.tendon[s.EXCURSION_RATE], 0.0)
             if not math.isnan(excursion):
@@ -254,7 +255,7 @@ def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
                 x.tendon[s.EXCURSION_RATE, n] = rate
 
 
-@inner
+@kernel_helper
 def _normalised_innovation_squared(innovation: Vector, information: Vector, blind: bool) -> float:
     """Return the normalised innovation squared of encoder and load cell, NaN if either is missing.
 
@@ -268,7 +269,7 @@ def _normalised_innovation_squared(innovation: Vector, information: Vector, blin
     return (information[0] * encoder + information[1] * cell) * encoder + information[2] * (cell * cell)
 
 
-@inner
+@kernel_helper
 def _judge_consistency(x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool) -> None:
     """Average the normalised innovations squared (NIS), and judge whether the model of each tendon is consistent.
 
@@ -304,7 +305,7 @@ def _judge_consistency(x: Tables, c: ConstantTables, innovation: Matrix, informa
     _judge_noise(x, c)
 
 
-@inner
+@kernel_helper
 def _judge_noise(x: Tables, c: ConstantTables) -> None:
     """Decide by the fast average of NIS which tendons get added process noise.
 
@@ -323,7 +324,7 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
         x.tendon[s.ADDED_NOISE_S, n] = MAX_ADDED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else left
 
 
-@inner
+@kernel_helper
 def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the tension of a tendon at its load cell, computed from the filter's states [N].
 
@@ -331,12 +332,12 @@ def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """
     tension = 0.0
     kind = x.tendon_int[s.FILTER_KIND, n]
-    for i in range(STATES):
+    for i in range(STATE_COUNT):
         tension += c.design[n, kind, h.TENSION_ROW_AT + i] * x.tendon[s.TRAVEL + i, n]
     return tension
 
 
-@inner
+@kernel_helper
 def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) -> None:
     """Write the angles or rates (J,) that all joints have if their digits are free, q = B R_r^+ s.
 
@@ -355,7 +356,7 @@ def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) ->
             result[j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[row, n]
 
 
-@inner
+@kernel_helper
 def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     """Return resistance, speed-signed pull and pull of all tendons, (3, N) [N].
 
@@ -390,7 +391,7 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
     return force
 
 
-@inner
+@kernel_helper
 def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset of a newly taut tendon.
 
@@ -403,7 +404,7 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
         # While a tendon is slack, the encoder alone determines the length that must still be wound.
-        near = regime == SLACK and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
+        near = regime == SLACK_REGIME and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
         blind = c.tendon_int[h.CELL_GROUP, n] < 0
         points = x.tendon_int[s.REGIME_EVIDENCE, n]
         tension = filtered_tension(x, c, n)
@@ -417,13 +418,13 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
             # The spool turns the joint in both directions. One of the two tendons is always taut.
             points = 0
-            regime = FREE
+            regime = FREE_REGIME
         elif is_regime_over(regime, points, blind):
             points = 0
-            if regime == SLACK:
+            if regime == SLACK_REGIME:
                 set_offset_of_newly_taut(x, c, n, cell)
                 x.tendon_int[s.LENGTH_KNOWN, n] = 1
-            regime = FREE if regime == SLACK else SLACK
+            regime = FREE_REGIME if regime == SLACK_REGIME else SLACK_REGIME
         x.tendon_int[s.REGIME_EVIDENCE, n] = points
         was = x.tendon_int[s.ON_OPEN_STOP, n] == 1
         stopped = c.tendon_int[h.HAS_RETURN_SPRINGS, n] == 1
@@ -435,7 +436,7 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
                 was, side * (x.tendon[s.EXCURSION, n] - opened), side * force[1, n], side * force[0, n]
             )
         x.tendon_int[s.ON_OPEN_STOP, n] = stopped
-        if regime != SLACK:
+        if regime != SLACK_REGIME:
             if stopped and not was:
                 # The digit has come to rest on its open stop. The excursion is then known, and the
                 # difference is added to the stretch offset.
@@ -444,7 +445,7 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
                 x.tendon[s.EXCURSION, n] = opened
                 x.tendon[s.EXCURSION_RATE, n] = 0.0
                 changed = True
-            regime = HELD if stopped or is_in_contact(x, c.tendon_int[h.DIGIT_OF_TENDON, n]) else FREE
+            regime = HELD_REGIME if stopped or is_in_contact(x, c.tendon_int[h.DIGIT_OF_TENDON, n]) else FREE_REGIME
         changed |= regime != x.tendon_int[s.REGIME, n]
         x.tendon_int[s.REGIME, n] = regime
     if changed:
@@ -454,14 +455,14 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
     return force
 
 
-@inner
+@kernel_helper
 def is_in_contact(x: Tables, d: int) -> bool:
     """Return True if a digit is blocked, or if the program knows that it touches an object while torque may act."""
     acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
 
-@inner
+@kernel_helper
 def _is_at_stop(was: bool, excursion: float, force: float, resistance: float) -> bool:
     """Return True if its springs hold a digit on the open stop against the pull of its tendon."""
     if was:
@@ -469,14 +470,14 @@ def _is_at_stop(was: bool, excursion: float, force: float, resistance: float) ->
     return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST
 
 
-@inner
+@kernel_helper
 def _choose_filter_kinds(x: Tables) -> None:
     """Choose the filter design of each tendon for the prediction."""
     for n in range(x.tendon.shape[1]):
         x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
 
 
-@inner
+@kernel_helper
 def _write_external_tension(x: Tables, c: ConstantTables, force: Matrix) -> None:
     """Write the unexplained load force of each tendon, positive if it acts against closing.
 
@@ -484,14 +485,14 @@ def _write_external_tension(x: Tables, c: ConstantTables, force: Matrix) -> None
     """
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
-        if x.tendon_int[s.REGIME, n] != SLACK and not x.tendon_int[s.ON_OPEN_STOP, n]:
+        if x.tendon_int[s.REGIME, n] != SLACK_REGIME and not x.tendon_int[s.ON_OPEN_STOP, n]:
             damping = c.tendon[h.LOAD_DAMPING, n] * x.tendon[s.EXCURSION_RATE, n]
             # The force is pull minus resistance. An object that resists closing makes this
             # difference positive.
             x.tendon[s.EXTERNAL_TENSION, n] = force[2, n] - force[0, n] - damping
 
 
-@inner
+@kernel_helper
 def write_unknown_estimate(x: Tables) -> None:
     """Write the estimate for a tick before all sensors have been read: no contact and no innovation."""
     for n in range(x.tendon.shape[1]):
@@ -500,7 +501,7 @@ def write_unknown_estimate(x: Tables) -> None:
         x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
 
 
-@inner
+@kernel_helper
 def derive_estimate(x: Tables, c: ConstantTables) -> None:
     """Derive the estimate from the predicted states: tensions, standard deviations, angles of free digits."""
     for n in range(x.tendon.shape[1]):

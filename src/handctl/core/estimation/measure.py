@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -14,7 +14,7 @@ from handctl.core.estimation.kalman import write_free_angles
 from handctl.core.estimation.structure import carrier_excursion, joint_excursion
 
 
-@inner
+@kernel_helper
 def write_measurements(x: Tables, c: ConstantTables) -> None:
     """Write the readings received in this tick as measurements, and NaN for missing readings."""
     for n in range(x.tendon.shape[1]):
@@ -40,7 +40,7 @@ def write_measurements(x: Tables, c: ConstantTables) -> None:
             x.joint[s.MEASURED_JOINT, j] = x.joint[s.JOINT_ANGLE, j]
 
 
-@inner
+@kernel_helper
 def reject_outliers(x: Tables, c: ConstantTables, missed: int) -> None:
     """Reject positions that rotor or joint cannot have reached since the last accepted position.
 
@@ -62,7 +62,7 @@ def reject_outliers(x: Tables, c: ConstantTables, missed: int) -> None:
         )  # fmt: skip
 
 
-@inner
+@kernel_helper
 def _reject_outlier(
     table: NDArray[np.float64],
     i: int,
@@ -105,7 +105,7 @@ def _reject_outlier(
     table[gap_row, i] = gap
 
 
-@inner
+@kernel_helper
 def clear_rejected_steps(x: Tables) -> None:
     """Set all rejected steps to 0, because positions are not tested while no torque acts."""
     for n in range(x.tendon.shape[1]):
@@ -114,7 +114,7 @@ def clear_rejected_steps(x: Tables) -> None:
         x.joint[s.REJECTED_JOINT_STEP, j] = 0.0
 
 
-@inner
+@kernel_helper
 def convert_positions(x: Tables, c: ConstantTables) -> None:
     """Write the measured travel, motor force and excursion of each tendon from the accepted positions."""
     for n in range(x.tendon.shape[1]):
@@ -137,7 +137,7 @@ def convert_positions(x: Tables, c: ConstantTables) -> None:
         x.tendon[s.MEASURED_EXCURSION, n] = excursion
 
 
-@inner
+@kernel_helper
 def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> float:
     """Return the tension that detectors judge [N]: the load-cell reading, or the estimate if there is no load cell.
 
@@ -152,7 +152,7 @@ def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> floa
     return x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
 
 
-@inner
+@kernel_helper
 def start_filter(x: Tables, c: ConstantTables) -> None:
     """Start the tension filter once all encoders and load cells were read.
 

@@ -22,14 +22,14 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner, square
+from handctl.compiled import kernel_helper, square
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import first_wrap, link_poses_of_hand, write_static_torque, write_tip_levers
 from handctl.core.estimation.structure import keep_excursion
-from handctl.hand.rigid_body import LENGTH, write_levers, write_turned_levers
+from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_turned_levers
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -67,7 +67,7 @@ TURN_SMOOTHING_S = 20e-3
 """Time constant of the low-pass filter for the turn by contact [s]."""
 
 
-@inner
+@kernel_helper
 def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
     """Write the estimated joint angles of a tick, and their standard deviations.
 
@@ -100,7 +100,7 @@ def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> No
         _fuse_encoders(x, c, columns, spread, t_ns)
 
 
-@inner
+@kernel_helper
 def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
     """Return the deviations (J, N) of the joint angles by the error of each excursion [rad], and the variances (J,)."""
     joints = x.joint.shape[1]
@@ -122,7 +122,7 @@ def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]
     return spread, total
 
 
-@inner
+@kernel_helper
 def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
     """Return deviations (2 H + 2, J) of the joint angles in the null space [rad], and write the turn by contact.
 
@@ -160,7 +160,7 @@ def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
     return columns
 
 
-@inner
+@kernel_helper
 def _contact_turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     """Return how far a contact at each place turns each joint, and the standard deviations, both (H, J) [rad]."""
     places = c.place_joint.shape[1]
@@ -187,7 +187,7 @@ def _contact_turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     return turns, deviation
 
 
-@inner
+@kernel_helper
 def _write_place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lever: Vector) -> None:
     """Write the levers (J,) of a force at a place of contact about the joints of a digit [m].
 
@@ -200,12 +200,12 @@ def _write_place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lev
         lever[j] = 0.0
     touched = first + place
     if touched < end:
-        write_levers(pose, first, touched, 0.5 * c.joint[h.LINK_TABLE + LENGTH, touched], lever)
+        write_levers(pose, first, touched, 0.5 * c.joint[h.LINK_TABLE + LENGTH_ROW, touched], lever)
     elif touched == end:
         write_tip_levers(c, d, pose, lever)
 
 
-@inner
+@kernel_helper
 def _write_digit_turn(
     x: Tables,
     c: ConstantTables,
@@ -251,7 +251,7 @@ def _write_digit_turn(
         turns[j] *= fraction  # all joints by one fraction, so that the excursion does not change
 
 
-@inner
+@kernel_helper
 def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
     """Return the fraction, 0 to 1, of a turn (J,) [rad] by which the joints of a digit can turn within their ranges.
 
@@ -266,7 +266,7 @@ def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: fl
     return fraction
 
 
-@inner
+@kernel_helper
 def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
     """Write how far friction, and springs with gravity, turn free digits out of the coupling, (2, J) [rad]."""
     joints = x.joint.shape[1]
@@ -288,7 +288,7 @@ def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
                 turn[row, j] += torque[row, other] * c.joint_joint[h.COMPLIANCE, other, j]
 
 
-@inner
+@kernel_helper
 def _fuse_encoders(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int) -> None:
     """Correct the joint angles by the joint encoders, one after the other.
 
@@ -342,7 +342,7 @@ def _fuse_encoders(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix
                 x.joint[s.Q_SIGMA, j] = math.sqrt(max(covariance[j, j], 0.0))
 
 
-@inner
+@kernel_helper
 def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
     """Write the tip-equivalent forces of all digits, and their standard deviations by errors of angles and tensions.
 
@@ -367,7 +367,7 @@ def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.JOINTS_FIRST, d]
         last = c.digit_int[h.JOINTS_END, d] - 1
-        length = c.joint[h.LINK_TABLE + LENGTH, last]
+        length = c.joint[h.LINK_TABLE + LENGTH_ROW, last]
         write_tip_levers(c, d, pose, about)
         _reduce_levers(c, d, about, lever)
         force = _dot_over_coordinates(c, d, lever, torque) / _dot_over_coordinates(c, d, lever, lever)
@@ -395,7 +395,7 @@ def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
         x.digit[s.TIP_FORCE_SIGMA, d] = math.sqrt(x.digit[s.TIP_FORCE_SIGMA, d])
 
 
-@inner
+@kernel_helper
 def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> None:
     """Write the levers about the coordinates of a digit (C,) [m], from the levers about its joints (J,) [m]."""
     for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
@@ -404,7 +404,7 @@ def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> 
             result[k] += c.joint_coordinate[h.COUPLING, j, k] * lever[j]
 
 
-@inner
+@kernel_helper
 def _dot_over_coordinates(c: ConstantTables, d: int, one: Vector, other: Vector) -> float:
     """Return the dot product of two vectors (C,) over the coordinates of a digit."""
     total = 0.0

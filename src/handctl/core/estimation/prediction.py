@@ -6,13 +6,13 @@ from handctl.core import block as s
 from handctl.core.deferred_imports import deferred_imports
 from handctl.core.estimation.covariance import HELD_TORQUE_S
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Layout
+from handctl.core.schema import BlockArray, BlockLayout
 
 with deferred_imports():
     from filterpy.kalman import predict_steadystate
 
 
-def predict_filter_states(model: HandModel, layout: Layout, block: Block, missed: int = 0) -> None:
+def predict_filter_states(model: HandModel, layout: BlockLayout, block: BlockArray, missed: int = 0) -> None:
     """Predict the states of all tendons to the next tick.
 
     Missed ticks are predicted with the motor force of the last tick, and without a planned change

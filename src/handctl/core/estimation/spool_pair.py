@@ -12,10 +12,10 @@ of the tendon that is paid out. Both effects resist the motion, so a pair withou
 has friction, caused by the pretension.
 """
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 
 
-@inner
+@kernel_helper
 def net_tension_at_joint(net: float, pretension: float, passed: float) -> float:
     """Return the net tension at a joint, less the friction of the pulleys [N].
 
@@ -33,7 +33,7 @@ def net_tension_at_joint(net: float, pretension: float, passed: float) -> float:
     return first * passed - second / passed
 
 
-@inner
+@kernel_helper
 def net_tension_at_spool(net: float, pretension: float, passed: float) -> float:
     """Return the net tension at the spool for a net tension at a joint [N], the inverse of ``net_tension_at_joint``."""
     both_taut = 2.0 * (net + pretension * (1.0 / passed - passed)) / (passed + 1.0 / passed)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.spool_pair import net_tension_at_joint
@@ -15,10 +15,10 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 
-@inner
+@kernel_helper
 def link_poses_of_hand(c: ConstantTables, q: Vector) -> Matrix:
     """Return the poses of all links at joint angles q (J,) [rad], (J, rigid_body.POSE), without carried masses."""
-    pose = np.empty((len(q), rigid_body.POSE))
+    pose = np.empty((len(q), rigid_body.POSE_COLUMN_COUNT))
     rigid_body.write_link_poses(c.joint, h.LINK_TABLE, c.joint_int[h.PARENT_JOINT], q, pose)
     return pose
 
@@ -27,7 +27,7 @@ MAX_OWN_FRACTION = 0.999
 """Diagonal element of R R^+ above which a tendon's value does not follow from the other tendons of its digit."""
 
 
-@inner
+@kernel_helper
 def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
     """Write the joint torques (J,) [N m] that balance gravity and springs at joint angles q (J,) [rad].
 
@@ -41,7 +41,7 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
         torque[j] += c.joint[h.SPRING_STIFFNESS, j] * (q[j] + c.joint[h.SPRING_PRELOAD, j])
 
 
-@inner
+@kernel_helper
 def pulley_torque(c: ConstantTables, n: int, arm: float, tension: float, developed: float, wrapped: float) -> float:
     """Return the torque of tendon n about the joint of a pulley, less the effect of friction [N m].
 
@@ -62,7 +62,7 @@ def pulley_torque(c: ConstantTables, n: int, arm: float, tension: float, develop
     return arm * tension * passed
 
 
-@inner
+@kernel_helper
 def subtract_passing_torque(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, torque: Vector) -> None:
     """Subtract the torques of passing tendons from the joint torques (J,) that the tendons of carriers must make.
 
@@ -88,7 +88,7 @@ def subtract_passing_torque(c: ConstantTables, q: Vector, tension: Vector, devel
                 torque[j] -= pulley_torque(c, n, arm, tension[n], developed[n], wrapped)
 
 
-@inner
+@kernel_helper
 def first_wrap(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the wrap angle of tendon n before the joints of its digit [rad].
 
@@ -105,16 +105,16 @@ def first_wrap(c: ConstantTables, n: int, q: Vector) -> float:
     return wrapped
 
 
-@inner
+@kernel_helper
 def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> None:
     """Write the levers (J,) of a force at a digit's tip about its joints [m], see ``rigid_body.write_levers``."""
     last = c.digit_int[h.JOINTS_END, d] - 1
     rigid_body.write_levers(
-        pose, c.digit_int[h.JOINTS_FIRST, d], last, c.joint[h.LINK_TABLE + rigid_body.LENGTH, last], lever
+        pose, c.digit_int[h.JOINTS_FIRST, d], last, c.joint[h.LINK_TABLE + rigid_body.LENGTH_ROW, last], lever
     )
 
 
-@inner
+@kernel_helper
 def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector) -> None:
     """Write the smallest tensions (N,) [N] that make joint torques (J,) [N m]."""
     for n in range(len(tension)):
@@ -124,7 +124,7 @@ def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector
             tension[n] += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * torque[j]
 
 
-@inner
+@kernel_helper
 def write_tensions_at_joints(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, result: Vector) -> None:
     """Write the tensions at the joints, less friction.
 
@@ -153,7 +153,7 @@ def write_tensions_at_joints(c: ConstantTables, q: Vector, tension: Vector, deve
     write_tensions_for_torque(c, torque, result)
 
 
-@inner
+@kernel_helper
 def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float:
     """Return the part of tendon n's value that a motion of the digit explains: element n of R R^+ v.
 
@@ -173,7 +173,7 @@ def part_explained_by_motion(c: ConstantTables, n: int, values: Vector) -> float
     return total
 
 
-@inner
+@kernel_helper
 def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: float) -> float:
     """Return the value of tendon n that follows from the other tendons of its digit, NaN if no value follows.
 
@@ -195,7 +195,7 @@ def value_from_other_tendons(c: ConstantTables, n: int, values: Vector, offset: 
     return (part_explained_by_motion(c, n, values) + offset - own * values[n]) / (1.0 - own)
 
 
-@inner
+@kernel_helper
 def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the tension at the joints of a winding tendon, as a fraction of the tension at the load cell.
 

@@ -23,13 +23,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import part_explained_by_motion
-from handctl.hand.file.quantities import COEFFICIENTS
+from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -55,31 +55,31 @@ MIN_BALANCE_FRACTION = 0.05
 """Smallest balance tension of a tendon, as a fraction of its balance tension with mean moment arms."""
 
 
-@inner
+@kernel_helper
 def moment_arm(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the moment arm of tendon n about joint j, at an angle q of this joint [m]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j]
     held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
     value = 0.0
-    for order in range(COEFFICIENTS - 1, -1, -1):
+    for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
         value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j]
     return value
 
 
-@inner
+@kernel_helper
 def joint_excursion(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the part of tendon n's excursion that the angle of joint j causes: the integral of the moment arm [m]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n]:
         return c.tendon_joint[h.MOMENT_ARMS, n, j] * q
     held = min(max(q, c.joint[h.JOINT_MIN, j]), c.joint[h.JOINT_MAX, j])
     value = 0.0
-    for order in range(COEFFICIENTS - 1, -1, -1):
+    for order in range(POLYNOMIAL_COEFFICIENTS - 1, -1, -1):
         value = value * held + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] / (order + 1.0)
     return value * held + moment_arm(c, n, j, held) * (q - held)
 
 
-@inner
+@kernel_helper
 def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
     """Return the part of tendon n's excursion, or of its rate, that the joints of its carriers cause [m, m/s].
 
@@ -97,7 +97,7 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
     return total
 
 
-@inner
+@kernel_helper
 def motor_speed(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon at its spool [m/s], including the speed that the carriers of its digit cause."""
     speed = x.tendon[s.SPEED, n]
@@ -106,18 +106,18 @@ def motor_speed(x: Tables, c: ConstantTables, n: int) -> float:
     return speed
 
 
-@inner
+@kernel_helper
 def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the derivative of tendon n's moment arm with respect to the angle of joint j [m/rad]."""
     if not c.tendon_int[h.HAS_VARYING_ARM, n] or q < c.joint[h.JOINT_MIN, j] or q > c.joint[h.JOINT_MAX, j]:
         return 0.0
     value = 0.0
-    for order in range(COEFFICIENTS - 1, 0, -1):
+    for order in range(POLYNOMIAL_COEFFICIENTS - 1, 0, -1):
         value = value * q + c.tendon_joint[h.ARM_POLYNOMIAL + order, n, j] * order
     return value
 
 
-@inner
+@kernel_helper
 def update_structure(x: Tables, c: ConstantTables) -> None:
     """Write the structure tables of all digits with varying moment arms, for the joint angles of the free digits."""
     q = np.empty(x.joint.shape[1])
@@ -144,7 +144,7 @@ def update_structure(x: Tables, c: ConstantTables) -> None:
             _write_compliance(c, d)
 
 
-@inner
+@kernel_helper
 def keep_excursion(x: Tables, c: ConstantTables) -> None:
     """Correct the joint angles of digits with varying moment arms, so that they agree with the estimated excursions."""
     for d in range(x.digit.shape[1]):
@@ -161,7 +161,7 @@ def keep_excursion(x: Tables, c: ConstantTables) -> None:
                 x.joint[s.Q, j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, first + i] * missing[i]
 
 
-@inner
+@kernel_helper
 def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
     """Write the tables R, R B, B (R B)^+ and the offsets of a digit, at joint angles q (J,) [rad]."""
     joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
@@ -184,7 +184,7 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
             for other in range(count):
                 product = c.tendon_coordinate[h.REDUCED_ARMS, n, first + k]
                 gram[k, other] += product * c.tendon_coordinate[h.REDUCED_ARMS, n, first + other]
-    _invert(gram)
+    _invert_matrix(gram)
     for j in range(joints[0], joints[1]):
         c.joint[h.ANGLE_OFFSET, j] = 0.0
         for n in range(tendons[0], tendons[1]):
@@ -201,7 +201,7 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
             c.tendon[h.EXPLAINED_OFFSET, n] += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]
 
 
-@inner
+@kernel_helper
 def _write_weights(c: ConstantTables, d: int) -> None:
     """Write pulley weights, ``POSTURE_TORQUE`` and balance tensions of a digit, from its present moment arms R."""
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
@@ -222,7 +222,7 @@ def _write_weights(c: ConstantTables, d: int) -> None:
             c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(balance, MIN_BALANCE_FRACTION * mean)
 
 
-@inner
+@kernel_helper
 def _write_compliance(c: ConstantTables, d: int) -> None:
     """Write how far torques turn the joints at constant excursion: K^-1 - K^-1 R^T (R K^-1 R^T)^-1 R K^-1."""
     joints = (c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d])
@@ -241,7 +241,7 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
         trace += stiff[a, a]
     for a in range(count):
         stiff[a, a] += REGULARISATION_FRACTION * trace / count
-    _invert(stiff)
+    _invert_matrix(stiff)
     for i in range(joints[0], joints[1]):
         for j in range(joints[0], joints[1]):
             value = soft[i] if i == j else 0.0
@@ -252,8 +252,8 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
             c.joint_joint[h.COMPLIANCE, i, j] = value
 
 
-@inner
-def _invert(matrix: Matrix) -> None:
+@kernel_helper
+def _invert_matrix(matrix: Matrix) -> None:
     """Invert a symmetric positive definite matrix in place, by Gauss-Jordan elimination."""
     count = len(matrix)
     for k in range(count):

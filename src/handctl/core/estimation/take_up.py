@@ -2,13 +2,13 @@
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 
-SLACK = 2
+SLACK_REGIME = 2
 SLACK_BELOW_N = 1.0
 """A tendon may be slack if its estimated tension and its load-cell reading are below this tension [N].
 
@@ -44,7 +44,7 @@ RANGE_MARGIN_M = 1e-3
 """Margin beyond the joints' range within which the excursion of a newly taut tendon is accepted [m]."""
 
 
-@inner
+@kernel_helper
 def regime_evidence(regime: int, points: int, tension: float, cell: float, error: float, near: bool) -> int:
     """Return the evidence that a regime ends: points for a slack tendon, or ticks in a row for a taut tendon.
 
@@ -58,7 +58,7 @@ def regime_evidence(regime: int, points: int, tension: float, cell: float, error
         error: estimated error of the load cell [N].
         near: True if the spool has wound up the slack length.
     """
-    if regime != SLACK:
+    if regime != SLACK_REGIME:
         return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
     if math.isnan(cell):
         return points
@@ -83,7 +83,7 @@ SLACK_TICKS_WITHOUT_CELL = 12
 """Number of ticks in a row with low estimated tension after which a tendon without load cell counts as slack."""
 
 
-@inner
+@kernel_helper
 def regime_evidence_without_cell(regime: int, points: int, tension: float, missing: float) -> int:
     """Return the evidence that the regime of a tendon without load cell ends, see ``regime_evidence``.
 
@@ -96,28 +96,28 @@ def regime_evidence_without_cell(regime: int, points: int, tension: float, missi
         tension: estimated tension [N].
         missing: force that is missing at the motor, by the model of a slack tendon [N].
     """
-    if regime != SLACK:
+    if regime != SLACK_REGIME:
         return points + 1 if tension < SLACK_BELOW_N else 0
     return max(points + (POINTS_LIKELY if missing > TAUT_WITHOUT_CELL_N else -POINTS_AGAINST), 0)
 
 
-@inner
+@kernel_helper
 def is_nearly_taut(x: Tables, n: int) -> bool:
     """Return True if the encoder shows that a slack tendon of known length is nearly taut."""
     return x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n] > -NEARLY_TAUT_M
 
 
-@inner
+@kernel_helper
 def is_regime_over(regime: int, points: int, blind: bool) -> bool:
     """Return True if the evidence ends a regime.
 
     Without load cell (``blind``), a taut tendon counts as slack only after more ticks.
     """
     slack_ticks = SLACK_TICKS_WITHOUT_CELL if blind else SLACK_TICKS
-    return points >= (POINTS_OF_TAUT if regime == SLACK else slack_ticks)
+    return points >= (POINTS_OF_TAUT if regime == SLACK_REGIME else slack_ticks)
 
 
-@inner
+@kernel_helper
 def set_offset_of_newly_taut(x: Tables, c: ConstantTables, n: int, cell: float) -> None:
     """Set stretch offset or excursion of a newly taut tendon, so that its stretch agrees with the load cell.
 

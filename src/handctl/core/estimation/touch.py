@@ -6,7 +6,7 @@ assumes that a free digit follows its tendon. With this assumption, the control 
 against a blocked digit.
 """
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -33,7 +33,7 @@ safety.
 """
 
 
-@inner
+@kernel_helper
 def update_blocked(x: Tables, c: ConstantTables) -> None:
     """Update for each digit whether it is blocked."""
     for d in range(x.digit.shape[1]):
@@ -53,7 +53,7 @@ def update_blocked(x: Tables, c: ConstantTables) -> None:
         x.digit_int[s.BLOCKED, d] = blocked
 
 
-@inner
+@kernel_helper
 def reset_blocked(x: Tables) -> None:
     """Set all digits to not blocked, because no contact is observable without torque."""
     for d in range(x.digit.shape[1]):

@@ -13,7 +13,7 @@ from handctl.errors import ConfigError
 from handctl.hand.file.descriptions import key_description
 from handctl.printing import similar_name
 
-SECTIONS = ("filter", "motion", "tension", "contact")
+GAIN_SECTIONS = ("filter", "motion", "tension", "contact")
 TENDON_SECTION = "tendon"
 """Section of forces for single tendons, with keys such as ``tendon.wrist_flex.motion_force_N``."""
 LIVE_SECTIONS = ("motion", "tension", "contact", TENDON_SECTION)
@@ -24,7 +24,7 @@ The design of the filter takes too long for the ticks of a run.
 
 
 @dataclass(frozen=True, slots=True)
-class Bound:
+class GainBounds:
     """A key of the gains, with the bounds of its value.
 
     Attributes:
@@ -81,17 +81,17 @@ def tendon_key(key: str) -> TendonKey | None:
 
 
 @cache
-def bounds() -> Mapping[str, Bound]:
+def gain_bounds() -> Mapping[str, GainBounds]:
     """Return the bounds of all keys that apply to the whole hand, as ``Gains`` declares them and in its order."""
     result = {}
-    for section in SECTIONS:
+    for section in GAIN_SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
         for name, field in model.model_fields.items():
             low, high, open_low = _range_of_field(field.metadata)
             key = f"{section}.{name}"
             whole = field.annotation is int
             why = key_description(model, name)
-            result[key] = Bound(key, low, high, open_low, field.default, whole, section in LIVE_SECTIONS, why)
+            result[key] = GainBounds(key, low, high, open_low, field.default, whole, section in LIVE_SECTIONS, why)
     return result
 
 
@@ -111,18 +111,18 @@ def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
     return low, high, open_low
 
 
-def bound_of(key: str) -> Bound | None:
+def bound_of(key: str) -> GainBounds | None:
     """Return the bounds of a key for the whole hand or for a single tendon, or None for an unknown key."""
     parts = tendon_key(key)
     if parts is None:
-        return bounds().get(key)
+        return gain_bounds().get(key)
     why = key_description(TendonForces, parts.field)
-    return replace(bounds()[parts.shared], key=key, why=why)
+    return replace(gain_bounds()[parts.shared], key=key, why=why)
 
 
 def values_by_key(gains: Gains) -> dict[str, float]:
     """Return the value of every key, including the keys for forces of single tendons."""
-    values = {key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2]) for key in bounds()}
+    values = {key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2]) for key in gain_bounds()}
     for one in gains.tendon:
         forces = {field: getattr(one, field) for field in SHARED_KEYS}
         values |= {f"{TENDON_SECTION}.{one.name}.{field}": force for field, force in forces.items() if force}
@@ -203,7 +203,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
             raise ConfigError(f"no tendon {one.name!r}", f"gains: {TENDON_SECTION}", right)
 
 
-def checked_bound(key: str, value: float, source: str) -> Bound:
+def checked_bound(key: str, value: float, source: str) -> GainBounds:
     """Return the bounds of a key after checking a value.
 
     Raises:
@@ -211,7 +211,7 @@ def checked_bound(key: str, value: float, source: str) -> Bound:
     """
     known = bound_of(key)
     if known is None:
-        near = similar_name(key, bounds(), cutoff=0.5)
+        near = similar_name(key, gain_bounds(), cutoff=0.5)
         right = f"{near}?" if near else "one of those that handctl gains show lists"
         raise ConfigError("no such gain", f"{source}: {key}", right)
     inside = known.low < value if known.open_low else known.low <= value

@@ -21,17 +21,17 @@ import numpy as np
 
 from handctl.core.deferred_imports import deferred_imports
 from handctl.core.estimation.filter_stack import (
-    INPUTS,
-    MEASUREMENTS,
-    STATES,
+    INPUT_COUNT,
+    MEASUREMENT_COUNT,
+    STATE_COUNT,
     D,
     E,
     FilterBlock,
     FilterDesign,
     Matrix,
     O,
-    Regime,
     S,
+    TendonRegime,
     V,
     W,
     X,
@@ -79,7 +79,7 @@ FRICTION_TIME_WITHOUT_CELL_S = 0.3
 
 It is about the time between reversals.
 """
-TAUT_REGIMES = (Regime.FREE, Regime.HELD)
+TAUT_REGIMES = (TendonRegime.FREE, TendonRegime.HELD)
 """Regimes with a second filter design, which has added noise.
 
 Their order is that of the kinds 3 and 4.
@@ -105,25 +105,33 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
         kind = (joints, *space.numbers_of(i))
         if kind not in made:
             with solver_failures_as_errors("filter"):
-                certain = tuple(_design_block(space, i, (regime, False), gains, period, joints) for regime in Regime)
+                certain = tuple(
+                    _design_block(space, i, (regime, False), gains, period, joints) for regime in TendonRegime
+                )
                 adds_noise = (_design_block(space, i, (regime, True), gains, period, joints) for regime in TAUT_REGIMES)
-                made[kind] = (*certain, *adds_noise, certain[Regime.SLACK])  # no noise is added for a slack tendon
+                made[kind] = (
+                    *certain,
+                    *adds_noise,
+                    certain[TendonRegime.SLACK],
+                )  # no noise is added for a slack tendon
         found.append(made[kind])
     return FilterDesign(tuple(found))
 
 
-def _continuous_model(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> tuple[Matrix, Matrix, Matrix]:
+def _continuous_model(
+    space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains
+) -> tuple[Matrix, Matrix, Matrix]:
     """Return the continuous model of a tendon: A (7, 7), B (7, 2) and the tension row (7,)."""
-    taut = regime != Regime.SLACK
+    taut = regime != TendonRegime.SLACK
     k, c = (space.stiffness[i], space.damping[i]) if taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
-    A = np.zeros((STATES, STATES))
-    B = np.zeros((STATES, INPUTS))
+    A = np.zeros((STATE_COUNT, STATE_COUNT))
+    B = np.zeros((STATE_COUNT, INPUT_COUNT))
     A[X, V] = A[S, W] = 1.0
     A[V] = -tension / space.motor_mass[i]
     A[V, V] -= space.motor_damping[i] / space.motor_mass[i]
     A[V, D] = B[V, 0] = 1.0 / space.motor_mass[i]
-    if regime == Regime.FREE:
+    if regime == TendonRegime.FREE:
         # A free digit follows the rotor: it has the rotor's acceleration, and its rate decays to
         # the rotor's speed.
         A[W] = A[V]
@@ -141,20 +149,20 @@ def _continuous_model(space: TendonSpace, i: int, regime: Regime, gains: FilterG
     return A, B, tension
 
 
-def _motor_noise(regime: Regime, gains: FilterGains) -> tuple[float, float, float]:
+def _motor_noise(regime: TendonRegime, gains: FilterGains) -> tuple[float, float, float]:
     """Return the disturbance force on the motor [N], its correlation time [s], and the white noise of the force [N]."""
-    if regime == Regime.HELD:
+    if regime == TendonRegime.HELD:
         return gains.held_disturbance_N, gains.held_disturbance_time_s, gains.held_acceleration_noise_N
     return gains.motor_disturbance_N, gains.motor_disturbance_time_s, gains.motor_acceleration_noise_N
 
 
-def _process_noise(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> Matrix:
+def _process_noise(space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains) -> Matrix:
     """Return the continuous process noise (7, 7) of a tendon.
 
     A Gauss-Markov state with standard deviation sigma and correlation time tau has the noise 2
     sigma^2 / tau. The speeds have white noise.
     """
-    Q = np.zeros((STATES, STATES))
+    Q = np.zeros((STATE_COUNT, STATE_COUNT))
     disturbance, time, jerk = _motor_noise(regime, gains)
     if not space.has_cell[i]:
         # Without load cell, the tension is estimated as motor force minus friction, so the error of
@@ -162,7 +170,7 @@ def _process_noise(space: TendonSpace, i: int, regime: Regime, gains: FilterGain
         disturbance = math.hypot(disturbance, FRICTION_SIGMA_WITHOUT_CELL * space.coulomb[i])
         time = max(time, FRICTION_TIME_WITHOUT_CELL_S)
     Q[V, V] = jerk**2 / space.motor_mass[i] ** 2
-    if regime == Regime.FREE:
+    if regime == TendonRegime.FREE:
         rate = gains.free_rate_N_per_s / space.stiffness[i]
         Q[V, W] = Q[W, V] = Q[V, V]
         Q[W, W] = Q[V, V] + 2.0 * rate**2 / gains.free_time_s
@@ -174,7 +182,7 @@ def _process_noise(space: TendonSpace, i: int, regime: Regime, gains: FilterGain
     return Q
 
 
-def _add_noise(Q: Matrix, stiffness: float, regime: Regime) -> None:
+def _add_noise(Q: Matrix, stiffness: float, regime: TendonRegime) -> None:
     """Increase the continuous process noise Q (7, 7) of a taut tendon, because its model does not fit.
 
     Args:
@@ -182,12 +190,12 @@ def _add_noise(Q: Matrix, stiffness: float, regime: Regime) -> None:
         stiffness: stiffness of the tendon [N/m].
         regime: free or held.
     """
-    free = regime == Regime.FREE
+    free = regime == TendonRegime.FREE
     Q[D, D] *= (ADDED_DISTURBANCE_FACTOR if free else ADDED_HELD_DISTURBANCE_FACTOR) ** 2
     Q[S, S] += ((ADDED_TENSION_WALK if free else ADDED_HELD_TENSION_WALK) / stiffness) ** 2
 
 
-def _discretise(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix, Matrix, Matrix]:
+def _discretise_model(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix, Matrix, Matrix]:
     """Return the zero-order hold of A and B, and the discrete covariance of Q.
 
     Source: van Loan (1978).
@@ -202,7 +210,7 @@ def _discretise(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix,
 
 
 def _design_block(
-    space: TendonSpace, i: int, kind: tuple[Regime, bool], gains: FilterGains, period: float, joint_period: float
+    space: TendonSpace, i: int, kind: tuple[TendonRegime, bool], gains: FilterGains, period: float, joint_period: float
 ) -> FilterBlock:
     """Return the filter of a tendon for one kind of design: a regime, and True if noise is added.
 
@@ -224,12 +232,12 @@ def _design_block(
     if adds_noise:
         _add_noise(intensity, float(space.stiffness[i]), regime)
         B[:, 1] *= PLAN_FRACTION_WITH_NOISE
-    F, held, Q = _discretise(A, B, intensity, period)
-    H = np.zeros((MEASUREMENTS, STATES))
+    F, held, Q = _discretise_model(A, B, intensity, period)
+    H = np.zeros((MEASUREMENT_COUNT, STATE_COUNT))
     H[0, X] = 1.0
     H[1] = tension
     H[2, S] = 1.0
-    known = regime == Regime.SLACK
+    known = regime == TendonRegime.SLACK
     H[1, E] = float(known)
     noise = np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
     # The first two measurements are encoder and load cell. Without load cell only the encoder is
@@ -237,7 +245,7 @@ def _design_block(
     read = 2 if space.has_cell[i] else 1
     P = _solve_riccati(F, H[:read], Q, np.diag(noise[:read] ** 2))
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
-    K = np.zeros((STATES, MEASUREMENTS))
+    K = np.zeros((STATE_COUNT, MEASUREMENT_COUNT))
     K[:, :read] = np.linalg.solve(innovation[:read, :read], H[:read] @ P).T
     # The load-cell error is a consider state: it is corrected only if it is observable.
     K[E] *= known

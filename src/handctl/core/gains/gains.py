@@ -160,7 +160,7 @@ class Gains(Document):
         return motion, tension
 
 
-class Provenance(Document):
+class GainsProvenance(Document):
     """Origin of gains, as evidence for their quality."""
 
     made: str = ""
@@ -193,7 +193,7 @@ class Provenance(Document):
 class GainsFile(Gains):
     """Content of a gains file: gains with their provenance."""
 
-    provenance: Provenance = Provenance()
+    provenance: GainsProvenance = GainsProvenance()
 
     @property
     def gains(self) -> Gains:
@@ -233,7 +233,7 @@ def load_gains_file(path: Path) -> GainsFile:
     return load_document(path, GainsFile)
 
 
-def gains_text(gains: Gains, provenance: Provenance) -> str:
+def gains_text(gains: Gains, provenance: GainsProvenance) -> str:
     """Return the text of a gains file with every value, defaults included."""
     every = provenance.model_dump()
     given = {key: value for key, value in every.items() if value or (key == "restores" and value == 0)}

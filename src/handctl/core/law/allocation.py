@@ -47,7 +47,7 @@ def _unique_solution(moment_arms: Vector, torque: Vector) -> Vector | None:
     return np.asarray(np.linalg.solve(moment_arms.T, torque))
 
 
-class _Problem(NamedTuple):
+class _AllocationProblem(NamedTuple):
     """Constants of a digit's quadratic program.
 
     Attributes:
@@ -63,28 +63,28 @@ class _Problem(NamedTuple):
     unconstrained: Vector
 
 
-_problems: dict[int, tuple[Vector, _Problem]] = {}
+_cached_problems: dict[int, tuple[Vector, _AllocationProblem]] = {}
 MAX_CACHED_PROBLEMS = 64
 """Largest number of quadratic programs in the cache."""
 
 
-def _cached_problem(moment_arms: Vector) -> _Problem:
+def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
     """Return the quadratic program for moment arms.
 
     The programs of read-only arms are cached by their identity.
     """
-    result = _problems.get(id(moment_arms))
+    result = _cached_problems.get(id(moment_arms))
     if result is not None and result[0] is moment_arms:
         return result[1]
-    if len(_problems) >= MAX_CACHED_PROBLEMS:
-        _problems.clear()
+    if len(_cached_problems) >= MAX_CACHED_PROBLEMS:
+        _cached_problems.clear()
     n = len(moment_arms)
     mean = float(np.abs(moment_arms).mean())
     arms = moment_arms / mean
     weight = np.ascontiguousarray(arms @ arms.T + REGULARISATION * np.eye(n))
-    problem = _Problem(arms, mean, weight, np.zeros((0, n)))
+    problem = _AllocationProblem(arms, mean, weight, np.zeros((0, n)))
     if not moment_arms.flags.writeable:
-        _problems[id(moment_arms)] = moment_arms, problem
+        _cached_problems[id(moment_arms)] = moment_arms, problem
     return problem
 
 

@@ -24,7 +24,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -32,7 +32,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
 from handctl.core.estimation.structure import arm_slope, carrier_excursion, joint_excursion, moment_arm, motor_speed
-from handctl.core.estimation.take_up import SLACK, SLACK_BELOW_N
+from handctl.core.estimation.take_up import SLACK_BELOW_N, SLACK_REGIME
 from handctl.core.estimation.touch import MAX_PRESS_N
 from handctl.core.law.friction_band import predict_moving_tension
 from handctl.core.law.null_space import INTEGRAL_LIMIT_N, raise_tensions_to_floor
@@ -76,7 +76,7 @@ RELAX_FLOOR_N = 5.0
 """Tension of a relaxed hand whose springs open it [N]."""
 
 
-@inner
+@kernel_helper
 def command_no_torque(x: Tables, c: ConstantTables) -> None:
     """Command no torque. The setpoint of a later tension loop starts at the present tension."""
     begin_servo_commands(x, c)
@@ -93,7 +93,7 @@ def command_no_torque(x: Tables, c: ConstantTables) -> None:
     x.run_int[s.TRIMMED] = x.run_int[s.HOLDING] = 0
 
 
-@inner
+@kernel_helper
 def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
     """Start or end a hold that safety demands. Each tension at the start of the hold is its limit until the end.
 
@@ -111,7 +111,7 @@ def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
     x.run_int[s.HOLDING] = hold
 
 
-@inner
+@kernel_helper
 def present_tension_limits(x: Tables, c: ConstantTables) -> Vector:
     """Return the present tension limits (N,) [N], which apply in addition to the limits of the hand file.
 
@@ -137,7 +137,7 @@ def present_tension_limits(x: Tables, c: ConstantTables) -> Vector:
     return limit
 
 
-@inner
+@kernel_helper
 def _derated_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the largest tension that the drive's temperature allows.
 
@@ -154,7 +154,7 @@ def _derated_tension(x: Tables, c: ConstantTables, n: int) -> float:
     return low + fraction * (high - low)
 
 
-@inner
+@kernel_helper
 def write_motor_torques(
     x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_loop: bool, ticks: int
 ) -> None:
@@ -220,7 +220,7 @@ def write_motor_torques(
     _write_joint_torques(x, c, way, load)
 
 
-@inner
+@kernel_helper
 def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> float:
     """Return a motor force, reduced to the limits of the motor and of the tension [N].
 
@@ -240,7 +240,7 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
     return force
 
 
-@inner
+@kernel_helper
 def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carried: float) -> None:
     """Write the force with which the tension filter predicts the motion of the rotor.
 
@@ -259,7 +259,7 @@ def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carr
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(c, n, x.joint[s.DQ])
 
 
-@inner
+@kernel_helper
 def _write_joint_torques(x: Tables, c: ConstantTables, way: Matrix, load: Vector) -> None:
     """Write the joint torques that the tensions make, and the goals of joints on a trajectory.
 
@@ -285,7 +285,7 @@ def _write_joint_torques(x: Tables, c: ConstantTables, way: Matrix, load: Vector
                 x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.CARRIER_ARMS, n, j]
 
 
-@inner
+@kernel_helper
 def _relaxing_force(x: Tables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool) -> float:
     """Return the motor force of a relaxing hand [N]: limited by the envelope, or in open loop the envelope itself.
 
@@ -304,7 +304,7 @@ def _relaxing_force(x: Tables, c: ConstantTables, n: int, force: float, ceiling:
     return ceiling if open_loop else min(max(force, 0.0), ceiling)
 
 
-@inner
+@kernel_helper
 def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> tuple[Vector, Matrix, Matrix]:
     """Return pulley efficiency (N,), tension goal and feedback (2, N) [N], null-space force and integral (2, N) [N].
 
@@ -354,27 +354,27 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
     return efficiency, terms, internal
 
 
-@inner
+@kernel_helper
 def _takes_up_slack(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True for a slack tendon of a streamed digit. A spool pair is never slack."""
     if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
         return False
-    return x.tendon_int[s.REGIME, n] == SLACK or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
+    return x.tendon_int[s.REGIME, n] == SLACK_REGIME or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
 
 
-@inner
+@kernel_helper
 def _is_moved_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if the drive of a tendon closes the position loop, while the tendon takes up no slack."""
     return is_loop_closed_by_drive(x, c, n) and not _takes_up_slack(x, c, n)
 
 
-@inner
+@kernel_helper
 def _take_up_speed(rate: float) -> float:
     """Return the speed of a spool that takes up slack, for a rate of the excursion on the trajectory [m/s]."""
     return max(rate, 0.0) + TAKE_UP_SPEED
 
 
-@inner
+@kernel_helper
 def _take_up_slack(x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, internal: Matrix) -> None:
     """Replace the feedback on slack tendons of streamed digits, so that their spools wind at a low speed.
 
@@ -403,7 +403,7 @@ def _take_up_slack(x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, int
             terms[1, n] *= min(max(2.0 * x.tendon[s.TENSION, n] / floor - 1.0, 0.0), 1.0)
 
 
-@inner
+@kernel_helper
 def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float, float]:
     """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the joints' trajectories."""
     excursion = 0.0
@@ -421,7 +421,7 @@ def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, f
     return excursion, rate, acceleration
 
 
-@inner
+@kernel_helper
 def _goal_of_carriers(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float]:
     """Return the parts of a tendon's rate [m/s] and acceleration [m/s2] that the trajectories of carriers cause."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
@@ -429,7 +429,7 @@ def _goal_of_carriers(c: ConstantTables, n: int, way: Matrix) -> tuple[float, fl
     return carrier_excursion(c, n, way[1]), carrier_excursion(c, n, way[2])
 
 
-@inner
+@kernel_helper
 def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: float) -> float:
     """Return the motor force with which a tension-controlled tendon follows its digit's carriers [N].
 
@@ -445,7 +445,7 @@ def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: fl
     return friction + c.tendon[h.MOTOR_DAMPING, n] * rate + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
 
 
-@inner
+@kernel_helper
 def _motion_force(
     x: Tables, c: ConstantTables, n: int, tension: float, feedback: float, rate: float, acceleration: float
 ) -> float:
@@ -479,7 +479,7 @@ def _motion_force(
     )
 
 
-@inner
+@kernel_helper
 def _tension_force(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, float, float]:
     """Return motor force, setpoint and integral of the tension loop [N].
 
@@ -518,7 +518,7 @@ def _tension_force(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[
     return min(max(force, -max_force), max_force), setpoint, integral
 
 
-@inner
+@kernel_helper
 def _feedforward_force(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the feedforward motor force of a tension-controlled tendon on an expected trajectory [N]."""
     speed = 0.0
@@ -531,7 +531,7 @@ def _feedforward_force(x: Tables, c: ConstantTables, n: int) -> float:
     return feedforward + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
 
 
-@inner
+@kernel_helper
 def _relaxing_force_limit(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> float:
     """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
     last = x.tendon[s.COMMANDED_FORCE, n]
@@ -542,7 +542,7 @@ def _relaxing_force_limit(x: Tables, c: ConstantTables, n: int, rate: float, tic
     return max(min(last, c.tendon[h.RELAXED_TENSION, n]), falling) * ROUNDING_FACTOR
 
 
-@inner
+@kernel_helper
 def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) -> float:
     """Return the average Coulomb friction of the motor in the coming period [N].
 
@@ -553,7 +553,7 @@ def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) 
     return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(coasting / c.tendon[h.FRICTION_STOP_SPEED, n])
 
 
-@inner
+@kernel_helper
 def _fade_trim(x: Tables, c: ConstantTables) -> None:
     """Reduce the trim of all tendons. Set all trims to 0 when the largest trim is negligible."""
     if not x.run_int[s.TRIMMED]:

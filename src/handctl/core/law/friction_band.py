@@ -11,7 +11,7 @@ elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED``.
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -30,7 +30,7 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 """Largest assumed efficiency of the pulleys, so that the friction band has a positive width."""
 
 
-@inner
+@kernel_helper
 def predict_moving_tension(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: float) -> None:
     """Write the tension of a moving tendon a period from now, its rate of change, and the development of friction.
 
@@ -68,7 +68,7 @@ def predict_moving_tension(x: Tables, c: ConstantTables, n: int, rate: float, ef
         x.tendon[s.FRICTION_STATE, n] = min(max(developed, -1.0), 1.0)
 
 
-@inner
+@kernel_helper
 def tension_after_period(
     now: float, load: float, efficiency: float, wound: float, stiffness: float, crept: float
 ) -> float:
@@ -89,7 +89,7 @@ def tension_after_period(
     return min(max(sticking, load * efficiency), load / efficiency)
 
 
-@inner
+@kernel_helper
 def _predict_pair_tension(x: Tables, c: ConstantTables, n: int, coming: float, efficiency: float, wound: float) -> None:
     """Write the results of ``predict_moving_tension`` for a spool pair.
 

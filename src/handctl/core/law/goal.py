@@ -4,11 +4,11 @@ import enum
 import math
 from dataclasses import dataclass
 
-from handctl.core.law.trajectory import Streamed, Trajectory
+from handctl.core.law.trajectory import StreamedTrajectory, Trajectory
 from handctl.core.types import Vector
 
 
-class Kind(enum.IntEnum):
+class GoalKind(enum.IntEnum):
     """Type of control of a digit."""
 
     LIMP = 0
@@ -33,8 +33,8 @@ class DigitGoal:
         force_limit: largest motor force that the goal allows [N].
     """
 
-    kind: Kind = Kind.LIMP
-    trajectory: Trajectory | Streamed | None = None
+    kind: GoalKind = GoalKind.LIMP
+    trajectory: Trajectory | StreamedTrajectory | None = None
     since: float = 0.0
     tension: Vector | None = None
     rate: float = 200.0

@@ -5,14 +5,14 @@ import functools
 import numpy as np
 
 from handctl.core import block as s
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.reference import MINIMUM_JERK, NO_TRAJECTORY, SAMPLED, STREAMED
-from handctl.core.law.trajectory import MinimumJerk, Streamed, Trajectory
+from handctl.core.law.trajectory import MinimumJerk, StreamedTrajectory, Trajectory
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Layout
+from handctl.core.schema import BlockArray, BlockLayout
 
 
-def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...]) -> None:
+def write_goals(model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...]) -> None:
     """Write the goals of all digits into the state block.
 
     Args:
@@ -28,18 +28,18 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
     way = layout.table(block, "coordinate")
     for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)):
         kinds[tendons] = int(_kind_of_control(goal))
-        if goal.kind == Kind.TENSION and goal.trajectory is not None:
+        if goal.kind == GoalKind.TENSION and goal.trajectory is not None:
             # Spool pairs that move the digit sideways hold their position while the other tendons
             # pull.
-            kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(Kind.MOTION)
-        if goal.kind == Kind.TENSION and goal.tension is not None:
+            kinds[tendons][model.redundancy.side[tendons] == 0.0] = int(GoalKind.MOTION)
+        if goal.kind == GoalKind.TENSION and goal.tension is not None:
             tendon[s.TENSION_TARGET, tendons] = np.clip(
                 goal.tension, np.minimum(model.floor[tendons], 0.0), model.ceiling[tendons]
             )
             tendon[s.SETPOINT_STEP, tendons] = goal.rate * model.period
             tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
         ways[d] = NO_TRAJECTORY if goal.trajectory is None else SAMPLED
-        if isinstance(goal.trajectory, Streamed):
+        if isinstance(goal.trajectory, StreamedTrajectory):
             ways[d] = STREAMED
         if isinstance(goal.trajectory, MinimumJerk):
             ways[d] = MINIMUM_JERK
@@ -53,14 +53,18 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
             way[s.TRAJECTORY_START_ACCELERATION, places] = blend.acceleration if blend else 0.0
 
 
-def _kind_of_control(goal: DigitGoal) -> Kind:
+def _kind_of_control(goal: DigitGoal) -> GoalKind:
     """Return the kind of control of a goal: LIMP if its trajectory or tension is missing."""
-    if (goal.kind == Kind.MOTION and goal.trajectory is None) or (goal.kind == Kind.TENSION and goal.tension is None):
-        return Kind.LIMP
+    if (goal.kind == GoalKind.MOTION and goal.trajectory is None) or (
+        goal.kind == GoalKind.TENSION and goal.tension is None
+    ):
+        return GoalKind.LIMP
     return goal.kind
 
 
-def sample_trajectories(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...], t: float) -> None:
+def sample_trajectories(
+    model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...], t: float
+) -> None:
     """Write position, rate and acceleration at time t [s] of trajectories that compiled code cannot evaluate."""
     for trajectory, since, places in sampled_goals(model, goals):
         layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = trajectory.at(t - since)
@@ -73,5 +77,5 @@ def sampled_goals(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple
     return tuple(
         (goal.trajectory, goal.since, places)
         for goal, places in rows
-        if goal.trajectory is not None and not isinstance(goal.trajectory, MinimumJerk | Streamed)
+        if goal.trajectory is not None and not isinstance(goal.trajectory, MinimumJerk | StreamedTrajectory)
     )

@@ -12,14 +12,14 @@ from handctl.core.hand_constants import HandConstants
 from handctl.core.law.allocation import solve_bounded
 from handctl.core.law.allocation import tensions_for_torque as allocate_tension
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Layout
+from handctl.core.schema import BlockArray, BlockLayout
 from handctl.core.types import Vector
 from handctl.hand.dynamics import DigitModel, required_torque
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 
 def write_tension_goals(
-    model: HandModel, layout: Layout, constants: HandConstants, block: Block, action: int = 0
+    model: HandModel, layout: BlockLayout, constants: HandConstants, block: BlockArray, action: int = 0
 ) -> None:
     """Evaluate the goals of all digits, and write the required tensions of all moving tendons.
 
@@ -44,7 +44,7 @@ def write_tension_goals(
 
 
 def allocate_bounded_tensions(
-    model: HandModel, layout: Layout, constants: HandConstants, block: Block, undecided: int, way: Vector
+    model: HandModel, layout: BlockLayout, constants: HandConstants, block: BlockArray, undecided: int, way: Vector
 ) -> None:
     """Solve the bounded least-squares problem for digits whose tensions are out of bounds or not unique.
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -32,7 +32,7 @@ feedback has to move.
 """
 
 
-@inner
+@kernel_helper
 def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix) -> None:
     """Raise the tension goals of moving surplus tendons above the floor, and write the null-space forces.
 
@@ -80,7 +80,7 @@ def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: 
             internal[1, n] = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
 
 
-@inner
+@kernel_helper
 def _largest_balance_factor(c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix) -> float:
     """Return the largest factor of the balance tensions with which all tendons of a digit stay within their limits."""
     factor = math.inf
@@ -90,7 +90,7 @@ def _largest_balance_factor(c: ConstantTables, first: int, end: int, limit: Vect
     return factor
 
 
-@inner
+@kernel_helper
 def _fraction_of_feedback(
     c: ConstantTables, first: int, end: int, bound: float, terms: Matrix, feedback: Vector
 ) -> float:

@@ -16,13 +16,13 @@ from handctl.core.types import Vector
 from handctl.hand.digit import DigitModel
 from handctl.hand.moment_arms import excursions_at
 
-Flags = NDArray[np.bool_]
+BoolArray = NDArray[np.bool_]
 MISSING_FRACTION = 1e-3
 """Largest torque that balance tensions may make, as a fraction of the largest tension times the mean moment arm."""
 
 
 @dataclass(frozen=True, slots=True)
-class Redundancy:
+class TendonRedundancy:
     """Directions and balance tensions of the N tendons of a hand, each (N,).
 
     Attributes:
@@ -37,14 +37,16 @@ class Redundancy:
     """
 
     side: Vector
-    sprung: Flags
-    surplus: Flags
+    sprung: BoolArray
+    surplus: BoolArray
     balance: Vector
     open_excursion: Vector
     excursion_range: Vector
 
 
-def redundancy_of_hand(digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, is_pair: Flags) -> Redundancy:
+def redundancy_of_hand(
+    digits: tuple[DigitModel, ...], floor: Vector, ceiling: Vector, is_pair: BoolArray
+) -> TendonRedundancy:
     """Derive the directions and the balance tensions of all tendons.
 
     Args:
@@ -59,7 +61,7 @@ def redundancy_of_hand(digits: tuple[DigitModel, ...], floor: Vector, ceiling: V
         _balance_tensions(digit, floor[digit.tendons], ceiling[digit.tendons]) if more else np.zeros(count)
         for digit, more, count in zip(digits, surplus, counts, strict=True)
     ]
-    return Redundancy(
+    return TendonRedundancy(
         side=np.concatenate([tendon_directions(digit, is_pair[digit.tendons]) for digit in digits]),
         sprung=np.repeat([is_sprung(digit) for digit in digits], counts),
         surplus=np.repeat(surplus, counts),
@@ -69,13 +71,13 @@ def redundancy_of_hand(digits: tuple[DigitModel, ...], floor: Vector, ceiling: V
     )
 
 
-def tendon_directions(digit: DigitModel, is_pair: Flags) -> Vector:
-    """Return the direction of each tendon of a digit (n_t,), see ``Redundancy.side``."""
+def tendon_directions(digit: DigitModel, is_pair: BoolArray) -> Vector:
+    """Return the direction of each tendon of a digit (n_t,), see ``TendonRedundancy.side``."""
     arms = digit.reduced_moment_arms
     side = np.where(arms.sum(axis=1) < 0.0, -1.0, 1.0)
     if not is_pair.any():
         return side
-    return np.where((arms[:, ~digit.sideways] != 0.0).any(axis=1), side, 0.0)
+    return np.where((arms[:, ~digit.sideways_coordinates] != 0.0).any(axis=1), side, 0.0)
 
 
 def _excursion_range(digit: DigitModel) -> Vector:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
@@ -19,12 +19,12 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 Matrix = NDArray[np.float64]
 
 LIMP, MOTION, TENSION = 0, 1, 2
-"""Values of ``goal.Kind``, and of the field ``block.GOAL_KIND``."""
+"""Values of ``goal.GoalKind``, and of the field ``block.GOAL_KIND``."""
 NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 """Values of the field ``block.TRAJECTORY_KIND``."""
 
 
-@inner
+@kernel_helper
 def follow_trajectories(x: Tables, c: ConstantTables, frozen: bool) -> None:
     """Write position, rate and acceleration of every coordinate on its trajectory, 0 if it has no trajectory.
 
@@ -66,7 +66,7 @@ def follow_trajectories(x: Tables, c: ConstantTables, frozen: bool) -> None:
                 x.coordinate[s.TRAJECTORY + 1, k] = x.coordinate[s.TRAJECTORY + 2, k] = 0.0
 
 
-@inner
+@kernel_helper
 def _add_blend(x: Tables, k: int, after: float, blend: float) -> None:
     """Add the part of a minimum-jerk move that continues an earlier motion, see ``trajectory.MinimumJerk``.
 
@@ -89,7 +89,7 @@ def _add_blend(x: Tables, k: int, after: float, blend: float) -> None:
     x.coordinate[s.TRAJECTORY + 2, k] += (1.0 + u * (-9.0 + u * (18.0 - 10.0 * u))) * bend
 
 
-@inner
+@kernel_helper
 def joint_trajectories(x: Tables, c: ConstantTables) -> Matrix:
     """Return angles, rates and accelerations (3, J) of all joints on the trajectories."""
     joints = x.joint.shape[1]
@@ -103,7 +103,7 @@ def joint_trajectories(x: Tables, c: ConstantTables) -> Matrix:
     return way
 
 
-@inner
+@kernel_helper
 def is_digit_moving(x: Tables, c: ConstantTables, d: int) -> bool:
     """Return True if at least one tendon of a digit follows a trajectory."""
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
@@ -112,13 +112,13 @@ def is_digit_moving(x: Tables, c: ConstantTables, d: int) -> bool:
     return False
 
 
-@inner
+@kernel_helper
 def is_tendon_streamed(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if the digit of a tendon follows streamed angles."""
     return bool(x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] == STREAMED)
 
 
-@inner
+@kernel_helper
 def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
     """Write the joint torques that the trajectories require, by inverse dynamics, springs and damping.
 
@@ -160,7 +160,7 @@ def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
                 x.joint[s.REQUIRED_JOINT_TORQUE, j] = torque[j] + spring + c.joint[h.JOINT_DAMPING, j] * motion[1, j]
 
 
-@inner
+@kernel_helper
 def write_required_tensions(x: Tables, c: ConstantTables) -> int:
     """Write the tensions at the joints that make the required joint torques.
 

@@ -30,16 +30,16 @@ relaxes, is held by safety, or takes up slack, and a tick without a measured mot
 
 import math
 
-from handctl.compiled import inner
+from handctl.compiled import kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.structure import carrier_excursion
-from handctl.core.estimation.take_up import SLACK
+from handctl.core.estimation.take_up import SLACK_REGIME
 from handctl.core.law.reference import MOTION
 
-ACTIVE = 4
+ACTIVE_MODE = 4
 """Value of ``core.types.Mode.ACTIVE``."""
 MAX_PHASE_RAD = 0.3
 """Largest product of the natural frequency of a drive's position loop and the control period [rad].
@@ -57,7 +57,7 @@ In free motions, the force changes by less than 1 N within a period.
 """
 
 
-@inner
+@kernel_helper
 def begin_servo_commands(x: Tables, c: ConstantTables) -> None:
     """Store the commands of the last tick, and set the commands of this tick to 0.
 
@@ -72,19 +72,19 @@ def begin_servo_commands(x: Tables, c: ConstantTables) -> None:
             x.servo[s.SERVO_BEFORE, n] += elapsed * x.servo[s.SERVO_BEFORE + 1, n]
 
 
-@inner
+@kernel_helper
 def command_torque_only(x: Tables, n: int) -> None:
     """Replace the command of a drive by a torque command, in a hand with at least one position loop in a drive."""
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
 
 
-@inner
+@kernel_helper
 def is_loop_closed_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if the drive of a tendon closes the position loop in this tick."""
     if not c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
         return False
-    if x.run_int[s.MODE] != ACTIVE or x.run_int[s.HOLDING]:
+    if x.run_int[s.MODE] != ACTIVE_MODE or x.run_int[s.HOLDING]:
         return False
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     if (
@@ -93,12 +93,12 @@ def is_loop_closed_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
         or math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
     ):
         return False
-    return (c.tendon_int[h.IS_SPOOL_PAIR, n] == 1 or x.tendon_int[s.REGIME, n] != SLACK) and servo_stiffness(
+    return (c.tendon_int[h.IS_SPOOL_PAIR, n] == 1 or x.tendon_int[s.REGIME, n] != SLACK_REGIME) and servo_stiffness(
         x, c, n
     ) > 0.0
 
 
-@inner
+@kernel_helper
 def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the stiffness kp of a drive's loop for the present goal, rounded to the command's resolution [N m/rad]."""
     step = c.tendon[h.SERVO_KP_STEP, n]
@@ -106,7 +106,7 @@ def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
     return step * math.floor(min(wanted, c.tendon[h.SERVO_KP_MAX, n]) / step + 0.5)
 
 
-@inner
+@kernel_helper
 def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the damping kd of a drive's loop for the present goal, rounded to the command's resolution [N m s/rad]."""
     step = c.tendon[h.SERVO_KD_STEP, n]
@@ -114,7 +114,7 @@ def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
     return step * math.floor(min(wanted, c.tendon[h.SERVO_KD_MAX, n]) / step + 0.5)
 
 
-@inner
+@kernel_helper
 def servo_speed_force(x: Tables, c: ConstantTables, n: int, rate: float) -> float:
     """Return the mean force that the speed error causes in a drive's loop over the coming period [N].
 
@@ -130,7 +130,7 @@ def servo_speed_force(x: Tables, c: ConstantTables, n: int, rate: float) -> floa
     return gain / (c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n]) * (rate - x.tendon[s.SPEED, n])
 
 
-@inner
+@kernel_helper
 def servo_force(
     x: Tables, c: ConstantTables, n: int, excursion: float, rate: float, tension: float
 ) -> float:
@@ -153,7 +153,7 @@ def servo_force(
     return stiffness * error + servo_speed_force(x, c, n, rate)
 
 
-@inner
+@kernel_helper
 def write_servo_command(
     x: Tables, c: ConstantTables, n: int, rate: float, feedforward: float, force: float
 ) -> None:
@@ -189,7 +189,7 @@ def write_servo_command(
         x.servo[s.SERVO_LIMIT, n] = min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.FORCE_MAX, n]) * spool
 
 
-@inner
+@kernel_helper
 def predict_reports(x: Tables, c: ConstantTables) -> None:
     """Write the force that each drive of the servo table should report in this tick [N].
 

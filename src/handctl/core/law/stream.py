@@ -13,12 +13,12 @@ digit that is held, and follows a digit that is pushed away.
 
 import math
 
-from handctl.compiled import inner, kernel
+from handctl.compiled import kernel, kernel_helper
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables, state_tables
 from handctl.core.constants import ConstantTables
-from handctl.core.schema import Block, Places
+from handctl.core.schema import BlockArray, TablePlaces
 from handctl.core.types import Vector
 
 MAX_LEAD = math.radians(8.0)
@@ -32,7 +32,7 @@ MIN_STIFFNESS = 0.05
 
 A softer digit may be pushed away further.
 """
-TOLERANCE = 1e-9
+LIMIT_TOLERANCE = 1e-9
 """Relative tolerance of the limits, for rounding errors."""
 CLIP_TOLERANCE = 1e-9
 """If a value differs by more than this from the requested value, it counts as clipped [rad, N]."""
@@ -40,8 +40,8 @@ CLIP_TOLERANCE = 1e-9
 
 @kernel("block", "layout", "vector", "vector", "real", "real", "real", "real", "count")
 def begin_segments(
-    block: Block,
-    at: Places,
+    block: BlockArray,
+    at: TablePlaces,
     aim: Vector,
     held: Vector,
     since: float,
@@ -79,7 +79,7 @@ def begin_segments(
     return clipped
 
 
-@inner
+@kernel_helper
 def _write_segment(x: Tables, k: int, target: float, speed: float, duration: float, smooth: bool) -> None:
     """Write the polynomial of a coordinate's motion to a target, lowest power first [rad, s].
 
@@ -116,7 +116,7 @@ def _write_segment(x: Tables, k: int, target: float, speed: float, duration: flo
     x.coordinate[s.STREAM_SEGMENT + 5, k] = c / 60.0
 
 
-@inner
+@kernel_helper
 def position_on_segment(x: Tables, k: int, t: float) -> tuple[float, float]:
     """Return position [rad] and rate [rad/s] of a coordinate on the present segment at time t [s]."""
     after = t - x.run[s.STREAM_SINCE]
@@ -129,7 +129,7 @@ def position_on_segment(x: Tables, k: int, t: float) -> tuple[float, float]:
     return position, rate
 
 
-@inner
+@kernel_helper
 def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
     """Move the reference of a streamed coordinate from the last tick to the present tick.
 
@@ -152,9 +152,12 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
     # segment.
     point = x.coordinate[s.STREAM_TARGET, k] - end_rate * remaining
     mean = (aim - position) / period
-    allowed = gain * (1.0 + TOLERANCE)
+    allowed = gain * (1.0 + LIMIT_TOLERANCE)
     free = abs(mean - rate) <= allowed and abs(aim_rate - rate) <= allowed
-    free &= slowest - gain * TOLERANCE <= min(mean, aim_rate) and max(mean, aim_rate) <= fastest + gain * TOLERANCE
+    free &= (
+        slowest - gain * LIMIT_TOLERANCE <= min(mean, aim_rate)
+        and max(mean, aim_rate) <= fastest + gain * LIMIT_TOLERANCE
+    )
     free &= abs(aim_rate - end_rate) <= max_stoppable_speed(abs(point - aim), gain, period) + allowed
     new_rate = aim_rate
     if not free:
@@ -168,7 +171,7 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
     x.coordinate[s.TRAJECTORY + 2, k] = (new_rate - rate) / period
 
 
-@inner
+@kernel_helper
 def _allowed_rates(x: Tables, c: ConstantTables, d: int, k: int, period: float) -> tuple[float, float]:
     """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
 
@@ -195,7 +198,7 @@ def _allowed_rates(x: Tables, c: ConstantTables, d: int, k: int, period: float) 
     return slowest, min(fastest, max(ahead, slowest))
 
 
-@inner
+@kernel_helper
 def _estimated_coordinate(x: Tables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
     """Return the estimate of a digit's coordinate [rad] and of its rate [rad/s], from the joints that it moves."""
     position = rate = total = 0.0
@@ -207,13 +210,13 @@ def _estimated_coordinate(x: Tables, c: ConstantTables, d: int, k: int) -> tuple
     return position / total, rate / total
 
 
-@inner
+@kernel_helper
 def _speed_to(distance: float, gain: float, period: float) -> float:
     """Return the largest speed towards a point at a signed distance [rad] from which a motion stops there [rad/s]."""
     return math.copysign(max_stoppable_speed(abs(distance), gain, period), distance)
 
 
-@inner
+@kernel_helper
 def max_stoppable_speed(distance: float, gain: float, period: float) -> float:
     """Return the largest speed from which a motion stops within a distance, in steps of a period [rad/s].
 

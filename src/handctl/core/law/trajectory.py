@@ -26,7 +26,7 @@ class Trajectory(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Blend:
+class BlendTrajectory:
     """Part of a move that continues an earlier motion and fades.
 
     It is the sum of two quintics. The first quintic has a rate of 1 at the start, and the second an
@@ -75,7 +75,7 @@ class MinimumJerk:
     start: Vector
     end: Vector
     duration: float
-    blend: Blend | None = None
+    blend: BlendTrajectory | None = None
 
     def at(self, t: float) -> Vector:
         """Return the motion at time t, (3, n), see ``Trajectory.at``."""
@@ -89,7 +89,7 @@ class MinimumJerk:
 
 
 @dataclass(frozen=True, slots=True)
-class Streamed:
+class StreamedTrajectory:
     """A motion along streamed targets of a client. The targets are in the state block.
 
     Attributes:
@@ -100,7 +100,7 @@ class Streamed:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class CurveTrajectory:
     """A cubic spline through points, at rest at both ends: one for all coordinates of a digit, or one for each of them.
 
     Attributes:
@@ -115,12 +115,12 @@ class Curve:
     coordinates: int
 
     @staticmethod
-    def through(times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int) -> "Curve":
+    def through(times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int) -> "CurveTrajectory":
         """Return the curve through angles (k,) or (k, n) [rad] at times [s]."""
         from scipy.interpolate import CubicSpline
 
         spline = CubicSpline(times, angles, bc_type="clamped")
-        return Curve(np.array(times), np.asarray(spline.c), coordinates)
+        return CurveTrajectory(np.array(times), np.asarray(spline.c), coordinates)
 
     @property
     def duration(self) -> float:
@@ -156,7 +156,7 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class SampledTrajectory:
     """A single instant of a motion that comes from another source, for example from a log.
 
     Attributes:
@@ -177,7 +177,7 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class Chirp:
+class ChirpTrajectory:
     """An oscillation about an angle with linearly rising frequency, and smooth growth and decay of the amplitude.
 
     Attributes:

@@ -24,7 +24,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from handctl.drives.signals import Coding, Message, Quantity, Signal
+from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
 
 # Identifiers. NMT and SYNC are complete identifiers. The node number is added to all others.
 NMT = 0x000
@@ -36,7 +36,7 @@ SDO_REPLY = 0x580
 SDO_REQUEST = 0x600
 HEARTBEAT = 0x700
 # NMT commands.
-START = 0x01
+START_NODE = 0x01
 PRE_OPERATIONAL = 0x80
 # NMT states in a heartbeat.
 BOOT_UP = 0x00
@@ -56,7 +56,7 @@ OBJECT_MISSING = 0x06020000
 """SDO abort code for an object missing in the drive."""
 
 # Power states of a drive in words.
-OFF = "switch on disabled"
+SWITCH_ON_DISABLED = "switch on disabled"
 READY_TO_SWITCH_ON = "ready"
 SWITCHED_ON = "switched on"
 OPERATION_ENABLED = "enabled"
@@ -64,18 +64,19 @@ NOT_READY = "not ready"
 QUICK_STOP = "quick stop active"
 FAULT_REACTION = "fault reaction"
 FAULT = "fault"
-_STATES = (
-    (0x4F, 0x00, NOT_READY), (0x4F, 0x40, OFF), (0x6F, 0x21, READY_TO_SWITCH_ON), (0x6F, 0x23, SWITCHED_ON),
+_POWER_STATES = (
+    (0x4F, 0x00, NOT_READY), (0x4F, 0x40, SWITCH_ON_DISABLED),
+    (0x6F, 0x21, READY_TO_SWITCH_ON), (0x6F, 0x23, SWITCHED_ON),
     (0x6F, 0x27, OPERATION_ENABLED), (0x6F, 0x07, QUICK_STOP), (0x4F, 0x0F, FAULT_REACTION), (0x4F, 0x08, FAULT),
 )  # fmt: skip
 """Mask and value of the status word for each power state: (mask, value, power state).
 
 Source: CiA 402-2, status word coding.
 """
-WITHOUT_TORQUE = frozenset((NOT_READY, OFF, READY_TO_SWITCH_ON, FAULT))
+STATES_WITHOUT_TORQUE = frozenset((NOT_READY, SWITCH_ON_DISABLED, READY_TO_SWITCH_ON, FAULT))
 """Power states in which the power stage is off."""
-NEXT_COMMAND = {
-    OFF: SHUTDOWN,
+NEXT_CONTROLWORD = {
+    SWITCH_ON_DISABLED: SHUTDOWN,
     READY_TO_SWITCH_ON: SWITCH_ON,
     SWITCHED_ON: ENABLE_OPERATION,
     OPERATION_ENABLED: ENABLE_OPERATION,
@@ -85,7 +86,7 @@ NEXT_COMMAND = {
 In other power states the host sends DISABLE_VOLTAGE.
 """
 
-ERRORS = {
+ERROR_TEXTS = {
     0x2310: "over-current", 0x3210: "DC bus over-voltage", 0x3220: "DC bus under-voltage",
     0x4210: "drive over-temperature", 0x4310: "motor over-temperature", 0x5441: "external stop 1",
     0x5442: "external stop 2", 0x6100: "firmware error", 0x7320: "position sensor error",
@@ -94,7 +95,7 @@ ERRORS = {
     0x8611: "following error",
 }  # fmt: skip
 """Error codes of an emergency in words. Source: CiA 301 and CiA 402-2, error code tables."""
-ABORTS = {
+ABORT_TEXTS = {
     0x05030000: "toggle bit", 0x05040000: "time-out", 0x06010001: "write-only", 0x06010002: "read-only",
     OBJECT_MISSING: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
     0x06070010: "wrong length", 0x06090011: "no such sub-index", 0x06090030: "out of range",
@@ -109,7 +110,7 @@ ENABLED_STATUS = 0x07 << 2 | 0x01
 
 def power_state(status: int) -> str:
     """Return the power state in a status word, or an empty string if its code is undefined."""
-    return next((state for mask, value, state in _STATES if status & mask == value), "")
+    return next((state for mask, value, state in _POWER_STATES if status & mask == value), "")
 
 
 def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero: float) -> Message:
@@ -134,8 +135,8 @@ def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero
         Signal("voltage", Quantity.UNUSED, 4, 1),
         Signal("stop", Quantity.STATUS, 5, 2),
         Signal("status", Quantity.UNUSED, 7, 9),
-        Signal("position", Quantity.POSITION, 16, 32, False, Coding.SIGNED, count, -zero / ratio, "rad"),
-        Signal("torque", Quantity.TORQUE, 48, 16, False, Coding.SIGNED, torque, 0.0, "N m"),
+        Signal("position", Quantity.POSITION, 16, 32, False, SignalCoding.SIGNED, count, -zero / ratio, "rad"),
+        Signal("torque", Quantity.TORQUE, 48, 16, False, SignalCoding.SIGNED, torque, 0.0, "N m"),
     ))  # fmt: skip
 
 
@@ -149,7 +150,7 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> M
         rated: rated torque of the drive at the shaft [N m].
         limit: largest torque command [N m at the spool].
     """
-    torque = Signal("torque", Quantity.TORQUE, 16, 16, False, Coding.SIGNED, rated / 1000 * ratio, 0.0, "N m")
+    torque = Signal("torque", Quantity.TORQUE, 16, 16, False, SignalCoding.SIGNED, rated / 1000 * ratio, 0.0, "N m")
     control = Signal("control", Quantity.UNUSED, 0, 16)
     base = struct.pack("<Hh", ENABLE_OPERATION, 0)
     return Message("rpdo1", RPDO + node_id, 4, (control, torque), 0, base, False, limit)
@@ -170,7 +171,7 @@ def position_message(node_id: int, counts: int, ratio: float, zero: float, limit
         ValueError: the largest position does not fit into the object of the drive.
     """
     count = math.tau / counts / ratio
-    signal = Signal("position", Quantity.POSITION, 16, 32, False, Coding.SIGNED, count, -zero / ratio, "rad")
+    signal = Signal("position", Quantity.POSITION, 16, 32, False, SignalCoding.SIGNED, count, -zero / ratio, "rad")
     return _motion_message(node_id, signal, limit, limit + abs(zero / ratio))
 
 
@@ -186,7 +187,7 @@ def velocity_message(node_id: int, unit: float, limit: float) -> Message:
     Raises:
         ValueError: the largest velocity does not fit into the object of the drive.
     """
-    signal = Signal("velocity", Quantity.VELOCITY, 16, 32, False, Coding.SIGNED, unit, 0.0, "rad/s")
+    signal = Signal("velocity", Quantity.VELOCITY, 16, 32, False, SignalCoding.SIGNED, unit, 0.0, "rad/s")
     return _motion_message(node_id, signal, limit, limit)
 
 
@@ -201,12 +202,12 @@ def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) 
 
 def error_text(code: int) -> str:
     """Return the text for the error code of an emergency."""
-    return ERRORS.get(code, f"error {code:#06x}")
+    return ERROR_TEXTS.get(code, f"error {code:#06x}")
 
 
 def abort_text(code: int) -> str:
     """Return the text for an SDO abort code."""
-    return ABORTS.get(code, f"abort {code:#010x}")
+    return ABORT_TEXTS.get(code, f"abort {code:#010x}")
 
 
 def upload_request(index: int, sub: int) -> bytes:

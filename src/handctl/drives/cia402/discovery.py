@@ -10,7 +10,7 @@ from handctl.drives.cia402.settings import HOST_NODE
 from handctl.drives.discovery import (
     TWO_DRIVES_WARNING,
     DiscoveredNode,
-    Discovery,
+    ProtocolDiscovery,
     ReceivedFrames,
     have_two_drives_answered,
 )
@@ -21,10 +21,10 @@ NODE_NUMBERS = range(1, HOST_NODE)
 """Node numbers for a scan to try."""
 # Object with the device type, and the profile number of CiA 402 drives in its low word.
 DEVICE_TYPE = 0x1000
-PROFILE = 402
+CIA402_PROFILE = 402
 CIA404_PROFILE = 404
 """Profile number of measuring amplifiers."""
-CHANNELS = (0x6131, 0)
+CHANNEL_COUNT_OBJECT = (0x6131, 0)
 """Object with the number of channels of an amplifier.
 
 It is the length of the array of units. Source: CiA 404.
@@ -33,7 +33,7 @@ SERIAL_NUMBER = (0x1018, 4)
 """Object with the serial number, missing in some drives."""
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
 """NMT states in words."""
-_RPDOS = (0x200, 0x300, 0x400, 0x500)
+_RPDO_BASE_IDS = (0x200, 0x300, 0x400, 0x500)
 """Identifiers of the four RPDOs, before the node number is added."""
 
 
@@ -46,14 +46,14 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     if turn == 2:
         return tuple(Frame(codec.SDO_REQUEST + number, codec.upload_request(DEVICE_TYPE, 0)) for number in NODE_NUMBERS)
     if turn == 3:
-        found = nodes_in(received)
+        found = discovered_nodes(received)
         asked = [(node, SERIAL_NUMBER) for node in found]
-        asked += [(node, CHANNELS) for node in found if node.protocol == CIA404]
+        asked += [(node, CHANNEL_COUNT_OBJECT) for node in found if node.protocol == CIA404]
         return tuple(Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*entry)) for node, entry in asked)
     return ()
 
 
-def nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered nodes: those that have reported a device type, and those that have only sent heartbeats."""
     types: dict[int, int] = {}
     channels: dict[int, int] = {}
@@ -67,7 +67,7 @@ def nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
                 by_object.setdefault(reply.number, []).append(frame.data)
             if reply and reply[:2] == (DEVICE_TYPE, 0) and len(reply.raw) == 4:
                 types[frame.can_id - codec.SDO_REPLY] = int.from_bytes(reply.raw, "little")
-            elif reply and reply[:2] == CHANNELS and reply.raw:
+            elif reply and reply[:2] == CHANNEL_COUNT_OBJECT and reply.raw:
                 channels[frame.can_id - codec.SDO_REPLY] = reply.raw[0]
         elif frame.can_id - codec.HEARTBEAT in NODE_NUMBERS and len(frame.data) == 1:
             states[frame.can_id - codec.HEARTBEAT] = frame.data[0]
@@ -94,15 +94,15 @@ def _describe_node(number: int, device_type: int | None, nmt: int | None, twins:
         text = f"a measuring amplifier of CiA 404{f' with {channels} channels' if channels else ''}: not a drive"
         options: dict[str, bool | int | float | str] = {"channels_per_node": channels} if channels else {}
         return DiscoveredNode(CIA404, number, state=state, options=options, notes=(*notes, text), twins=twins)
-    if profile != PROFILE:
+    if profile != CIA402_PROFILE:
         notes = (*notes, f"a CANopen device of profile {profile}, not a drive of CiA 402")
-    protocol = "cia402" if profile == PROFILE else "canopen"
+    protocol = "cia402" if profile == CIA402_PROFILE else "canopen"
     return DiscoveredNode(protocol, number, state=state, notes=notes, twins=twins)
 
 
 def command_ids(node: DiscoveredNode) -> frozenset[int]:
     """Return the identifiers of frames that a node obeys: NMT, SYNC, RPDOs, and SDO requests."""
-    node_ids = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDOS)}
+    node_ids = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDO_BASE_IDS)}
     return frozenset(node_ids | {codec.NMT, codec.SYNC})
 
 
@@ -112,7 +112,7 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     return tuple(frame for frame in received if frame.can_id & ~REMOTE in identifiers)
 
 
-def ping(node: DiscoveredNode) -> Frame:
+def ping_request(node: DiscoveredNode) -> Frame:
     """Return the SDO request to read the device type of a node."""
     return Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(DEVICE_TYPE, 0))
 
@@ -122,4 +122,6 @@ def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
     return frame.can_id == codec.SDO_REPLY + node.node_id and len(frame.data) == 8
 
 
-DISCOVERY = Discovery(probe_frames, nodes_in, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = ProtocolDiscovery(
+    probe_frames, discovered_nodes, command_ids, other_host_frames, ping_request, is_ping_reply
+)

@@ -15,30 +15,30 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handctl.drives import readback
-from handctl.drives.causes import Cause
+from handctl.drives.causes import DriveFaultCause
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.cia402.progress import (
-    CAUSES,
+    CAUSE_BY_ERROR,
     CLEAR_TRIES,
-    MISMATCH,
-    REPEAT_NS,
+    REPEAT_PERIOD_NS,
+    SETTING_MISMATCH_ERROR,
     Cia402Progress,
     apply_power_state,
+    enter_fault,
     on_heartbeat,
     progress_of,
     state_after_timeout,
-    to_fault,
 )
-from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import checked_boolean, checked_positive, checked_whole_number, refuse_unknown_options
-from handctl.drives.signals import Cyclic, Message, Table
+from handctl.drives.signals import CyclicMessages, Message, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 MAX_MISSED_HEARTBEATS = 3.5
 """Number of heartbeat periods without a sign of life after which the drive counts as lost."""
@@ -76,19 +76,19 @@ class Cia402Drive:
     zero: float
     rated: float
     counts: int
-    steps: tuple[setup.Step, ...]
+    steps: tuple[setup.SetupStep, ...]
     sync: bool
     heartbeat_period_ns: int
     life_sign_timeout_ns: int
-    command: Table = field(init=False, repr=False, compare=False)
-    feedback: Table = field(init=False, repr=False, compare=False)
+    command: SignalTable = field(init=False, repr=False, compare=False)
+    feedback: SignalTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         sent = codec.command_message(self.node_id, self.ratio, self.rated, self.torque_limit)
         feedback = codec.feedback_message(self.node_id, self.counts, self.ratio, self.rated, self.zero)
-        object.__setattr__(self, "command", Table(sent))
-        object.__setattr__(self, "feedback", Table(feedback))
+        object.__setattr__(self, "command", SignalTable(sent))
+        object.__setattr__(self, "feedback", SignalTable(feedback))
 
     @staticmethod
     def of(
@@ -150,7 +150,7 @@ class Cia402Drive:
         return ((4, False), (8, False), *(((0, False),) if self.sync else ()))
 
     @property
-    def background(self) -> tuple[tuple[int, bool, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the heartbeats of drive and host, and the SDO transfers of the read-back of the enabled drive."""
         beats = (
             (1, False, MAX_MISSED_HEARTBEATS * 1e9 / self.life_sign_timeout_ns),
@@ -159,7 +159,7 @@ class Cia402Drive:
         return (*beats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
 
     @property
-    def extended(self) -> bool:
+    def has_extended_ids(self) -> bool:
         """Return False, because all identifiers have 11 bits."""
         return False
 
@@ -195,16 +195,16 @@ class Cia402Drive:
         return 0.0
 
     @property
-    def cyclic(self) -> Cyclic:
+    def cyclic(self) -> CyclicMessages:
         """Return the signal tables of RPDO and TPDO, and also of SYNC if the option ``sync`` is set."""
         sync = (Message("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
-        return Cyclic((self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns)
+        return CyclicMessages((self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status in feedback of a drive that this host has enabled, or UNSTEADY in any other case."""
+        """Return the status in feedback of a drive that this host has enabled, otherwise NO_STEADY_STATUS."""
         progress = progress_of(state)
         steady = state.phase == ENABLED and progress.enable_sent and progress.disabling_ns < 0
-        return codec.ENABLED_STATUS if steady else UNSTEADY
+        return codec.ENABLED_STATUS if steady else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time at which this host must send its heartbeat or read an object back [ns]."""
@@ -212,7 +212,7 @@ class Cia402Drive:
         return min(progress.check.due_ns, progress.heartbeat_sent_ns + self.heartbeat_period_ns)
 
     @property
-    def guards(self) -> tuple[setup.Step, ...]:
+    def rechecked_settings(self) -> tuple[setup.SetupStep, ...]:
         """Return the objects read again while the drive is enabled."""
         return tuple(step for step in self.steps if (step.number, step.sub) in setup.PROTECTION_OBJECTS)
 
@@ -248,21 +248,21 @@ class Cia402Drive:
         cursor, serial, problem = setup.on_reply(progress.cursor, self.steps, reply)
         progress = progress._replace(cursor=cursor, serial=serial or progress.serial)
         updated = state._replace(phase=CONFIGURING, private=progress)
-        return to_fault(updated, MISMATCH, problem) if problem else updated
+        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_recheck_reply(self, state: DriveState, progress: Cia402Progress, reply: codec.SdoReply) -> DriveState:
         """Compare an object, read again from the enabled drive, with the required value."""
-        step = self.guards[progress.check.step]
+        step = self.rechecked_settings[progress.check.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
         value = int.from_bytes(reply.raw, "little")
         same = reply.raw == step.raw
         answer = f"answers {codec.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
         check, problem = readback.on_recheck_reply(
-            progress.check, len(self.guards), same, step.name, answer, f"{step.value:#x}"
+            progress.check, len(self.rechecked_settings), same, step.name, answer, f"{step.value:#x}"
         )
         updated = state._replace(private=progress._replace(check=check))
-        return to_fault(updated, MISMATCH, problem) if problem else updated
+        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_feedback(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state after a TPDO, with the values and the power state.
@@ -321,7 +321,7 @@ class Cia402Drive:
         if state.phase != READY:
             return self._start(state, progress, t_ns)
         if target == ENABLE:
-            control_word = codec.NEXT_COMMAND.get(progress.power, codec.DISABLE_VOLTAGE)
+            control_word = codec.NEXT_CONTROLWORD.get(progress.power, codec.DISABLE_VOLTAGE)
             check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
             return state._replace(private=progress._replace(enable_sent=True, check=check)), (
                 self._rpdo(control_word, self._rest(state)),
@@ -334,11 +334,11 @@ class Cia402Drive:
         """Return the next state, and the next read-back request to the enabled drive if due."""
         if t_ns < progress.check.due_ns:
             return state, ()
-        step = self.guards[progress.check.step]
+        step = self.rechecked_settings[progress.check.step]
         check, problem = readback.next_recheck(progress.check, step.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
         if problem:
-            state = to_fault(state, MISMATCH, problem)
+            state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state, (
             Frame(codec.SDO_REQUEST + self.node_id, codec.upload_request(step.number, step.sub), 0, self.bus),
         )
@@ -356,9 +356,9 @@ class Cia402Drive:
         since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
         progress = progress._replace(disabling_ns=since)
         start: tuple[Frame, ...] = ()
-        if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_NS:
+        if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_PERIOD_NS:
             progress = progress._replace(started_ns=t_ns)
-            start = (self._nmt(codec.START),)
+            start = (self._nmt(codec.START_NODE),)
         return state._replace(phase=phase, private=progress), (*start, self._rpdo(codec.DISABLE_VOLTAGE, 0.0))
 
     def _configure(
@@ -371,7 +371,7 @@ class Cia402Drive:
         cursor, data, problem = setup.next_request(progress.cursor, self.steps, t_ns)
         updated = state._replace(private=progress._replace(cursor=cursor))
         if problem:
-            return to_fault(updated, MISMATCH, problem), ()
+            return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
         frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
         return updated, (self._nmt(codec.PRE_OPERATIONAL), *frames) if cursor.step == 0 and data else frames
 
@@ -386,12 +386,12 @@ class Cia402Drive:
             # resets a fault.
             control_word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
             return state._replace(private=progress), (self._rpdo(control_word, 0.0),)
-        if t_ns - progress.started_ns < REPEAT_NS:
+        if t_ns - progress.started_ns < REPEAT_PERIOD_NS:
             return state._replace(private=progress), ()
         question = "does a node send SYNC (0x080) on its bus, and does the drive accept SYNC with a counter?"
         text = f"no TPDO yet: {question}" if progress.started_ns >= 0 else ""
         updated = progress._replace(started_ns=t_ns)
-        return state._replace(error_text=text, private=updated), (self._nmt(codec.START),)
+        return state._replace(error_text=text, private=updated), (self._nmt(codec.START_NODE),)
 
     def _rpdo(self, control: int, torque: float) -> Frame:
         """Return RPDO1 with the given control word and torque [N m at the spool]."""
@@ -413,9 +413,11 @@ class Cia402Drive:
         """Return the serial number in object 0x1018:4, or the node number if the drive does not have this object."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> Cause:
+    def cause(self, error: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSES.get(error, Cause.OTHER if error in codec.ERRORS else Cause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(
+            error, DriveFaultCause.OTHER if error in codec.ERROR_TEXTS else DriveFaultCause.UNKNOWN
+        )
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return an RPDO with a target torque [N m at the spool] and a control word that leaves the power stage off."""

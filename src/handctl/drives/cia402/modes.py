@@ -19,14 +19,14 @@ from handctl.drives.contract import DriveState
 from handctl.drives.frame import Frame
 from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.signals import Table
+from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
 
-_MODES = {DriveMode.POSITION: setup.POSITION_MODE, DriveMode.VELOCITY: setup.VELOCITY_MODE}
+_OPERATION_MODES = {DriveMode.POSITION: setup.POSITION_MODE, DriveMode.VELOCITY: setup.VELOCITY_MODE}
 """Value of the object with the mode of operation (0x6060), for each mode."""
 VELOCITY_UNITS = ("rev_min", "count_s")
 """Values of the option ``velocity_unit`` in the hand file, the default first."""
-INTERPOLATION_MS = 5
+INTERPOLATION_PERIOD_MS = 5
 """Interpolation period of the target position [ms]. It is the period of the commands on a bench."""
 FOLLOWING_ERROR_RAD = 0.5
 """Largest following error that the drive accepts for any time [rad at the spool]."""
@@ -58,7 +58,7 @@ class Cia402ModeDrive(Cia402Drive):
             message = codec.velocity_message(self.node_id, self.velocity_unit, self.torque_limit)
         else:
             message = codec.position_message(self.node_id, self.counts, self.ratio, self.zero, self.torque_limit)
-        object.__setattr__(self, "command", Table(message))
+        object.__setattr__(self, "command", SignalTable(message))
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
@@ -81,14 +81,14 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
         ConfigError: an option is unknown or wrong, the mode is not supported, or a limit does not
             fit into the object of the drive.
     """
-    if mode not in _MODES:
+    if mode not in _OPERATION_MODES:
         raise ConfigError(mode.value, "mode", "position, velocity or torque for a CiA 402 drive")
     options = dict(motor.options)
     unit = options.pop("velocity_unit", VELOCITY_UNITS[0])
     where = f"motor[{motor.name}]"
     if unit not in VELOCITY_UNITS:
         raise ConfigError(repr(unit), f"{where}.options.velocity_unit", " or ".join(VELOCITY_UNITS))
-    fields = init_fields(Cia402Drive.of(motor, bus, options, _MODES[mode]))
+    fields = init_fields(Cia402Drive.of(motor, bus, options, _OPERATION_MODES[mode]))
     ratio = abs(fields["ratio"])
     speed = math.ceil(limits.speed * ratio / RAD_S_PER_RPM)
     window = math.ceil(FOLLOWING_ERROR_RAD * ratio / math.tau * fields["counts"])
@@ -101,7 +101,7 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
         raise ConfigError(str(error), where, "a smaller limit or range") from None
 
 
-def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Step, ...]:
+def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.SetupStep, ...]:
     """Return the objects for a mode besides the objects of torque mode, with the required values.
 
     Args:
@@ -109,16 +109,16 @@ def _motion_steps(mode: DriveMode, speed: int, window: int) -> tuple[setup.Step,
         speed: maximum speed [1/min].
         window: largest following error that the drive accepts for any time [count].
     """
-    write = setup.Check.WRITE
-    maximum = setup.Step(write, 0x6080, 0, speed, 4)
+    write = setup.ObjectCheck.WRITE
+    maximum = setup.SetupStep(write, 0x6080, 0, speed, 4)
     if mode == DriveMode.VELOCITY:
         return (maximum,)
     return (
         maximum,
-        setup.Step(write, 0x6065, 0, window, 4),
-        setup.Step(write, 0x6066, 0, FOLLOWING_ERROR_MS, 2),
+        setup.SetupStep(write, 0x6065, 0, window, 4),
+        setup.SetupStep(write, 0x6066, 0, FOLLOWING_ERROR_MS, 2),
         # The interpolation time is value x 10^index seconds. 0xFD is the index -3, so the value is
         # in milliseconds.
-        setup.Step(write, 0x60C2, 1, INTERPOLATION_MS, 1),
-        setup.Step(write, 0x60C2, 2, 0xFD, 1),
+        setup.SetupStep(write, 0x60C2, 1, INTERPOLATION_PERIOD_MS, 1),
+        setup.SetupStep(write, 0x60C2, 2, 0xFD, 1),
     )

@@ -2,23 +2,25 @@
 
 from typing import NamedTuple, cast
 
-from handctl.drives.causes import Cause
+from handctl.drives.causes import DriveFaultCause
 from handctl.drives.cia402 import codec
-from handctl.drives.contract import DriveState, Phase
+from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.frame import Frame
-from handctl.drives.readback import Cursor, Recheck
+from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 # Error codes added by handctl. All are larger than the 16-bit error codes of emergencies.
-DROPPED_OUT = 0x1_0000
-MISMATCH = 0x1_0001
-LOST = 0x1_0002
-ENABLED_BY_OTHER_HOST = 0x1_0003
-CAUSES = {
-    0x3210: Cause.VOLTAGE, 0x3220: Cause.VOLTAGE, 0x4210: Cause.HOT, 0x4310: Cause.HOT, 0x8130: Cause.WATCHDOG,
-    0x8250: Cause.WATCHDOG, 0x8100: Cause.DROPPED_OUT, DROPPED_OUT: Cause.DROPPED_OUT, LOST: Cause.LOST,
-    MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH,
+DROPPED_OUT_ERROR = 0x1_0000
+SETTING_MISMATCH_ERROR = 0x1_0001
+DRIVE_LOST_ERROR = 0x1_0002
+ENABLED_BY_OTHER_HOST_ERROR = 0x1_0003
+CAUSE_BY_ERROR = {
+    0x3210: DriveFaultCause.VOLTAGE, 0x3220: DriveFaultCause.VOLTAGE, 0x4210: DriveFaultCause.HOT,
+    0x4310: DriveFaultCause.HOT, 0x8130: DriveFaultCause.WATCHDOG,
+    0x8250: DriveFaultCause.WATCHDOG, 0x8100: DriveFaultCause.DROPPED_OUT,
+    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, DRIVE_LOST_ERROR: DriveFaultCause.LOST,
+    SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH, ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH,
 }  # fmt: skip
 """Cause of error codes, from emergencies or added by handctl.
 
@@ -26,7 +28,7 @@ Other documented codes have the cause OTHER.
 """
 CLEAR_TRIES = 20
 """Number of status words that may still show a fault after the clear command."""
-REPEAT_NS = 20_000_000
+REPEAT_PERIOD_NS = 20_000_000
 """Time after which an NMT command is repeated [ns]."""
 
 
@@ -49,22 +51,22 @@ class Cia402Progress(NamedTuple):
         serial: serial number of the drive, 0 if unknown.
     """
 
-    cursor: Cursor = Cursor()
+    cursor: ReadbackCursor = ReadbackCursor()
     power: str = ""
     code: int = 0
     life_sign_ns: int = -1
-    started_ns: int = -REPEAT_NS
-    heartbeat_sent_ns: int = -REPEAT_NS
+    started_ns: int = -REPEAT_PERIOD_NS
+    heartbeat_sent_ns: int = -REPEAT_PERIOD_NS
     enable_sent: bool = False
     disabling_ns: int = -1
     clearing: int = 0
-    check: Recheck = Recheck()
+    check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
     @property
     def may_be_enabled(self) -> bool:
         """Return True if an enable command was sent, or the drive reports that its power stage may be on."""
-        return self.enable_sent or (self.power != "" and self.power not in codec.WITHOUT_TORQUE)
+        return self.enable_sent or (self.power != "" and self.power not in codec.STATES_WITHOUT_TORQUE)
 
 
 def progress_of(state: DriveState) -> Cia402Progress:
@@ -72,7 +74,7 @@ def progress_of(state: DriveState) -> Cia402Progress:
     return cast(Cia402Progress, state.private)
 
 
-def to_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
@@ -84,24 +86,26 @@ def apply_power_state(state: DriveState, progress: Cia402Progress) -> DriveState
     if power == codec.FAULT:
         return _state_when_fault(updated, progress)
     if progress.disabling_ns >= 0:
-        off = power in codec.WITHOUT_TORQUE and state.feedback_t_ns >= progress.disabling_ns
+        off = power in codec.STATES_WITHOUT_TORQUE and state.feedback_t_ns >= progress.disabling_ns
         if not off:
             return updated._replace(phase=ENABLED)
         quiet = updated._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
         return quiet._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED and power != codec.OPERATION_ENABLED:
-        return to_fault(
-            updated._replace(private=progress._replace(enable_sent=False)), DROPPED_OUT, f"fell to {power!r} by itself"
+        return enter_fault(
+            updated._replace(private=progress._replace(enable_sent=False)),
+            DROPPED_OUT_ERROR,
+            f"fell to {power!r} by itself",
         )
     if power == codec.OPERATION_ENABLED:
         if progress.enable_sent:
             return updated._replace(phase=ENABLED) if state.phase == READY else updated
         return (
-            to_fault(updated, ENABLED_BY_OTHER_HOST, "enabled, but not by this host")
+            enter_fault(updated, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
             if state.phase != FAULT
             else updated
         )
-    if state.phase == CONFIGURING and power in codec.WITHOUT_TORQUE:
+    if state.phase == CONFIGURING and power in codec.STATES_WITHOUT_TORQUE:
         return updated._replace(phase=READY, error_text="", private=progress._replace(clearing=0))
     return updated
 
@@ -112,7 +116,7 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
     text = codec.error_text(progress.code) if progress.code else "fault, and its emergency message was not heard"
-    return to_fault(off, progress.code or DROPPED_OUT, text)
+    return enter_fault(off, progress.code or DROPPED_OUT_ERROR, text)
 
 
 def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
@@ -126,7 +130,7 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
         return state._replace(private=progress)
     if state.phase == ENABLED or progress.enable_sent:
         problem = "restarted" if frame.data[0] == codec.BOOT_UP else "left the state operational"
-        return to_fault(state._replace(private=progress), DROPPED_OUT, problem)
+        return enter_fault(state._replace(private=progress), DROPPED_OUT_ERROR, problem)
     return state._replace(phase=SILENT, private=Cia402Progress())
 
 
@@ -140,7 +144,7 @@ def state_after_timeout(state: DriveState) -> DriveState:
     if state.phase == FAULT or progress.disabling_ns >= 0:
         return state
     if state.phase == ENABLED or progress.enable_sent:
-        return to_fault(state, LOST, "no heartbeat")
+        return enter_fault(state, DRIVE_LOST_ERROR, "no heartbeat")
     if state.phase == READY:
         return state._replace(phase=SILENT, private=Cia402Progress(clearing=progress.clearing))
     return state

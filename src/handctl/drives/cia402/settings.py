@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from handctl.drives import readback
 from handctl.drives.cia402 import codec
-from handctl.drives.readback import Cursor
+from handctl.drives.readback import ReadbackCursor
 
 UNLIMITED_TRIES = 1 << 62
 """Number of requests for an object without a limit: the object is requested until the drive answers."""
@@ -20,7 +20,7 @@ VELOCITY_MODE = 9
 """Mode of operation for cyclic synchronous velocity."""
 TORQUE_MODE = 10
 """Mode of operation for cyclic synchronous torque."""
-TARGETS = {POSITION_MODE: (0x607A, 4), VELOCITY_MODE: (0x60FF, 4), TORQUE_MODE: (0x6071, 2)}
+TARGET_OBJECTS = {POSITION_MODE: (0x607A, 4), VELOCITY_MODE: (0x60FF, 4), TORQUE_MODE: (0x6071, 2)}
 """Object with the target, and size of the target in bytes, by mode of operation."""
 PDO_DISABLED_BIT = 1 << 31
 """Bit in the COB-ID of a PDO (its identifier with flags) that disables the PDO."""
@@ -34,7 +34,7 @@ SERIAL_NUMBER = 0x1018, 4
 """Index and sub-index of the object with the serial number."""
 
 
-class Check(enum.IntEnum):
+class ObjectCheck(enum.IntEnum):
     """Rule by which an object is written, and its value compared with the required value."""
 
     SAME = 0
@@ -58,14 +58,14 @@ class Check(enum.IntEnum):
     """Read the object. If the value differs from the required value, write it and read it again."""
 
 
-OPTIONAL = (Check.WRITE_IF_PRESENT, Check.READ_IF_PRESENT, Check.SAME_IF_PRESENT)
+OPTIONAL_OBJECT_CHECKS = (ObjectCheck.WRITE_IF_PRESENT, ObjectCheck.READ_IF_PRESENT, ObjectCheck.SAME_IF_PRESENT)
 """Rules that accept a device without the object."""
 
 
-class Step(NamedTuple):
+class SetupStep(NamedTuple):
     """Object of a drive with its required value, and the rule by which it is checked."""
 
-    check: Check
+    check: ObjectCheck
     number: int
     sub: int
     value: int
@@ -77,9 +77,9 @@ class Step(NamedTuple):
         return self.value.to_bytes(self.size, "little")
 
     @property
-    def writes(self) -> bool:
+    def is_written_first(self) -> bool:
         """Return True if the object is written before it is read."""
-        return self.check in (Check.WRITE, Check.WRITE_IF_PRESENT)
+        return self.check in (ObjectCheck.WRITE, ObjectCheck.WRITE_IF_PRESENT)
 
     @property
     def name(self) -> str:
@@ -96,7 +96,7 @@ The maximum speed is required only in the position and velocity modes.
 
 def required_steps(
     node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat_ms: int, mode: int = TORQUE_MODE
-) -> tuple[Step, ...]:
+) -> tuple[SetupStep, ...]:
     """Return all objects written and read back before arming, in the order of the requests.
 
     Args:
@@ -105,36 +105,36 @@ def required_steps(
         max_torque: maximum torque [1/1000 of rated].
         watchdog_ms: time without this host's heartbeat after which the drive is in fault [ms].
         heartbeat_ms: period of the drive's heartbeat [ms].
-        mode: mode of operation, key of ``TARGETS``.
+        mode: mode of operation, key of ``TARGET_OBJECTS``.
     """
-    target, size = TARGETS[mode]
-    same, bits, write, write_optional, read, *_ = Check
+    target, size = TARGET_OBJECTS[mode]
+    same, bits, write, write_optional, read, *_ = ObjectCheck
     bases = ((0x1400, codec.RPDO), (0x1800, codec.TPDO))
     # PDOs 2 to 4 are switched off. Their records have consecutive indices, and their default
     # identifiers are 0x100 apart.
     others = [
-        Step(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
+        SetupStep(write_optional, base + i, 1, PDO_DISABLED_BIT | cob + 0x100 * i + node_id, 4)
         for base, cob in bases
         for i in (1, 2, 3)
     ]
     return (
         # 0x0192 is 402, the profile number in the low word of the device type.
-        Step(bits, 0x1000, 0, 0x0192, 4),
-        Step(read, *SERIAL_NUMBER, 0, 4),
-        Step(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
+        SetupStep(bits, 0x1000, 0, 0x0192, 4),
+        SetupStep(read, *SERIAL_NUMBER, 0, 4),
+        SetupStep(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
         # The object has a bit for each mode that the drive supports. Bit 9 is mode 10, cyclic
         # synchronous torque.
-        Step(bits, 0x6502, 0, 1 << mode - 1, 4),
-        Step(same, 0x6076, 0, rated, 4),
-        Step(write, 0x6072, 0, max_torque, 2),
-        Step(write, 0x6071, 0, 0, 2),
+        SetupStep(bits, 0x6502, 0, 1 << mode - 1, 4),
+        SetupStep(same, 0x6076, 0, rated, 4),
+        SetupStep(write, 0x6072, 0, max_torque, 2),
+        SetupStep(write, 0x6071, 0, 0, 2),
         # With abort connection option 1, the drive is in fault when the heartbeat of the host is
         # missing.
-        Step(write, 0x6007, 0, 1, 2),
-        Step(write, 0x1016, 1, HOST_NODE << 16 | watchdog_ms, 4),
-        Step(write, 0x1017, 0, heartbeat_ms, 2),
-        Step(write, 0x6060, 0, mode, 1),
-        Step(same, 0x6061, 0, mode, 1),
+        SetupStep(write, 0x6007, 0, 1, 2),
+        SetupStep(write, 0x1016, 1, HOST_NODE << 16 | watchdog_ms, 4),
+        SetupStep(write, 0x1017, 0, heartbeat_ms, 2),
+        SetupStep(write, 0x6060, 0, mode, 1),
+        SetupStep(same, 0x6061, 0, mode, 1),
         *others,
         *pdo_steps(0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
         *pdo_steps(0x1800, 0x1A00, codec.TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
@@ -143,34 +143,36 @@ def required_steps(
 
 def pdo_steps(
     communication: int, mapping: int, cob: int, transmission: int, objects: tuple[int, ...]
-) -> tuple[Step, ...]:
+) -> tuple[SetupStep, ...]:
     """Return the steps that set up one PDO: they disable the PDO, map its objects, and enable it."""
-    write = Check.WRITE
+    write = ObjectCheck.WRITE
     return (
         # By CiA 301, the mapping of a PDO can be changed only while the PDO is off and its entry
         # count is 0.
-        Step(write, communication, 1, PDO_DISABLED_BIT | cob, 4),
-        Step(write, mapping, 0, 0, 1),
-        *(Step(write, mapping, i + 1, entry, 4) for i, entry in enumerate(objects)),
-        Step(write, mapping, 0, len(objects), 1),
-        Step(write, communication, 2, transmission, 1),
-        Step(write, communication, 1, cob, 4),
+        SetupStep(write, communication, 1, PDO_DISABLED_BIT | cob, 4),
+        SetupStep(write, mapping, 0, 0, 1),
+        *(SetupStep(write, mapping, i + 1, entry, 4) for i, entry in enumerate(objects)),
+        SetupStep(write, mapping, 0, len(objects), 1),
+        SetupStep(write, communication, 2, transmission, 1),
+        SetupStep(write, communication, 1, cob, 4),
     )
 
 
-def is_write_next(cursor: Cursor, step: Step) -> bool:
+def is_write_next(cursor: ReadbackCursor, step: SetupStep) -> bool:
     """Return True if the next request writes the object: its rule writes first, or its value was wrong."""
-    return cursor.writing or (step.writes and not cursor.written)
+    return cursor.writing or (step.is_written_first and not cursor.written)
 
 
-def _has_required_value(step: Step, value: int) -> bool:
+def _has_required_value(step: SetupStep, value: int) -> bool:
     """Return True if an object has the required value, by the rule of the step."""
-    if step.check == Check.HAS_BITS:
+    if step.check == ObjectCheck.HAS_BITS:
         return value & step.value == step.value
-    return (value & 0xFFFF if step.check == Check.LOW_WORD else value) == step.value
+    return (value & 0xFFFF if step.check == ObjectCheck.LOW_WORD else value) == step.value
 
 
-def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Cursor, int, str]:
+def on_reply(
+    cursor: ReadbackCursor, required: tuple[SetupStep, ...], reply: codec.SdoReply
+) -> tuple[ReadbackCursor, int, str]:
     """Return the position in the read-back after an SDO reply. Replies to other requests have no effect.
 
     Returns:
@@ -181,7 +183,7 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
     if not cursor.waiting or reply[:2] != (step.number, step.sub):
         return cursor, 0, ""
     if reply.abort:
-        if reply.abort in (codec.OBJECT_MISSING, 0x06090011) and step.check in OPTIONAL:
+        if reply.abort in (codec.OBJECT_MISSING, 0x06090011) and step.check in OPTIONAL_OBJECT_CHECKS:
             return cursor.next_setting(), 0, ""
         return cursor, 0, f"{step.name}: {codec.abort_text(reply.abort)}"
     if is_write_next(cursor, step):
@@ -189,16 +191,18 @@ def on_reply(cursor: Cursor, required: tuple[Step, ...], reply: codec.SdoReply) 
     if not reply.raw:
         return cursor, 0, ""
     value = int.from_bytes(reply.raw, "little")
-    if step.check == Check.READ_IF_PRESENT:
+    if step.check == ObjectCheck.READ_IF_PRESENT:
         return cursor.next_setting(), value, ""
     if _has_required_value(step, value):
         return cursor.next_setting(), 0, ""
-    writes = 1 if step.check == Check.ADJUST else 0
+    writes = 1 if step.check == ObjectCheck.ADJUST else 0
     cursor, problem = readback.on_wrong_value(cursor, step.name, f"{value:#x}", f"{step.value:#x}", writes)
     return cursor, 0, problem
 
 
-def next_request(cursor: Cursor, required: tuple[Step, ...], t_ns: int) -> tuple[Cursor, bytes, str]:
+def next_request(
+    cursor: ReadbackCursor, required: tuple[SetupStep, ...], t_ns: int
+) -> tuple[ReadbackCursor, bytes, str]:
     """Return the next request of the read-back: cursor, SDO payload, and problem in words.
 
     The payload is empty while an answer of the drive is awaited. The problem is empty if all is

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402 import settings as setup
-from handctl.drives.cia402.progress import REPEAT_NS
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.cia402.progress import REPEAT_PERIOD_NS
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
-from handctl.drives.readback import Cursor
+from handctl.drives.readback import ReadbackCursor
 
-SILENT, CONFIGURING, READY = Phase.SILENT, Phase.CONFIGURING, Phase.READY
+SILENT, CONFIGURING, READY = DrivePhase.SILENT, DrivePhase.CONFIGURING, DrivePhase.READY
 
 
 class AmplifierState(NamedTuple):
@@ -31,9 +31,9 @@ class AmplifierState(NamedTuple):
     """
 
     node_id: int
-    phase: Phase = Phase.SILENT
-    cursor: Cursor = Cursor()
-    started_ns: int = -REPEAT_NS
+    phase: DrivePhase = DrivePhase.SILENT
+    cursor: ReadbackCursor = ReadbackCursor()
+    started_ns: int = -REPEAT_PERIOD_NS
     error_text: str = ""
 
     @property
@@ -43,7 +43,7 @@ class AmplifierState(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Amplifier:
+class LoadCellAmplifier:
     """Measuring amplifier with one or more load cells. Objects are immutable.
 
     Attributes:
@@ -56,7 +56,7 @@ class Amplifier:
     bus: int
     node_id: int
     tpdo_ids: tuple[int, ...]
-    steps: tuple[setup.Step, ...]
+    steps: tuple[setup.SetupStep, ...]
 
     def initial(self) -> AmplifierState:
         """Return the state of the amplifier before the first frame."""
@@ -72,7 +72,7 @@ class Amplifier:
 
         Frames of other nodes, or with a wrong length, have no effect.
         """
-        if frame.bus != self.bus or state.phase == Phase.FAULT:
+        if frame.bus != self.bus or state.phase == DrivePhase.FAULT:
             return state
         if frame.can_id in self.tpdo_ids:
             return self._on_life_sign(state)
@@ -109,7 +109,7 @@ class Amplifier:
             return state
         cursor, _, problem = setup.on_reply(state.cursor, self.steps, reply)
         updated = state._replace(phase=CONFIGURING, cursor=cursor)
-        return updated._replace(phase=Phase.FAULT, error_text=problem) if problem else updated
+        return updated._replace(phase=DrivePhase.FAULT, error_text=problem) if problem else updated
 
     def advance(
         self, state: AmplifierState, t_ns: int, target: DriveTarget
@@ -118,14 +118,14 @@ class Amplifier:
 
         The amplifier is set up only with ``DriveTarget.POLL``.
         """
-        if target != DriveTarget.POLL or state.phase in (READY, Phase.FAULT):
+        if target != DriveTarget.POLL or state.phase in (READY, DrivePhase.FAULT):
             return state, ()
         if state.cursor.step < len(self.steps):
             return self._configure(state, t_ns)
-        if t_ns - state.started_ns < REPEAT_NS:
+        if t_ns - state.started_ns < REPEAT_PERIOD_NS:
             return state, ()
         text = "does not become operational" if state.started_ns >= 0 else ""
-        return state._replace(started_ns=t_ns, error_text=text), (self._nmt(codec.START),)
+        return state._replace(started_ns=t_ns, error_text=text), (self._nmt(codec.START_NODE),)
 
     def _configure(self, state: AmplifierState, t_ns: int) -> tuple[AmplifierState, tuple[Frame, ...]]:
         """Return the next state and the next SDO request.
@@ -135,7 +135,7 @@ class Amplifier:
         cursor, data, problem = setup.next_request(state.cursor, self.steps, t_ns)
         updated = state._replace(cursor=cursor)
         if problem:
-            return updated._replace(phase=Phase.FAULT, error_text=problem), ()
+            return updated._replace(phase=DrivePhase.FAULT, error_text=problem), ()
         frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
         return updated, (self._nmt(codec.PRE_OPERATIONAL), *frames) if cursor.step == 0 and data else frames
 

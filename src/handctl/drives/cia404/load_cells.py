@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from handctl.drives.cia402 import codec
-from handctl.drives.cia404.amplifier import Amplifier
+from handctl.drives.cia404.amplifier import LoadCellAmplifier
 from handctl.drives.cia404.settings import (
     CHANNEL_BYTES,
     CHANNELS_PER_TPDO,
@@ -27,7 +27,7 @@ from handctl.drives.cia404.settings import (
     required_steps,
 )
 from handctl.drives.frame import Frame
-from handctl.drives.signals import Coding, Message, Quantity, Signal
+from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
 
 TARE_MARGIN_N = 6.0
 """Largest accepted tare of a load cell [N]."""
@@ -85,7 +85,7 @@ class AmplifierDescription(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Cia404LoadCells:
-    """Load cells on CiA 404 amplifiers, with the interface ``sensors.contract.Sensors``. Objects are immutable.
+    """Load cells on CiA 404 amplifiers, with the interface ``sensors.contract.SensorInterface``. Objects are immutable.
 
     Attributes:
         bus: index of the bus of the amplifiers.
@@ -103,14 +103,14 @@ class Cia404LoadCells:
 
     bus: int
     sync_id: int
-    amplifiers: tuple[Amplifier, ...]
+    amplifiers: tuple[LoadCellAmplifier, ...]
     group_ranges: tuple[range, ...]
     ids: tuple[int, ...]
     channels: tuple[tuple[int, ...], ...]
     frame_of: tuple[int, ...]
     range_n: float
     scale: float
-    coding: Coding
+    coding: SignalCoding
 
     @staticmethod
     def of(node: AmplifierDescription, bus: int, tendons: tuple[str, ...]) -> "Cia404LoadCells":
@@ -123,14 +123,19 @@ class Cia404LoadCells:
         """
         assert node.range_N is not None  # the checks of the hand file guarantee that it has a value
         _, coding = PROCESS_VALUES[node.process_value]
-        amplifiers, ranges, ids, channels = list[Amplifier](), list[range](), list[int](), list[tuple[int, ...]]()
+        amplifiers, ranges, ids, channels = (
+            list[LoadCellAmplifier](),
+            list[range](),
+            list[int](),
+            list[tuple[int, ...]](),
+        )
         cells = [tendons.index(name) for name in node.tendons]
         for node_id, count in zip(node.node_ids, node.amplifier_channels, strict=True):
             own, cells = cells[:count], cells[count:]
             frames = [tuple(own[i : i + CHANNELS_PER_TPDO]) for i in range(0, count, CHANNELS_PER_TPDO)]
             tpdo_ids = tuple(base + node_id for base in TPDO_BASES[: len(frames)])
             steps = required_steps(node_id, count, node.process_value, node.decimal_digits)
-            amplifiers.append(Amplifier(bus, node_id, tpdo_ids, steps))
+            amplifiers.append(LoadCellAmplifier(bus, node_id, tpdo_ids, steps))
             ranges.append(range(len(ids), len(ids) + len(frames)))
             ids += tpdo_ids
             channels += frames
@@ -144,7 +149,7 @@ class Cia404LoadCells:
             channels=tuple(channels),
             frame_of=tuple(frame.get(index, -1) for index in range(len(tendons))),
             range_n=node.range_N,
-            scale=1.0 if coding == Coding.FLOAT else 10.0**-node.decimal_digits,
+            scale=1.0 if coding == SignalCoding.FLOAT else 10.0**-node.decimal_digits,
             coding=coding,
         )
 
@@ -198,7 +203,7 @@ class Cia404LoadCells:
         return ((0, 1.0), *((length, 1.0) for length in self.lengths)) if self.ids else ()
 
     @property
-    def background(self) -> tuple[tuple[int, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, float], ...]:
         """Return the heartbeats of the amplifiers as (payload bytes, frames per second)."""
         return ((1, 1e3 / HEARTBEAT_MS),) * len(self.amplifiers)
 

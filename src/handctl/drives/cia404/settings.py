@@ -7,10 +7,10 @@ values. Source: docs/facts/cia404.md.
 
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402.discovery import CIA404_PROFILE
-from handctl.drives.cia402.settings import PDO_DISABLED_BIT, Check, Step, pdo_steps
-from handctl.drives.signals import Coding
+from handctl.drives.cia402.settings import PDO_DISABLED_BIT, ObjectCheck, SetupStep, pdo_steps
+from handctl.drives.signals import SignalCoding
 
-NEWTON = 0x0021_0000
+NEWTON_UNIT_CODE = 0x0021_0000
 """Code of the unit newton: prefix, numerator, denominator, and a reserved byte.
 
 Source: CiA 303-2, newton is 0x21.
@@ -26,11 +26,11 @@ CHANNELS_PER_TPDO = 2
 """Number of process values in a TPDO: 8 bytes hold two values of 32 bits."""
 CHANNEL_BYTES = 4
 """Size of a process value [bytes]."""
-PROCESS_VALUES = {"int32": (0x9130, Coding.SIGNED), "real32": (0x6130, Coding.FLOAT)}
+PROCESS_VALUES = {"int32": (0x9130, SignalCoding.SIGNED), "real32": (0x6130, SignalCoding.FLOAT)}
 """Object with the process value, and coding of this value, by the value of ``process_value`` in the hand file."""
 
 
-def required_steps(node_id: int, channels: int, process_value: str, digits: int) -> tuple[Step, ...]:
+def required_steps(node_id: int, channels: int, process_value: str, digits: int) -> tuple[SetupStep, ...]:
     """Return all objects checked or written before arming, in the order of the requests.
 
     Args:
@@ -39,29 +39,29 @@ def required_steps(node_id: int, channels: int, process_value: str, digits: int)
         process_value: key of ``PROCESS_VALUES``.
         digits: number of decimal digits of an ``int32`` process value.
     """
-    adjust = Check.ADJUST
+    adjust = ObjectCheck.ADJUST
     number, _ = PROCESS_VALUES[process_value]
     steps = [
-        Step(Check.LOW_WORD, 0x1000, 0, CIA404_PROFILE, 4),
-        Step(adjust, 0x1005, 0, codec.SYNC, 4),
-        Step(adjust, 0x1017, 0, HEARTBEAT_MS, 2),
+        SetupStep(ObjectCheck.LOW_WORD, 0x1000, 0, CIA404_PROFILE, 4),
+        SetupStep(adjust, 0x1005, 0, codec.SYNC, 4),
+        SetupStep(adjust, 0x1017, 0, HEARTBEAT_MS, 2),
     ]
     for channel in range(1, channels + 1):
-        steps.append(Step(adjust, 0x6131, channel, NEWTON, 4))
+        steps.append(SetupStep(adjust, 0x6131, channel, NEWTON_UNIT_CODE, 4))
         if process_value == "int32":
-            steps.append(Step(adjust, 0x6132, channel, digits, 1))
+            steps.append(SetupStep(adjust, 0x6132, channel, digits, 1))
         # Object 0x6150 is the status of the channel. Bit 0 means not valid, bits 1 and 2 positive
         # and negative overload.
-        steps.append(Step(Check.SAME_IF_PRESENT, 0x6150, channel, 0, 1))
+        steps.append(SetupStep(ObjectCheck.SAME_IF_PRESENT, 0x6150, channel, 0, 1))
     for i, base in enumerate(TPDO_BASES):
         first = CHANNELS_PER_TPDO * i
         mapped = range(first + 1, min(first + CHANNELS_PER_TPDO, channels) + 1)
         entries = tuple(number << 16 | channel << 8 | 8 * CHANNEL_BYTES for channel in mapped)
         if entries:
             # An inhibit time of the PDO could delay answers. It is set to 0 while the PDO is off.
-            inhibit = Step(Check.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
+            inhibit = SetupStep(ObjectCheck.WRITE_IF_PRESENT, 0x1800 + i, 3, 0, 2)
             off, *rest = pdo_steps(0x1800 + i, 0x1A00 + i, base + node_id, 1, entries)
             steps += [off, inhibit, *rest]
         else:
-            steps.append(Step(Check.WRITE_IF_PRESENT, 0x1800 + i, 1, PDO_DISABLED_BIT | base + node_id, 4))
+            steps.append(SetupStep(ObjectCheck.WRITE_IF_PRESENT, 0x1800 + i, 1, PDO_DISABLED_BIT | base + node_id, 4))
     return tuple(steps)

@@ -22,7 +22,7 @@ Feedback with identifier MST_ID, 8 bytes, big-endian:
 
     byte    0                  1, 2          3, 4 high     4 low, 5      6              7
     field   state 4 | node 4   position 16   velocity 12   torque 12     MOSFET degC    winding degC
-    range   see ERRORS         +-PMAX rad    +-VMAX rad/s  +-TMAX N m    1 degC/count   1 degC/count
+    range   see ERROR_TEXTS    +-PMAX rad    +-VMAX rad/s  +-TMAX N m    1 degC/count   1 degC/count
 
 Register request with identifier 0x7FF, and register reply with identifier MST_ID, 8 bytes,
 little-endian:
@@ -42,7 +42,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from handctl.drives.signals import Coding, Message, Quantity, Signal, Table
+from handctl.drives.signals import Message, Quantity, Signal, SignalCoding, SignalTable
 
 BROADCAST_ID = 0x7FF
 """Identifier of register requests to all motors.
@@ -74,9 +74,9 @@ REGISTER_NAMES = {
     TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX",
 }  # fmt: skip
 """Names of the registers in messages to the operator."""
-_INTEGER = struct.Struct("<I")
-_FLOAT = struct.Struct("<f")
-_FORMATS = {TIMEOUT: _INTEGER, CTRL_MODE: _INTEGER, SERIAL_NUMBER: _INTEGER}
+_INTEGER_STRUCT = struct.Struct("<I")
+_FLOAT_STRUCT = struct.Struct("<f")
+_REGISTER_STRUCTS = {TIMEOUT: _INTEGER_STRUCT, CTRL_MODE: _INTEGER_STRUCT, SERIAL_NUMBER: _INTEGER_STRUCT}
 """Registers with an unsigned integer. All other registers contain a float32."""
 MIT_MODE = 1
 """Value of register CTRL_MODE for MIT mode."""
@@ -96,7 +96,7 @@ TIMEOUT_UNITS_PER_MS = 20
 # Values of the state nibble for a motor without an error.
 DISABLED = 0
 ENABLED = 1
-ERRORS = {
+ERROR_TEXTS = {
     0x5: "sensor error",
     0x6: "parameter error",
     0x8: "over-voltage",
@@ -109,7 +109,7 @@ ERRORS = {
 }
 """Text of each error, by the state nibble. A motor with one of these errors makes no torque."""
 
-_REPLY = struct.Struct("<HBB")
+_REPLY_STRUCT = struct.Struct("<HBB")
 """First bytes of a register reply: node number, operation, register."""
 # Largest codes of the 16-bit field and of the 12-bit fields.
 MAX_POSITION_COUNT = 2**16 - 1
@@ -125,7 +125,7 @@ The motor uses position and velocity only together with the gains.
 """
 
 
-class Ranges(NamedTuple):
+class MotorRanges(NamedTuple):
     """Full scale of a motor, as in its registers PMAX, VMAX, TMAX: position [rad], velocity [rad/s], torque [N m]."""
 
     position: float
@@ -138,11 +138,11 @@ class Ranges(NamedTuple):
         return 2 * self.position / 0xFFFF
 
 
-Feedback = tuple[int, float, float, float, float]
+FeedbackValues = tuple[int, float, float, float, float]
 """Values in feedback: state nibble, position [rad], velocity [rad/s], torque [N m], higher temperature [degC]."""
 
 
-def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) -> Message:
+def command_message(can_id: int, ranges: MotorRanges, sign: int = 1, flags: int = 0) -> Message:
     """Return the signal table of the torque command, in which kp = kd = 0.
 
     This format has no code for zero torque. 0 N m is sent as the nearest code, half a step (TMAX /
@@ -167,7 +167,7 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
 
 def impedance_message(
     can_id: int,
-    ranges: Ranges,
+    ranges: MotorRanges,
     sign: int = 1,
     zero: float = 0.0,
     flags: int = 0,
@@ -198,7 +198,7 @@ def impedance_message(
     return Message("position_command", can_id, 8, signals, flags, bytes(8), False, ranges.torque)
 
 
-def position_message(can_id: int, ranges: Ranges, speed: float, sign: int, zero: float, flags: int) -> Message:
+def position_message(can_id: int, ranges: MotorRanges, speed: float, sign: int, zero: float, flags: int) -> Message:
     """Return the signal table of the command in position-velocity mode, which has a constant speed limit.
 
     Args:
@@ -231,7 +231,7 @@ def velocity_message(can_id: int, limit: float, sign: int, flags: int) -> Messag
 
 
 def force_position_message(
-    can_id: int, ranges: Ranges, limits: tuple[float, float], sign: int, zero: float, flags: int
+    can_id: int, ranges: MotorRanges, limits: tuple[float, float], sign: int, zero: float, flags: int
 ) -> Message:
     """Return the signal table of the command in force-position mode, which has constant limits.
 
@@ -264,10 +264,10 @@ def _float_signal(
     name: str, quantity: Quantity, first: int, unit: str, scale: float = 1.0, offset: float = 0.0
 ) -> Signal:
     """Return the description of a float32 signal that begins at byte ``first``."""
-    return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
+    return Signal(name, quantity, 8 * first, 32, False, SignalCoding.FLOAT, scale, offset, unit)
 
 
-def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0.0) -> Message:
+def feedback_message(can_id: int, ranges: MotorRanges, sign: int = 1, zero: float = 0.0) -> Message:
     """Return the signal table of the feedback frame.
 
     Args:
@@ -297,10 +297,10 @@ def _signal_over_range(
     # The highest code is +largest, so there are 2^n - 1 steps. A negative sign reverses scale and
     # offset.
     scale = sign * 2 * largest / ((1 << length) - 1)
-    return Signal(name, quantity, start, length, True, Coding.UNSIGNED, scale, -sign * largest, unit)
+    return Signal(name, quantity, start, length, True, SignalCoding.UNSIGNED, scale, -sign * largest, unit)
 
 
-def decode_feedback(data: bytes, table: Table) -> Feedback:
+def decode_feedback(data: bytes, table: SignalTable) -> FeedbackValues:
     """Decode the 8 bytes of a feedback frame.
 
     Args:
@@ -334,8 +334,8 @@ def register_bytes(register: int, value: float) -> bytes:
 
     For an integer register, the fraction is cut off.
     """
-    layout = _FORMATS.get(register, _FLOAT)
-    return layout.pack(int(value)) if layout is _INTEGER else layout.pack(value)
+    layout = _REGISTER_STRUCTS.get(register, _FLOAT_STRUCT)
+    return layout.pack(int(value)) if layout is _INTEGER_STRUCT else layout.pack(value)
 
 
 class RegisterReply(NamedTuple):
@@ -348,7 +348,7 @@ class RegisterReply(NamedTuple):
     @property
     def value(self) -> float:
         """Return the value, decoded from the four bytes with the type of the register."""
-        return float(_FORMATS.get(self.register, _FLOAT).unpack(self.raw)[0])
+        return float(_REGISTER_STRUCTS.get(self.register, _FLOAT_STRUCT).unpack(self.raw)[0])
 
 
 def decode_register_reply(data: bytes, node_id: int) -> RegisterReply | None:
@@ -357,7 +357,7 @@ def decode_register_reply(data: bytes, node_id: int) -> RegisterReply | None:
     # test is fast.
     if data[0] != node_id & 0xFF:  # byte 0 of feedback has the state nibble above the node number
         return None
-    sender, operation, register = _REPLY.unpack_from(data)
+    sender, operation, register = _REPLY_STRUCT.unpack_from(data)
     if sender != node_id or operation not in (READ, WRITE, SAVE):
         return None
     return RegisterReply(operation, register, data[4:])

@@ -5,7 +5,7 @@ identifier of the command and 8 bytes, big-endian. Older firmware omits bytes 6 
 
     byte    0        1, 2          3, 4 high     4 low, 5     6                   7
     field   node 8   position 16   velocity 12   torque 12    temperature 8       error 8
-    range            +-12.5 rad    see MODELS    see MODELS   1 degC from -40     see ERRORS
+    range            +-12.5 rad    by model      by model     1 degC from -40     see ERROR_TEXTS
 
 The motor has no registers and no watchdog. Its feedback does not report whether the motor is
 enabled. The motor therefore counts as enabled after several answers to the enable command. It
@@ -19,29 +19,29 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from handctl.drives.causes import Cause
-from handctl.drives.contract import END_OF_TIME_NS, UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import END_OF_TIME_NS, NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import check_full_scale, pop_motor_model, refuse_unknown_options
-from handctl.drives.signals import Cyclic, Quantity, Signal, Table
+from handctl.drives.signals import CyclicMessages, Quantity, Signal, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-MODELS = {
-    "ak60-6": codec.Ranges(12.5, 50.0, 15.0),
-    "ak70-10": codec.Ranges(12.5, 50.0, 25.0),
-    "ak80-6": codec.Ranges(12.5, 76.0, 12.0),
-    "ak80-9": codec.Ranges(12.5, 50.0, 18.0),
-    "ak10-9": codec.Ranges(12.5, 50.0, 65.0),
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
+MOTOR_MODEL_RANGES = {
+    "ak60-6": codec.MotorRanges(12.5, 50.0, 15.0),
+    "ak70-10": codec.MotorRanges(12.5, 50.0, 25.0),
+    "ak80-6": codec.MotorRanges(12.5, 76.0, 12.0),
+    "ak80-9": codec.MotorRanges(12.5, 50.0, 18.0),
+    "ak10-9": codec.MotorRanges(12.5, 50.0, 65.0),
 }
 """Full scale of each motor model: position [rad], velocity [rad/s], torque [N m].
 
 Source: CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
 """
-ERRORS = {
+ERROR_TEXTS = {
     1: "over-temperature",
     2: "over-current",
     3: "over-voltage",
@@ -50,7 +50,9 @@ ERRORS = {
     6: "phase current imbalance",
 }
 """Text of each error, by byte 7 of the feedback. This byte is 0 if there is no error."""
-CAUSES = {1: Cause.HOT, 3: Cause.VOLTAGE, 4: Cause.VOLTAGE} | dict.fromkeys((2, 5, 6), Cause.OTHER)
+CAUSE_BY_ERROR = {1: DriveFaultCause.HOT, 3: DriveFaultCause.VOLTAGE, 4: DriveFaultCause.VOLTAGE} | dict.fromkeys(
+    (2, 5, 6), DriveFaultCause.OTHER
+)
 """Cause of each error, by byte 7 of the feedback."""
 FEEDBACK_SIZES = (6, 8)
 """Possible payload lengths of feedback [bytes].
@@ -73,7 +75,7 @@ MAX_RESTING_TORQUE_FRACTION = 0.02
 
 The sensor noise of a motor at rest is lower.
 """
-SILENCE_NS = 250_000_000
+SILENCE_TIMEOUT_NS = 250_000_000
 """Time without a frame after which a disabled motor returns to phase SILENT [ns]."""
 UNVERIFIED_PROTECTIONS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
@@ -129,13 +131,13 @@ class CubemarsDrive:
     name: str
     bus: int
     node_id: int
-    ranges: codec.Ranges
+    ranges: codec.MotorRanges
     torque_limit: float
     direction: int
     zero: float
     temperature_offset: float
-    command: Table = field(init=False, repr=False, compare=False)
-    feedback: Table = field(init=False, repr=False, compare=False)
+    command: SignalTable = field(init=False, repr=False, compare=False)
+    feedback: SignalTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
@@ -151,8 +153,8 @@ class CubemarsDrive:
             Signal("temperature", Quantity.TEMPERATURE, 55, 8, True, offset=self.temperature_offset, unit="degC"),
             Signal("error", Quantity.STATUS, 63, 8, True),
         )
-        object.__setattr__(self, "command", Table(command._replace(limit=self.torque_limit)))
-        object.__setattr__(self, "feedback", Table(feedback._replace(signals=signals)))
+        object.__setattr__(self, "command", SignalTable(command._replace(limit=self.torque_limit)))
+        object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "CubemarsDrive":
@@ -167,7 +169,7 @@ class CubemarsDrive:
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
-        ranges = pop_motor_model(options, where, MODELS)
+        ranges = pop_motor_model(options, where, MOTOR_MODEL_RANGES)
         temperature_offset = options.pop("temperature_offset_C", ZERO_COUNT_TEMPERATURE_C)
         if isinstance(temperature_offset, bool) or temperature_offset not in (ZERO_COUNT_TEMPERATURE_C, 0.0):
             raise ConfigError(
@@ -187,12 +189,12 @@ class CubemarsDrive:
         return ((8, False), (8, False))
 
     @property
-    def background(self) -> tuple[tuple[int, bool, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return an empty tuple, because the motor sends only answers to commands."""
         return ()
 
     @property
-    def extended(self) -> bool:
+    def has_extended_ids(self) -> bool:
         """Return False, because all identifiers have 11 bits."""
         return False
 
@@ -233,17 +235,17 @@ class CubemarsDrive:
         return 0.0
 
     @property
-    def cyclic(self) -> Cyclic:
+    def cyclic(self) -> CyclicMessages:
         """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(self.node_id, self.ranges, self.direction, self.zero)
         position = position._replace(limit=self.torque_limit)
-        return Cyclic((self.feedback.message,), (self.command.message,), position=position)
+        return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status in feedback of an enabled motor: the bytes of node number and error 0, joined."""
         progress: CubemarsProgress = state.private
         enabled = state.phase == ENABLED and progress.command_sent == ENABLE and progress.answers >= ANSWERS_REQUIRED
-        return (self.node_id & 0xFF) << 8 if enabled else UNSTEADY
+        return (self.node_id & 0xFF) << 8 if enabled else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
         """Return END_OF_TIME_NS, because the motor has no settings to read back."""
@@ -277,7 +279,7 @@ class CubemarsDrive:
         if not error:
             return updated
         disabling = updated.phase == ENABLED and progress_of(updated).command_sent == DISABLE
-        updated = updated._replace(error=error, error_text=ERRORS.get(error, f"unknown error {error}"))
+        updated = updated._replace(error=error, error_text=ERROR_TEXTS.get(error, f"unknown error {error}"))
         return updated if disabling else updated._replace(phase=FAULT)
 
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
@@ -309,7 +311,7 @@ class CubemarsDrive:
             return state, (self._frame_to_motor(self._torque_payload(torque)),)
         if target == LISTEN:
             return state, ()
-        if state.phase == READY and t_ns - state.feedback_t_ns > SILENCE_NS and not progress.enable_sent:
+        if state.phase == READY and t_ns - state.feedback_t_ns > SILENCE_TIMEOUT_NS and not progress.enable_sent:
             state = state._replace(phase=SILENT)
         if target == ENABLE and state.phase == READY:
             return self._after_command(state, ENABLE, t_ns), (
@@ -374,9 +376,9 @@ class CubemarsDrive:
         """Return the node number, because the motor does not report a serial number."""
         return f"node {self.node_id}"
 
-    def cause(self, error: int) -> Cause:
+    def cause(self, error: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSES.get(error, Cause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(error, DriveFaultCause.UNKNOWN)
 
     def _frame_to_motor(self, data: bytes) -> Frame:
         """Return a frame to the motor with the given payload."""

@@ -11,7 +11,7 @@ import struct
 from handctl.drives.discovery import (
     TWO_DRIVES_WARNING,
     DiscoveredNode,
-    Discovery,
+    ProtocolDiscovery,
     ReceivedFrames,
     have_two_drives_answered,
 )
@@ -27,13 +27,26 @@ HARDWARE_VERSION = 13
 SOFTWARE_VERSION = 14
 SERIAL_NUMBER = 15
 CAN_BR = 35
-_INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE_VERSION, SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR}
-_DETAILS = (SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
+_INTEGER_REGISTERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE_VERSION, SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR}
+_DETAIL_REGISTERS = (
+    SOFTWARE_VERSION,
+    SERIAL_NUMBER,
+    CAN_BR,
+    codec.CTRL_MODE,
+    codec.TIMEOUT,
+    codec.PMAX,
+    codec.VMAX,
+    codec.TMAX,
+)
 FIRST_FD_BIT_RATE = 5
 """Smallest value of register CAN_BR, the bit rate, at which the motor uses CAN FD."""
-_RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VMAX), ("torque_max_N_m", codec.TMAX))
+_RANGE_REGISTERS = (
+    ("position_range_rad", codec.PMAX),
+    ("velocity_range_rad_s", codec.VMAX),
+    ("torque_max_N_m", codec.TMAX),
+)
 """Keys of a ``[[motor]]`` section whose values are in registers, with these registers."""
-_STATES = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
+_STATE_TEXTS = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
@@ -47,13 +60,13 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     if turn != 3:
         return ()
     frames = []
-    for motor in motors_in(received):
-        frames += [_read_request(motor.node_id, register) for register in _DETAILS]
+    for motor in discovered_motors(received):
+        frames += [_read_request(motor.node_id, register) for register in _DETAIL_REGISTERS]
         frames.append(Frame(codec.BROADCAST_ID, codec.register_request(motor.node_id, codec.REFRESH)))
     return tuple(frames)
 
 
-def motors_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that have reported their MST_ID, if a frame with this identifier was received."""
     replies: dict[int, dict[int, list[bytes]]] = {}
     for frame in received:
@@ -76,8 +89,8 @@ def _describe_motor(
     """Return a discovered motor, with the data in its registers."""
     reply_id = reply_ids[number]
     raw = {register: payloads[-1] for register, payloads in answers.items()}
-    values = {register: _decode_integer(data) for register, data in raw.items() if register in _INTEGERS}
-    settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGES if register in raw}
+    values = {register: _decode_integer(data) for register, data in raw.items() if register in _INTEGER_REGISTERS}
+    settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGE_REGISTERS if register in raw}
     # A hand file without the option reply_id means MST_ID = ESC_ID + 0x10.
     options: dict[str, bool | int | float | str] = {} if reply_id == number + 0x10 else {"reply_id": reply_id}
     if values.get(CAN_BR, 0) >= FIRST_FD_BIT_RATE:
@@ -105,8 +118,8 @@ def _state_and_error(number: int, reply_id: int, received: ReceivedFrames) -> tu
         matches = frame.can_id == reply_id and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
         if matches and codec.decode_register_reply(frame.data, number) is None:
             nibble = frame.data[0] >> 4
-            values = _STATES.get(nibble)
-            return (values, "") if values else ("in error", codec.ERRORS.get(nibble, f"unknown state {nibble:#x}"))
+            values = _STATE_TEXTS.get(nibble)
+            return (values, "") if values else ("in error", codec.ERROR_TEXTS.get(nibble, f"unknown state {nibble:#x}"))
     return "", ""
 
 
@@ -138,7 +151,7 @@ def _decode_integer(raw: bytes) -> int:
     return int.from_bytes(raw, "little")
 
 
-def ping(motor: DiscoveredNode) -> Frame:
+def ping_request(motor: DiscoveredNode) -> Frame:
     """Return the frame to read register MST_ID of the motor."""
     return _read_request(motor.node_id, MST_ID)
 
@@ -149,4 +162,6 @@ def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
     return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
 
 
-DISCOVERY = Discovery(probe_frames, motors_in, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = ProtocolDiscovery(
+    probe_frames, discovered_motors, command_ids, other_host_frames, ping_request, is_ping_reply
+)

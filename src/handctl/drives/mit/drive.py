@@ -12,30 +12,30 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handctl.drives import readback
-from handctl.drives.causes import Cause
-from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit import settings as registers
 from handctl.drives.mit.progress import (
-    CAUSES,
+    CAUSE_BY_ERROR,
     CLEAR_TRIES,
     FIRES_WHILE_DISABLED_TEXT,
-    MISMATCH,
-    SILENCE_NS,
+    SETTING_MISMATCH_ERROR,
+    SILENCE_TIMEOUT_NS,
     MitProgress,
     apply_status,
+    enter_fault,
     progress_of,
-    to_fault,
 )
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import checked_boolean, refuse_unknown_options
-from handctl.drives.readback import Cursor
-from handctl.drives.signals import Cyclic, Table
+from handctl.drives.readback import ReadbackCursor
+from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 """Phases of a drive as names of the module, for speed.
 
 Looking a phase up in the enumeration takes longer than comparing two phases.
@@ -64,20 +64,20 @@ class MitDrive:
     bus: int
     node_id: int
     reply_id: int
-    ranges: codec.Ranges
+    ranges: codec.MotorRanges
     direction: int
     zero: float
     timeout: int
     flags: int = 0
-    command: Table = field(init=False, repr=False, compare=False)
-    feedback: Table = field(init=False, repr=False, compare=False)
+    command: SignalTable = field(init=False, repr=False, compare=False)
+    feedback: SignalTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         command = codec.command_message(self.node_id, self.ranges, self.direction, self.flags)
         feedback = codec.feedback_message(self.reply_id, self.ranges, self.direction, self.zero)
-        object.__setattr__(self, "command", Table(command))
-        object.__setattr__(self, "feedback", Table(feedback))
+        object.__setattr__(self, "command", SignalTable(command))
+        object.__setattr__(self, "feedback", SignalTable(feedback))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int, given: Mapping[str, Any] | None = None) -> "MitDrive":
@@ -103,7 +103,7 @@ class MitDrive:
             bus=bus,
             node_id=motor.node_id,
             reply_id=reply,
-            ranges=codec.Ranges(motor.position_range_rad, motor.velocity_range_rad_s, motor.torque_max_N_m),
+            ranges=codec.MotorRanges(motor.position_range_rad, motor.velocity_range_rad_s, motor.torque_max_N_m),
             direction=motor.direction,
             zero=motor.zero_rad,
             timeout=round(motor.watchdog_ms * codec.TIMEOUT_UNITS_PER_MS),
@@ -121,12 +121,12 @@ class MitDrive:
         return ((8, bool(self.flags)), (8, bool(self.flags)))
 
     @property
-    def background(self) -> tuple[tuple[int, bool, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the frames of the repeated read-back of the enabled motor: requests and replies."""
         return ((8, bool(self.flags), readback.RECHECKS_PER_SECOND),) * 2
 
     @property
-    def extended(self) -> bool:
+    def has_extended_ids(self) -> bool:
         """Return False, because all identifiers have 11 bits."""
         return False
 
@@ -172,7 +172,7 @@ class MitDrive:
         return ((codec.CTRL_MODE, codec.MIT_MODE),)
 
     @property
-    def guards(self) -> tuple[tuple[int, float], ...]:
+    def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
         """Return the registers of the protections in the motor, as pairs (register, required value).
 
         They are read again while the motor is enabled.
@@ -180,18 +180,18 @@ class MitDrive:
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
     @property
-    def cyclic(self) -> Cyclic:
+    def cyclic(self) -> CyclicMessages:
         """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(
             self.node_id, self.ranges, self.direction, self.zero, self.flags
         )
-        return Cyclic((self.feedback.message,), (self.command.message,), position=position)
+        return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
         """Return byte 0 of feedback from an enabled motor without an error: state and node number."""
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
-            return UNSTEADY
+            return NO_STEADY_STATUS
         return codec.ENABLED << 4 | self.node_id & 0xF
 
     def due_ns(self, state: DriveState) -> int:
@@ -212,7 +212,7 @@ class MitDrive:
         progress = progress_of(state)
         if state.phase == ENABLED and progress.check.waiting:
             reply = codec.decode_register_reply(data, self.node_id)
-            if reply is not None and reply[:2] == (codec.READ, self.guards[progress.check.step][0]):
+            if reply is not None and reply[:2] == (codec.READ, self.rechecked_settings[progress.check.step][0]):
                 return self._on_guard(state, progress, reply)
         # Byte 0 of feedback from an enabled motor is 0x10 | node nibble. If the node number is from
         # 0x10 to 0x1f, byte 0 of a register reply is the same. The frame then counts as feedback.
@@ -236,19 +236,19 @@ class MitDrive:
             return _ready_state(state, progress, t_ns, int.from_bytes(reply.raw, "little")) if updated else state
         cursor, problem = registers.on_reply(progress.cursor, self.required, reply)
         if problem:
-            return to_fault(state, MISMATCH, problem)
+            return enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state._replace(private=progress._replace(cursor=cursor))
 
     def _on_guard(self, state: DriveState, progress: MitProgress, reply: codec.RegisterReply) -> DriveState:
         """Compare a register, read again from the enabled motor, with the required value."""
-        register, value = self.guards[progress.check.step]
+        register, value = self.rechecked_settings[progress.check.step]
         same = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
         check, problem = readback.on_recheck_reply(
-            progress.check, len(self.guards), same, registers.register_name(register), answer, f"{value:g}"
+            progress.check, len(self.rechecked_settings), same, registers.register_name(register), answer, f"{value:g}"
         )
         updated = state._replace(private=progress._replace(check=check))
-        return to_fault(updated, MISMATCH, problem) if problem else updated
+        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Return the state after a feedback frame, with the values and the effect of the state nibble."""
@@ -287,7 +287,7 @@ class MitDrive:
         if (
             state.phase == READY
             and not progress.enable_sent
-            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
+            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
         ):
             return state._replace(phase=SILENT, private=MitProgress()), (self._refresh(),)
         # This motor has a watchdog that runs even while it is disabled. Commands restart it.
@@ -316,11 +316,11 @@ class MitDrive:
 
     def _ask_guard(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, Frame]:
         """Return the next state and the request to read a protection register of the enabled motor."""
-        register, _ = self.guards[progress.check.step]
+        register, _ = self.rechecked_settings[progress.check.step]
         check, problem = readback.next_recheck(progress.check, registers.register_name(register), self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
         if problem:
-            state = to_fault(state, MISMATCH, problem)
+            state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state, self._broadcast(codec.register_request(self.node_id, codec.READ, register))
 
     def _configure(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
@@ -339,7 +339,7 @@ class MitDrive:
             ) if data else ()
         cursor, data, problem = registers.next_request(progress.cursor, self.required, self.node_id, t_ns)
         if problem:
-            return to_fault(state._replace(private=progress), MISMATCH, problem), ()
+            return enter_fault(state._replace(private=progress), SETTING_MISMATCH_ERROR, problem), ()
         text = FIRES_WHILE_DISABLED_TEXT if state.error_text == FIRES_WHILE_DISABLED_TEXT else ""
         updated = state._replace(error_text=text, private=progress._replace(cursor=cursor))
         return updated, (self._broadcast(data),) if data else ()
@@ -389,9 +389,9 @@ class MitDrive:
         """Return the serial number from register 15, or the node number if it is unknown."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> Cause:
+    def cause(self, error: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSES.get(error, Cause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(error, DriveFaultCause.UNKNOWN)
 
     def _frame(self, data: bytes) -> Frame:
         """Return a frame to the motor with the given payload."""
@@ -411,5 +411,5 @@ def _ready_state(state: DriveState, progress: MitProgress, t_ns: int, serial: in
 
     With serial number 0, the serial number is unknown.
     """
-    ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns, serial=serial)
+    ready = progress._replace(cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial)
     return state._replace(phase=READY, private=ready)

@@ -16,10 +16,10 @@ from handctl.drives.mit.drive import MitDrive
 from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import checked_positive
-from handctl.drives.signals import Message, Table
+from handctl.drives.signals import Message, SignalTable
 from handctl.errors import ConfigError
 
-_REGISTER = {
+_CONTROL_MODES = {
     DriveMode.POSITION: codec.POSITION_MODE,
     DriveMode.VELOCITY: codec.VELOCITY_MODE,
     DriveMode.FORCE_POSITION: codec.FORCE_MODE,
@@ -45,7 +45,7 @@ class MitModeDrive(MitDrive):
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         MitDrive.__post_init__(self)
-        object.__setattr__(self, "command", Table(self._message()))
+        object.__setattr__(self, "command", SignalTable(self._message()))
 
     def _message(self) -> Message:
         """Return the signal table of the command in this mode."""
@@ -67,10 +67,10 @@ class MitModeDrive(MitDrive):
         """Return the registers for the control mode, as pairs (register, required value)."""
         slope = self.limits.acceleration
         ramps = ((codec.ACCELERATION, slope), (codec.DECELERATION, -slope), (codec.MAX_SPEED, self.limits.speed))
-        return ((codec.CTRL_MODE, _REGISTER[self.mode]), *ramps)
+        return ((codec.CTRL_MODE, _CONTROL_MODES[self.mode]), *ramps)
 
     @property
-    def guards(self) -> tuple[tuple[int, float], ...]:
+    def rechecked_settings(self) -> tuple[tuple[int, float], ...]:
         """Return the registers of the protections in the motor, as pairs (register, required value).
 
         They are read again while the motor is enabled.

@@ -2,25 +2,27 @@
 
 from typing import NamedTuple
 
-from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveState, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.mit import codec
-from handctl.drives.readback import Cursor, Recheck
+from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 # Error codes added by handctl. All are larger than the state nibbles of the motor.
 #
 # In this order, the motor has disabled itself without a command, has a wrong register value,
 # reports an unknown state, or was enabled by another host.
-DROPPED_OUT = 0x100
-MISMATCH = 0x101
-UNKNOWN = 0x102
-ENABLED_BY_OTHER_HOST = 0x103
-CAUSES = {
-    0x8: Cause.VOLTAGE, 0x9: Cause.VOLTAGE, 0xB: Cause.HOT, 0xC: Cause.HOT, 0xD: Cause.WATCHDOG,
-    DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH,
-} | dict.fromkeys(codec.ERRORS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, Cause.OTHER)  # fmt: skip
+DROPPED_OUT_ERROR = 0x100
+SETTING_MISMATCH_ERROR = 0x101
+UNKNOWN_STATUS_ERROR = 0x102
+ENABLED_BY_OTHER_HOST_ERROR = 0x103
+CAUSE_BY_ERROR = {
+    0x8: DriveFaultCause.VOLTAGE, 0x9: DriveFaultCause.VOLTAGE, 0xB: DriveFaultCause.HOT, 0xC: DriveFaultCause.HOT,
+    0xD: DriveFaultCause.WATCHDOG,
+    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
+    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH,
+} | dict.fromkeys(codec.ERROR_TEXTS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, DriveFaultCause.OTHER)  # fmt: skip
 """Cause of each error, by the state nibble or by the error code added by handctl."""
 WATCHDOG_FIRED = 0xD
 """State nibble of a motor whose watchdog has fired."""
@@ -34,7 +36,7 @@ CLEAR_TRIES = 6
 
 The motor then sends two frames per tick.
 """
-SILENCE_NS = 250_000_000
+SILENCE_TIMEOUT_NS = 250_000_000
 """Time without a frame after which the motor may have lost power, and therefore its register values [ns]."""
 
 
@@ -57,7 +59,7 @@ class MitProgress(NamedTuple):
         serial: serial number of the motor, 0 if unknown.
     """
 
-    cursor: Cursor = Cursor()
+    cursor: ReadbackCursor = ReadbackCursor()
     configured: bool = False
     enabled_by_other: bool = False
     enable_sent: bool = False
@@ -65,7 +67,7 @@ class MitProgress(NamedTuple):
     disabling_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
-    check: Recheck = Recheck()
+    check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
 
@@ -75,7 +77,7 @@ def progress_of(state: DriveState) -> MitProgress:
     return progress
 
 
-def to_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
@@ -102,7 +104,7 @@ def _state_when_disabled(state: DriveState, progress: MitProgress) -> DriveState
             return state._replace(private=progress)
         return state._replace(phase=FAULT if state.error else READY, private=off)
     if state.phase == ENABLED:
-        return to_fault(state._replace(private=off), DROPPED_OUT, "disabled by itself")
+        return enter_fault(state._replace(private=off), DROPPED_OUT_ERROR, "disabled by itself")
     off = off._replace(enable_sent=progress.enable_sent)
     return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
 
@@ -115,7 +117,7 @@ def _state_when_enabled(state: DriveState, progress: MitProgress) -> DriveState:
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
     if state.phase == READY:
-        return to_fault(enabled, ENABLED_BY_OTHER_HOST, "enabled, but not by this host")
+        return enter_fault(enabled, ENABLED_BY_OTHER_HOST_ERROR, "enabled, but not by this host")
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
@@ -125,16 +127,16 @@ def _state_after_error(state: DriveState, progress: MitProgress, nibble: int) ->
     A motor with a known error makes no torque. A motor with an unknown state nibble may still make
     torque.
     """
-    if nibble in codec.ERRORS and progress.clearing:
+    if nibble in codec.ERROR_TEXTS and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     idle = not (progress.enable_sent or progress.enabled_by_other or progress.disabling)
     if nibble == WATCHDOG_FIRED and idle and state.phase in (CONFIGURING, READY):
         # The watchdog has fired, because register requests do not restart it. The motor makes no
         # torque, so no operator has to clear the error.
         return state._replace(error_text=FIRES_WHILE_DISABLED_TEXT, private=progress._replace(clearing=CLEAR_TRIES))
-    if nibble in codec.ERRORS:
+    if nibble in codec.ERROR_TEXTS:
         off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
-        return to_fault(off, nibble, codec.ERRORS[nibble])
+        return enter_fault(off, nibble, codec.ERROR_TEXTS[nibble])
     unknown = state._replace(private=progress._replace(enabled_by_other=True))
-    unknown = to_fault(unknown, UNKNOWN, f"unknown state {nibble:#x}")
+    unknown = enter_fault(unknown, UNKNOWN_STATUS_ERROR, f"unknown state {nibble:#x}")
     return unknown._replace(phase=ENABLED) if progress.disabling else unknown

@@ -2,7 +2,7 @@
 
 from handctl.drives import readback
 from handctl.drives.mit import codec
-from handctl.drives.readback import Cursor
+from handctl.drives.readback import ReadbackCursor
 
 SERIAL_NUMBER_TRIES = 3
 """Number of requests for the serial number. Some motors have no register with the serial number."""
@@ -16,7 +16,9 @@ RequiredRegisters = tuple[tuple[int, float], ...]
 """Registers with the required values, as pairs (register, value), in the order of the requests."""
 
 
-def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterReply) -> tuple[Cursor, str]:
+def on_reply(
+    cursor: ReadbackCursor, required: RequiredRegisters, reply: codec.RegisterReply
+) -> tuple[ReadbackCursor, str]:
     """Return the position in the read-back after a register reply. Replies to other requests have no effect.
 
     Args:
@@ -37,7 +39,9 @@ def on_reply(cursor: Cursor, required: RequiredRegisters, reply: codec.RegisterR
     return readback.on_wrong_value(cursor, register_name(register), f"{reply.value:g}", f"{value:g}", WRITE_TRIES)
 
 
-def next_request(cursor: Cursor, required: RequiredRegisters, node_id: int, t_ns: int) -> tuple[Cursor, bytes, str]:
+def next_request(
+    cursor: ReadbackCursor, required: RequiredRegisters, node_id: int, t_ns: int
+) -> tuple[ReadbackCursor, bytes, str]:
     """Return the next register request of the read-back, if due.
 
     Args:
@@ -56,7 +60,7 @@ def next_request(cursor: Cursor, required: RequiredRegisters, node_id: int, t_ns
     return cursor, codec.register_request(node_id, operation, register, value) if send else b"", problem
 
 
-def next_serial_request(cursor: Cursor, node_id: int, t_ns: int) -> tuple[Cursor, bytes, bool]:
+def next_serial_request(cursor: ReadbackCursor, node_id: int, t_ns: int) -> tuple[ReadbackCursor, bytes, bool]:
     """Return the request for the serial number, which follows the read-back of all registers.
 
     Returns:

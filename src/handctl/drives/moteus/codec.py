@@ -52,9 +52,9 @@ from typing import Any, NamedTuple
 
 from handctl.drives.frame import BRS, EXTENDED, FDF
 from handctl.drives.frame_time import FD_SIZES
-from handctl.drives.signals import Coding, Message, Quantity, Signal
+from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
 
-FLAGS = FDF | BRS
+FD_FRAME_FLAGS = FDF | BRS
 """Flags of all frames to the drive."""
 REPLY_WANTED = 0x8000
 """Bit in the identifier of a request that asks the drive for a reply."""
@@ -64,7 +64,7 @@ LAST_NODE = 0x7E
 """Largest node number. 0x7F is the broadcast to all drives."""
 BROADCAST = 0x7F
 """Node number with which a request goes to all drives."""
-SOURCES = range(0x80)
+SOURCE_NODES = range(0x80)
 """Possible source numbers of hosts. handctl is source 0."""
 NOP = 0x50
 """Padding byte."""
@@ -100,7 +100,7 @@ TIMED_OUT = 11
 """Mode after the watchdog has fired. The drive leaves this mode only after a stop command."""
 LIMIT_CODES = range(96, 128)
 """Fault codes in position mode that tell which limit is in effect. These codes are not errors."""
-FAULTS = {
+FAULT_TEXTS = {
     32: "calibration fault",
     33: "motor driver fault",
     34: "over-voltage",
@@ -136,10 +136,12 @@ DIAGNOSTIC_CHANNEL = 1
 """Channel of the diagnostic protocol."""
 LONGEST_TEXT = 48
 """Longest text in one reply of the drive [bytes]."""
-_VALUES = tuple(struct.Struct(f"<{letter}") for letter in "bhif")
+_VALUE_STRUCTS = tuple(struct.Struct(f"<{letter}") for letter in "bhif")
 """``struct`` code of each type of register value."""
 
-QUERY = bytes((READ | 1, MODE, READ | 2, TEMPERATURE, READ | FLOAT << 2 | 3, 0x01, READ | 1, MOTOR_TEMPERATURE))
+QUERY_SUBFRAMES = bytes(
+    (READ | 1, MODE, READ | 2, TEMPERATURE, READ | FLOAT << 2 | 3, 0x01, READ | 1, MOTOR_TEMPERATURE)
+)
 """Subframes that request feedback."""
 FEEDBACK_LENGTH = 24
 """Length of a feedback frame [bytes]."""
@@ -193,7 +195,7 @@ def limits_subframes(torque: float, timeout_s: float) -> bytes:
     return write_floats_subframe(MAX_TORQUE, torque) + write_floats_subframe(TIMEOUT, timeout_s)
 
 
-STOP = padded_payload(write_bytes_subframe(MODE, STOPPED) + QUERY)
+STOP_PAYLOAD = padded_payload(write_bytes_subframe(MODE, STOPPED) + QUERY_SUBFRAMES)
 """Payload of the stop command, which also requests feedback."""
 
 
@@ -203,7 +205,9 @@ def limits_request(torque: float, timeout_s: float) -> bytes:
     The stored limits have no effect until a command sets the mode. A firmware without the register
     of the integrator refuses this write, before any torque command.
     """
-    return padded_payload(limits_subframes(torque, timeout_s) + write_bytes_subframe(INTEGRATOR_SCALE, 0) + QUERY)
+    return padded_payload(
+        limits_subframes(torque, timeout_s) + write_bytes_subframe(INTEGRATOR_SCALE, 0) + QUERY_SUBFRAMES
+    )
 
 
 def text_request(text: bytes) -> bytes:
@@ -234,7 +238,7 @@ def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1
         + write_floats_subframe(0x022, 0.0)
         + no_motion
         + limits_subframes(torque, timeout_s)
-        + QUERY
+        + QUERY_SUBFRAMES
     )
     signals = (
         _float_signal("torque", Quantity.TORQUE, 5, float(sign), "N m"),
@@ -242,7 +246,7 @@ def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1
         _float_signal("watchdog", Quantity.UNUSED, 28, 1.0, "s"),
     )
     base = padded_payload(base)
-    return Message("command", request_id(node_id), len(base), signals, FLAGS, base, False, torque)
+    return Message("command", request_id(node_id), len(base), signals, FD_FRAME_FLAGS, base, False, torque)
 
 
 class PositionGains(NamedTuple):
@@ -279,7 +283,7 @@ def position_message(
         + write_floats_subframe(KP_SCALE, 0.0, 0.0, 0.0)
         + write_bytes_subframe(INTEGRATOR_SCALE, 0)
         + write_floats_subframe(TIMEOUT, timeout_s)
-        + QUERY
+        + QUERY_SUBFRAMES
     )
     turns = sign * math.tau
     position = _float_signal("position", Quantity.POSITION, 5, turns, "rad")
@@ -322,16 +326,16 @@ def feedback_message(node_id: int, sign: int = 1, zero: float = 0.0) -> Message:
         position._replace(offset=-sign * zero),
         _float_signal("velocity", Quantity.VELOCITY, 13, turns, "rad/s"),
         _float_signal("torque", Quantity.TORQUE, 17, float(sign), "N m"),
-        Signal("board", Quantity.TEMPERATURE, 40, 8, coding=Coding.SIGNED, unit="degC"),
+        Signal("board", Quantity.TEMPERATURE, 40, 8, coding=SignalCoding.SIGNED, unit="degC"),
         # Without a thermistor in the motor the count is -128, so the temperature of the board is
         # the highest.
-        Signal("motor", Quantity.TEMPERATURE, 184, 8, coding=Coding.SIGNED, unit="degC"),
-    ), FLAGS)  # fmt: skip
+        Signal("motor", Quantity.TEMPERATURE, 184, 8, coding=SignalCoding.SIGNED, unit="degC"),
+    ), FD_FRAME_FLAGS)  # fmt: skip
 
 
 def _float_signal(name: str, quantity: Quantity, byte: int, scale: float, unit: str) -> Signal:
     """Return the description of a float32 signal that begins at a byte."""
-    return Signal(name, quantity, 8 * byte, 32, coding=Coding.FLOAT, scale=scale, unit=unit)
+    return Signal(name, quantity, 8 * byte, 32, coding=SignalCoding.FLOAT, scale=scale, unit=unit)
 
 
 def joined_status(mode: int, fault: int) -> int:
@@ -365,7 +369,7 @@ def decode_reply(data: bytes) -> DriveReply | None:
     values = dict[int, float]()
     refused = dict[int, int]()
     text = None
-    reader = _Reader(data)
+    reader = _SubframeReader(data)
     try:
         while reader.at < len(data):
             kind = reader.byte()
@@ -386,7 +390,7 @@ def decode_reply(data: bytes) -> DriveReply | None:
     return DriveReply(values, refused, text) if values or refused or text is not None else None
 
 
-class _Reader:
+class _SubframeReader:
     """Reader that decodes a payload step by step. Raises IndexError at the end of the payload."""
 
     def __init__(self, data: bytes) -> None:
@@ -420,7 +424,7 @@ class _Reader:
 
     def registers(self, kind: int) -> Iterator[tuple[int, Any]]:
         """Yield the (register, value) pairs of a register subframe."""
-        coding = _VALUES[kind >> 2 & 3]
+        coding = _VALUE_STRUCTS[kind >> 2 & 3]
         count = kind & 3 or self.varuint()
         first = self.varuint()
         for register in range(first, first + count):

@@ -10,7 +10,7 @@ import math
 from handctl.drives.discovery import (
     TWO_DRIVES_WARNING,
     DiscoveredNode,
-    Discovery,
+    ProtocolDiscovery,
     ReceivedFrames,
     have_two_drives_answered,
 )
@@ -23,7 +23,7 @@ DRIVE_NUMBERS = range(1, codec.LAST_NODE + 1)
 MODE_REQUEST = codec.read_subframe(codec.INT8, codec.MODE)
 """Payload to read the mode of a node, to discover the node. The reply begins with 21 00."""
 MODE_REPLY = bytes((codec.REPLY | 1, codec.MODE))
-DETAILS = (
+DETAIL_REQUESTS = (
     codec.read_subframe(codec.INT8, codec.FAULT),
     *(
         codec.read_subframe(codec.INT32, register)
@@ -31,7 +31,12 @@ DETAILS = (
     ),
 )
 """Payloads that read fault code, firmware version, and serial number."""
-_MODES = {codec.STOPPED: "stopped", codec.FAULT_MODE: "fault", codec.POSITION: "position", codec.TIMED_OUT: "timeout"}
+_MODE_TEXTS = {
+    codec.STOPPED: "stopped",
+    codec.FAULT_MODE: "fault",
+    codec.POSITION: "position",
+    codec.TIMED_OUT: "timeout",
+}
 
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
@@ -43,11 +48,15 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     if turn == 2:
         return tuple(Frame(codec.request_id(number), MODE_REQUEST) for number in DRIVE_NUMBERS)
     if turn == 3:
-        return tuple(Frame(codec.request_id(drive.node_id), data) for drive in drives_in(received) for data in DETAILS)
+        return tuple(
+            Frame(codec.request_id(drive.node_id), data)
+            for drive in discovered_drives(received)
+            for data in DETAIL_REQUESTS
+        )
     return ()
 
 
-def drives_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the drives that have reported their mode to this host."""
     answers: dict[int, dict[int, list[bytes]]] = {}
     by_reply = {codec.reply_id(number): number for number in DRIVE_NUMBERS}
@@ -83,14 +92,14 @@ def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredN
     serial = "".join(f"{word:08x}" for word in reversed(words)) if any(words) else ""
     twins = have_two_drives_answered(answers, codec.SERIAL_NUMBER)
     notes = (TWO_DRIVES_WARNING,) * twins + ("needs a bus with CAN FD: data_bitrate = 5_000_000",)
-    state = _MODES.get(mode, f"mode {mode}")
+    state = _MODE_TEXTS.get(mode, f"mode {mode}")
     return DiscoveredNode("moteus", number, firmware, serial, state, error, notes=notes, twins=twins)
 
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
     """Return the identifiers of requests from any host to this drive and to all drives."""
     return frozenset(
-        codec.request_id(node, source) for node in (drive.node_id, codec.BROADCAST) for source in codec.SOURCES
+        codec.request_id(node, source) for node in (drive.node_id, codec.BROADCAST) for source in codec.SOURCE_NODES
     )
 
 
@@ -110,7 +119,7 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     )
 
 
-def ping(drive: DiscoveredNode) -> Frame:
+def ping_request(drive: DiscoveredNode) -> Frame:
     """Return the frame to read the mode of the drive."""
     return Frame(codec.request_id(drive.node_id), MODE_REQUEST)
 
@@ -120,4 +129,6 @@ def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
     return frame.can_id == codec.reply_id(drive.node_id) and frame.data[:2] == MODE_REPLY
 
 
-DISCOVERY = Discovery(probe_frames, drives_in, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = ProtocolDiscovery(
+    probe_frames, discovered_drives, command_ids, other_host_frames, ping_request, is_ping_reply
+)

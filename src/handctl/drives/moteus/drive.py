@@ -12,30 +12,30 @@ import math
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.causes import Cause
-from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.moteus import codec
 from handctl.drives.moteus import settings as items
 from handctl.drives.moteus.progress import (
-    CAUSES,
+    CAUSE_BY_ERROR,
     CLEAR_TRIES,
-    MISMATCH,
     SERIAL_NUMBER_TRIES,
-    SILENCE_NS,
+    SETTING_MISMATCH_ERROR,
+    SILENCE_TIMEOUT_NS,
     MoteusProgress,
     apply_mode,
+    enter_fault,
     progress_of,
-    to_fault,
 )
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import refuse_unknown_options
-from handctl.drives.readback import Cursor
-from handctl.drives.signals import Cyclic, Table
+from handctl.drives.readback import ReadbackCursor
+from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 """Phases of a drive as names of the module, for speed.
 
 Looking a phase up in the enumeration takes longer than comparing two phases.
@@ -76,16 +76,18 @@ class MoteusDrive:
     timeout_s: float
     top_speed: float
     gains: codec.PositionGains | None
-    command: Table = field(init=False, repr=False, compare=False)
-    feedback: Table = field(init=False, repr=False, compare=False)
+    command: SignalTable = field(init=False, repr=False, compare=False)
+    feedback: SignalTable = field(init=False, repr=False, compare=False)
     configuration: tuple[items.MoteusSetting, ...] = field(init=False, repr=False, compare=False)
     required: tuple[items.MoteusSetting, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         command = codec.command_message(self.node_id, self.torque_limit, self.timeout_s, self.direction)
-        object.__setattr__(self, "command", Table(command))
-        object.__setattr__(self, "feedback", Table(codec.feedback_message(self.node_id, self.direction, self.zero)))
+        object.__setattr__(self, "command", SignalTable(command))
+        object.__setattr__(
+            self, "feedback", SignalTable(codec.feedback_message(self.node_id, self.direction, self.zero))
+        )
         configuration = items.CONFIGURATION if self.gains is None else items.position_configuration(self.gains)
         required = items.required_settings(self.torque_limit, self.timeout_s, configuration)
         object.__setattr__(self, "configuration", configuration)
@@ -119,13 +121,13 @@ class MoteusDrive:
         return ((self.command.message.length, True), (codec.FEEDBACK_LENGTH, True))
 
     @property
-    def background(self) -> tuple[tuple[int, bool, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the frames of the read-back of an enabled drive: two requests over the text channel, two replies."""
         rate = readback.RECHECKS_PER_SECOND
         return ((48, True, rate), (3, True, rate), (4, True, rate), (16, True, rate))
 
     @property
-    def extended(self) -> bool:
+    def has_extended_ids(self) -> bool:
         """Return True, because requests have 29-bit identifiers."""
         return True
 
@@ -133,7 +135,7 @@ class MoteusDrive:
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of requests from any host to this drive and to all drives."""
         return frozenset(
-            codec.request_id(node, source) for node in (self.node_id, codec.BROADCAST) for source in codec.SOURCES
+            codec.request_id(node, source) for node in (self.node_id, codec.BROADCAST) for source in codec.SOURCE_NODES
         )
 
     @property
@@ -162,7 +164,7 @@ class MoteusDrive:
         return 0.0
 
     @property
-    def cyclic(self) -> Cyclic:
+    def cyclic(self) -> CyclicMessages:
         """Return the signal tables of command and feedback."""
         torque = self.command.message
         position = None
@@ -170,13 +172,13 @@ class MoteusDrive:
             position = codec.position_message(
                 torque, self.gains, self.timeout_s, self.top_speed, self.direction, self.zero
             )
-        return Cyclic((self.feedback.message,), (torque,), position=position, moves_target=position is not None)
+        return CyclicMessages((self.feedback.message,), (torque,), position=position, moves_target=position is not None)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status of feedback in position mode without a fault code, or UNSTEADY."""
+        """Return the status of feedback in position mode without a fault code, or NO_STEADY_STATUS."""
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
-            return UNSTEADY
+            return NO_STEADY_STATUS
         return codec.joined_status(codec.POSITION, 0)
 
     def due_ns(self, state: DriveState) -> int:
@@ -200,7 +202,9 @@ class MoteusDrive:
         progress = progress_of(state)
         if reply.refused and state.phase == CONFIGURING:
             register, error = next(iter(reply.refused.items()))
-            return to_fault(state, MISMATCH, f"refuses register {register:#x} with error {error}: firmware too old?")
+            return enter_fault(
+                state, SETTING_MISMATCH_ERROR, f"refuses register {register:#x} with error {error}: firmware too old?"
+            )
         if reply.text is not None:
             return self._on_text(state, progress, reply.text)
         if codec.SERIAL_NUMBER in reply.values:
@@ -265,7 +269,7 @@ class MoteusDrive:
                 progress.check, len(self.configuration), same, setting.name, f"reads {shown}", expected
             )
             updated = state._replace(private=progress._replace(check=check))
-            return to_fault(updated, MISMATCH, problem) if problem else updated
+            return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
         if progress.cursor.writing:
             return state
         if same:
@@ -273,7 +277,7 @@ class MoteusDrive:
         writes = items.WRITE_TRIES if value is not None else 0
         cursor, problem = readback.on_wrong_value(progress.cursor, setting.name, shown, expected, writes)
         updated = state._replace(private=progress._replace(cursor=cursor))
-        return to_fault(updated, MISMATCH, problem) if problem else updated
+        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_serial(
         self, state: DriveState, progress: MoteusProgress, values: dict[int, float], t_ns: int
@@ -306,16 +310,18 @@ class MoteusDrive:
         if (
             state.phase == READY
             and not progress.enable_sent
-            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
+            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
         ):
-            return state._replace(phase=SILENT, private=MoteusProgress()), (self._frame_to_drive(codec.QUERY),)
+            return state._replace(phase=SILENT, private=MoteusProgress()), (
+                self._frame_to_drive(codec.QUERY_SUBFRAMES),
+            )
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
             check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
             return enabling, (self._frame_to_drive(self._torque_payload(0.0)),)
-        question = self.cut()[0] if progress.clearing else self._frame_to_drive(codec.QUERY)
+        question = self.cut()[0] if progress.clearing else self._frame_to_drive(codec.QUERY_SUBFRAMES)
         return state._replace(private=progress), (question,)
 
     def _disable(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> DriveState:
@@ -335,12 +341,12 @@ class MoteusDrive:
         channel = progress.channel
         data = b""
         problem = ""
-        if channel.awaits(t_ns):
+        if channel.is_awaiting_answer(t_ns):
             channel, data = channel.poll()
         elif t_ns >= progress.check.due_ns:
             # If a request has no answer, its text may still arrive, so the channel is emptied
             # first.
-            channel = items.Channel() if progress.check.waiting else channel
+            channel = items.DiagnosticChannel() if progress.check.waiting else channel
             check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
             progress = progress._replace(check=check)
             channel, data = self._setting_request(channel, setting, False, t_ns)
@@ -348,7 +354,7 @@ class MoteusDrive:
             channel, data = self._setting_request(channel, setting, False, t_ns)
         state = state._replace(private=progress._replace(channel=channel))
         if problem:
-            state = to_fault(state, MISMATCH, problem)
+            state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state, (self._frame_to_drive(data),) if data else ()
 
     def _configure(
@@ -367,25 +373,25 @@ class MoteusDrive:
         if setting.register and progress.cursor.writing:  # the drive answers this write only with feedback
             limits = self._frame_to_drive(codec.limits_request(self.torque_limit, self.timeout_s))
             return state._replace(private=progress._replace(cursor=progress.cursor.after_write())), (limits,)
-        if progress.channel.awaits(t_ns):
+        if progress.channel.is_awaiting_answer(t_ns):
             channel, data = progress.channel.poll()
             return state._replace(private=progress._replace(channel=channel)), (self._frame_to_drive(data),)
         cursor, send, problem = readback.request_setting(progress.cursor, setting.name, t_ns)
         if problem:
-            return to_fault(state._replace(private=progress), MISMATCH, problem), ()
+            return enter_fault(state._replace(private=progress), SETTING_MISMATCH_ERROR, problem), ()
         channel = progress.channel
         data = b""
         if send:
             # If a request has no answer, its text may still arrive, so the channel is emptied
             # first.
-            channel = items.Channel() if progress.cursor.waiting else channel
+            channel = items.DiagnosticChannel() if progress.cursor.waiting else channel
             channel, data = self._setting_request(channel, setting, cursor.writing, t_ns)
         updated = state._replace(error_text="", private=progress._replace(cursor=cursor, channel=channel))
         return updated, (self._frame_to_drive(data),) if data else ()
 
     def _setting_request(
-        self, channel: items.Channel, setting: items.MoteusSetting, writing: bool, t_ns: int
-    ) -> tuple[items.Channel, bytes]:
+        self, channel: items.DiagnosticChannel, setting: items.MoteusSetting, writing: bool, t_ns: int
+    ) -> tuple[items.DiagnosticChannel, bytes]:
         """Return the next state of the text channel, and the payload that reads or writes a setting."""
         if setting.register:
             return channel, codec.read_subframe(codec.FLOAT, setting.register)
@@ -422,7 +428,7 @@ class MoteusDrive:
 
     def cut(self) -> tuple[Frame, ...]:
         """Return the frame of the stop command."""
-        return (self._frame_to_drive(codec.STOP),)
+        return (self._frame_to_drive(codec.STOP_PAYLOAD),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the state and the stop command that clear the latched error.
@@ -440,13 +446,13 @@ class MoteusDrive:
         """Return the serial number (96 bits), or the node number if it is unknown."""
         return f"{serial:024x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> Cause:
+    def cause(self, error: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSES.get(error, Cause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(error, DriveFaultCause.UNKNOWN)
 
     def _frame_to_drive(self, data: bytes) -> Frame:
         """Return a frame to the drive with the given payload."""
-        return Frame(self.command.message.can_id, data, codec.FLAGS, self.bus)
+        return Frame(self.command.message.can_id, data, codec.FD_FRAME_FLAGS, self.bus)
 
 
 def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
@@ -472,5 +478,5 @@ def _ready_state(state: DriveState, progress: MoteusProgress, t_ns: int, serial:
 
     With serial number 0, the serial number is unknown.
     """
-    ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns, serial=serial)
+    ready = progress._replace(cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial)
     return state._replace(phase=READY, private=ready)

@@ -2,26 +2,28 @@
 
 from typing import NamedTuple
 
-from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveState, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.moteus import codec
-from handctl.drives.moteus.settings import Channel
-from handctl.drives.readback import Cursor, Recheck
+from handctl.drives.moteus.settings import DiagnosticChannel
+from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 # Error codes added by handctl. All are larger than the fault codes of the drive.
-DROPPED_OUT = 0x100
-MISMATCH = 0x101
-ENABLED_BY_OTHER_HOST = 0x102
-CAUSES = {
-    codec.FAULT_MODE: Cause.OTHER, codec.TIMED_OUT: Cause.WATCHDOG, 34: Cause.VOLTAGE, 40: Cause.VOLTAGE, 38: Cause.HOT,
-    DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH,
-} | dict.fromkeys(codec.FAULTS.keys() - {34, 38, 40}, Cause.OTHER)  # fmt: skip
+DROPPED_OUT_ERROR = 0x100
+SETTING_MISMATCH_ERROR = 0x101
+ENABLED_BY_OTHER_HOST_ERROR = 0x102
+CAUSE_BY_ERROR = {
+    codec.FAULT_MODE: DriveFaultCause.OTHER, codec.TIMED_OUT: DriveFaultCause.WATCHDOG, 34: DriveFaultCause.VOLTAGE,
+    40: DriveFaultCause.VOLTAGE, 38: DriveFaultCause.HOT,
+    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
+    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH,
+} | dict.fromkeys(codec.FAULT_TEXTS.keys() - {34, 38, 40}, DriveFaultCause.OTHER)  # fmt: skip
 """Cause of each error, by the fault code, the mode, or the error code added by handctl."""
 CLEAR_TRIES = 3
 """Number of feedback frames that may still show an error after the clear command."""
-SILENCE_NS = 250_000_000
+SILENCE_TIMEOUT_NS = 250_000_000
 """Time without a frame after which the drive may have lost power, and therefore its settings [ns]."""
 SERIAL_NUMBER_TRIES = 3
 """Number of requests for the serial number. Safety does not depend on the serial number."""
@@ -46,8 +48,8 @@ class MoteusProgress(NamedTuple):
         serial: serial number of the drive, 0 if unknown.
     """
 
-    cursor: Cursor = Cursor()
-    channel: Channel = Channel()
+    cursor: ReadbackCursor = ReadbackCursor()
+    channel: DiagnosticChannel = DiagnosticChannel()
     configured: bool = False
     mode: int = codec.STOPPED
     enabled_by_other: bool = False
@@ -56,7 +58,7 @@ class MoteusProgress(NamedTuple):
     disabling_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
-    check: Recheck = Recheck()
+    check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
 
@@ -66,7 +68,7 @@ def progress_of(state: DriveState) -> MoteusProgress:
     return progress
 
 
-def to_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
@@ -105,7 +107,7 @@ def _state_when_stopped(state: DriveState, progress: MoteusProgress, was_prepari
             return state
         return state._replace(phase=FAULT if state.error else READY, private=off)
     if state.phase == ENABLED or (was_preparing and progress.enable_sent):
-        return to_fault(state._replace(private=off), DROPPED_OUT, "stopped by itself")
+        return enter_fault(state._replace(private=off), DROPPED_OUT_ERROR, "stopped by itself")
     off = off._replace(enable_sent=progress.enable_sent)
     return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
 
@@ -124,7 +126,7 @@ def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> Dr
     """
     if state.phase == ENABLED and progress.enable_sent and not progress.disabling:
         enabled = state._replace(private=progress._replace(enabled_by_other=True))
-        return to_fault(enabled, DROPPED_OUT, f"went to mode {progress.mode} by itself")
+        return enter_fault(enabled, DROPPED_OUT_ERROR, f"went to mode {progress.mode} by itself")
     return _state_when_enabled_by_other(state, progress, f"in mode {progress.mode}, but not by this host")
 
 
@@ -134,7 +136,7 @@ def _state_when_enabled_by_other(state: DriveState, progress: MoteusProgress, te
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
     if state.phase == READY:
-        return to_fault(enabled, ENABLED_BY_OTHER_HOST, text)
+        return enter_fault(enabled, ENABLED_BY_OTHER_HOST_ERROR, text)
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
@@ -143,7 +145,7 @@ def _state_after_error(state: DriveState, progress: MoteusProgress, error: int) 
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
-    return to_fault(off, error, error_text(error))
+    return enter_fault(off, error, error_text(error))
 
 
 def error_text(error: int) -> str:
@@ -152,4 +154,4 @@ def error_text(error: int) -> str:
         return "commands were missing: the drive's watchdog fired"
     if error == codec.FAULT_MODE:
         return "fault without a code"
-    return codec.FAULTS.get(error, f"unknown fault {error}")
+    return codec.FAULT_TEXTS.get(error, f"unknown fault {error}")

@@ -43,7 +43,7 @@ class MoteusSetting(NamedTuple):
         return same or (math.isnan(value) and math.isnan(self.value))
 
 
-CONFIGURATION = (
+REQUIRED_CONFIGURATION = (
     # Beyond the positions of these items the drive would reduce the torque. Their default is 0.01
     # turns.
     MoteusSetting("servopos.position_min", math.nan),
@@ -67,9 +67,9 @@ def position_configuration(gains: codec.PositionGains) -> tuple[MoteusSetting, .
 
     With a limit of velocity or acceleration, the drive would plan a trajectory of its own to the
     commanded position. With a finite slip, it would pull the position towards the motor. Every other
-    item has a default that differs, see ``CONFIGURATION``.
+    item has a default that differs, see ``REQUIRED_CONFIGURATION``.
     """
-    lowest, fixed_voltage, timeout_mode, highest = CONFIGURATION
+    lowest, fixed_voltage, timeout_mode, highest = REQUIRED_CONFIGURATION
     return (
         lowest,
         fixed_voltage,
@@ -134,7 +134,7 @@ def value_in_answer(line: bytes) -> float | None:
         return None
 
 
-class Channel(NamedTuple):
+class DiagnosticChannel(NamedTuple):
     """State of the exchange over the diagnostic text channel.
 
     Attributes:
@@ -149,28 +149,28 @@ class Channel(NamedTuple):
     polls: int = 0
     text: bytes = b""
 
-    def ask(self, command: bytes, t_ns: int) -> tuple["Channel", bytes]:
+    def ask(self, command: bytes, t_ns: int) -> tuple["DiagnosticChannel", bytes]:
         """Return the next channel and the next payload: the request, or a read that empties the channel first."""
         if not self.empty:
-            return Channel(), codec.TEXT_REQUEST
-        return Channel(True, t_ns), codec.text_request(command)
+            return DiagnosticChannel(), codec.TEXT_REQUEST
+        return DiagnosticChannel(True, t_ns), codec.text_request(command)
 
-    def awaits(self, t_ns: int) -> bool:
+    def is_awaiting_answer(self, t_ns: int) -> bool:
         """Return True if the host must read the answer of the open request in this tick."""
         late = t_ns - self.asked_ns > REQUEST_TIMEOUT_NS and self.polls >= UNANSWERED_READS
         return 0 <= self.asked_ns < t_ns and not late
 
-    def poll(self) -> tuple["Channel", bytes]:
+    def poll(self) -> tuple["DiagnosticChannel", bytes]:
         """Return the next channel, and the payload that reads the answer of the open request."""
         return self._replace(polls=self.polls + 1), codec.TEXT_REQUEST
 
-    def take(self, text: bytes) -> tuple["Channel", bytes]:
+    def take(self, text: bytes) -> tuple["DiagnosticChannel", bytes]:
         """Return the next channel, and the first complete line of the answer, empty if no line is complete."""
         if self.asked_ns < 0:
             return self._replace(empty=not text), b""
         line, end, _ = (self.text + text).partition(b"\n")
         if end:
-            return Channel(True), line.strip()
+            return DiagnosticChannel(True), line.strip()
         if len(line) > LONGEST_LINE:
-            return Channel(), b""
+            return DiagnosticChannel(), b""
         return self._replace(text=line), b""

@@ -5,7 +5,7 @@ little-endian. An empty field (-) means that the message has no such bytes.
 
     command   name                     to     bytes 0..3                   bytes 4..7
     0x00      Get_Version              host   protocol 8, hardware 3 x 8   firmware 3 x 8, unreleased 8
-    0x01      Heartbeat                host   errors 32 (bits, ERRORS)     state 8, result 8, done 8, 0
+    0x01      Heartbeat                host   errors 32 (ERROR_TEXTS)      state 8, result 8, done 8, 0
     0x02      Estop                    drive  -                            -
     0x04      RxSdo                    drive  opcode 8, endpoint 16, 0     value
     0x05      TxSdo                    host   0, endpoint 16, 0            value
@@ -31,7 +31,7 @@ import struct
 from typing import NamedTuple
 
 from handctl.drives.frame import REMOTE
-from handctl.drives.signals import Coding, Message, Quantity, Signal
+from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
 
 # Command numbers, the low five bits of an identifier.
 GET_VERSION = 0x00
@@ -50,19 +50,19 @@ SET_LIMITS = 0x0F
 TEMPERATURE = 0x15
 CLEAR_ERRORS = 0x18
 TORQUES = 0x1C
-COMMANDS = frozenset(
+HOST_COMMANDS = frozenset(
     (ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, SET_POSITION, SET_VELOCITY, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS)
 )
 """Numbers of commands that only a host sends. 0x16 reboots the drive."""
-REQUESTABLE = frozenset((GET_VERSION, ADDRESS, ENCODER_ESTIMATES, TEMPERATURE, TORQUES))
+REQUESTABLE_MESSAGES = frozenset((GET_VERSION, ADDRESS, ENCODER_ESTIMATES, TEMPERATURE, TORQUES))
 """Numbers of messages requested with a remote frame."""
-ANSWERS = REQUESTABLE | {HEARTBEAT, TX_SDO}
+DRIVE_MESSAGES = REQUESTABLE_MESSAGES | {HEARTBEAT, TX_SDO}
 """Numbers of messages sent by the drive."""
 LAST_NODE = 0x3E
 """Largest node number. 0x3F is the broadcast to all nodes."""
-ENCODER_MS = 10
+ENCODER_PERIOD_MS = 10
 """Period with which a drive with factory settings sends its position [ms]."""
-PROTOCOL = 2
+PROTOCOL_VERSION = 2
 """Version of CANSimple supported by handctl."""
 # Axis states of a drive.
 IDLE = 1
@@ -71,17 +71,17 @@ CLOSED_LOOP = 8
 TORQUE_MODE = 1
 VELOCITY_MODE = 2
 POSITION_MODE = 3
-PASSTHROUGH = 1
+PASSTHROUGH_INPUT_MODE = 1
 # Results of the last procedure in a heartbeat.
-SUCCESS = 0
-BUSY = 1
+PROCEDURE_SUCCESS = 0
+PROCEDURE_BUSY = 1
 # Opcodes of RxSdo.
 SDO_READ = 0
 SDO_WRITE = 1
 MAX_FLOAT32 = 3.4028234663852886e38
 """Largest finite value of a float32."""
 
-ERRORS = {
+ERROR_TEXTS = {
     0: "initializing", 1: "system level", 2: "timing", 3: "missing estimate", 4: "bad configuration",
     5: "gate driver fault", 6: "missing input", 8: "DC bus over-voltage", 9: "DC bus under-voltage",
     10: "DC bus over-current", 11: "DC bus over-regeneration", 12: "current limit violation",
@@ -90,7 +90,7 @@ ERRORS = {
     27: "brake resistor disarmed", 28: "thermistor disconnected", 30: "calibration error",
 }  # fmt: skip
 """Text of each error, by the bit in the errors of a heartbeat."""
-RESULTS = {
+PROCEDURE_RESULT_TEXTS = {
     2: "cancelled", 3: "disarmed", 4: "no response", 5: "pole pairs or counts per turn do not match",
     6: "phase resistance out of range", 7: "phase inductance out of range", 8: "unbalanced phases",
     9: "invalid motor type", 10: "illegal hall state", 11: "timeout", 12: "homing without end stop",
@@ -114,19 +114,19 @@ def message_id(node_id: int, command: int) -> int:
 
 def error_text(errors: int) -> str:
     """Return the texts of all set error bits. An undocumented bit appears with its number."""
-    return ", ".join(ERRORS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)
+    return ", ".join(ERROR_TEXTS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)
 
 
 def result_text(result: int) -> str:
     """Return the text for the result of a procedure."""
-    return RESULTS.get(result, f"unknown result {result}")
+    return PROCEDURE_RESULT_TEXTS.get(result, f"unknown result {result}")
 
 
 def _float_signal(
     name: str, quantity: Quantity, first: int, scale: float, offset: float = 0.0, unit: str = ""
 ) -> Signal:
     """Return the description of a float32 signal that begins at byte ``first``."""
-    return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
+    return Signal(name, quantity, 8 * first, 32, False, SignalCoding.FLOAT, scale, offset, unit)
 
 
 def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) -> Message:
@@ -191,8 +191,8 @@ def position_message(node_id: int, ratio: float, zero: float, limit: float) -> M
     """
     signals = (
         _float_signal("position", Quantity.POSITION, 0, math.tau / ratio, -zero / ratio, "rad"),
-        Signal("velocity", Quantity.UNUSED, 32, 16, False, Coding.SIGNED, 1e-3 * math.tau / ratio, 0.0, "rad/s"),
-        Signal("torque", Quantity.UNUSED, 48, 16, False, Coding.SIGNED, 1e-3 * ratio, 0.0, "N m"),
+        Signal("velocity", Quantity.UNUSED, 32, 16, False, SignalCoding.SIGNED, 1e-3 * math.tau / ratio, 0.0, "rad/s"),
+        Signal("torque", Quantity.UNUSED, 48, 16, False, SignalCoding.SIGNED, 1e-3 * ratio, 0.0, "N m"),
     )
     return Message("input_position", message_id(node_id, SET_POSITION), 8, signals, limit=limit)
 

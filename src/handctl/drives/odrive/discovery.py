@@ -11,7 +11,7 @@ import struct
 from handctl.drives.discovery import (
     TWO_DRIVES_WARNING,
     DiscoveredNode,
-    Discovery,
+    ProtocolDiscovery,
     ReceivedFrames,
     have_two_drives_answered,
 )
@@ -27,9 +27,9 @@ MIN_HEARTBEATS = 3
 
 A single such frame may be the message of another device.
 """
-IQ, BUS_VOLTAGE = 0x14, 0x17
+IQ_CURRENT, BUS_VOLTAGE = 0x14, 0x17
 """Numbers of messages that firmware 0.5 with factory settings sends only on request."""
-_OLD_ANSWERS = (IQ, BUS_VOLTAGE)
+_OLD_ANSWERS = (IQ_CURRENT, BUS_VOLTAGE)
 _ANSWERS_ONCE = (ADDRESS, codec.GET_VERSION, *_OLD_ANSWERS)
 """Numbers of messages that a drive sends once for each request of a scan."""
 FREE_NUMBERS = (range(0x01, 0x04), range(0x09, 0x0C), range(0x34, 0x38))
@@ -39,9 +39,9 @@ Source: CiA 301, predefined connection set.
 """
 OLD_FIRMWARE_NOTE = "does not report its version: treated as firmware 0.5.x, whose watchdog and limits are set over USB"
 """Warning for a drive that has not answered Get_Version."""
-_STATES = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
+_AXIS_STATE_TEXTS = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
 """Axis states in words."""
-_CYCLIC = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
+_CYCLIC_MESSAGES = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
 """Numbers of messages that a drive can send without a request."""
 
 
@@ -55,9 +55,9 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     if turn == 1:
         return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE, b""),)
     if turn == 2:
-        return tuple(_remote_request(drive, codec.GET_VERSION) for drive in drives_in(received))
+        return tuple(_remote_request(drive, codec.GET_VERSION) for drive in discovered_drives(received))
     if turn == 3:
-        silent = [drive for drive in drives_in(received) if not drive.firmware]
+        silent = [drive for drive in discovered_drives(received) if not drive.firmware]
         return tuple(
             _remote_request(drive, command) for drive in silent for command in (codec.GET_VERSION, *_OLD_ANSWERS)
         )
@@ -69,7 +69,7 @@ def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
     return Frame(codec.message_id(drive.node_id, command) | REMOTE, b"")
 
 
-def drives_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered drives: nodes that have sent ODrive heartbeats, or the message Address."""
     messages = {command: _payloads_by_node(received, command) for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)}
     present = {
@@ -109,7 +109,7 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
         first, last = FREE_NUMBERS[0][0], FREE_NUMBERS[0][-1]
         notes.append(f"node 0 shares its identifiers with CANopen's NMT: give it {first} to {last}")
     firmware = ".".join(map(str, version[4:7])) if version else ""
-    state = _STATES.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
+    state = _AXIS_STATE_TEXTS.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
     error = (codec.error_text if version or serial else odrive_05.error_text)(beat.errors) if beat else ""
     return DiscoveredNode("odrive", node, firmware, serial, state, error, {}, options, tuple(notes), origins, twins)
 
@@ -119,8 +119,8 @@ def _warnings_06(serial: str, version: bytes) -> list[str]:
     notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
     if not version:
         notes.append("does not report its version")
-    elif version[0] != codec.PROTOCOL:
-        notes.append(f"has CANSimple version {version[0]}, handctl supports {codec.PROTOCOL}")
+    elif version[0] != codec.PROTOCOL_VERSION:
+        notes.append(f"has CANSimple version {version[0]}, handctl supports {codec.PROTOCOL_VERSION}")
     if not serial:
         notes.append("does not report its serial number")
     return notes
@@ -173,16 +173,16 @@ def command_ids(drive: DiscoveredNode) -> frozenset[int]:
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames that only another host can have sent to the discovered drives."""
-    numbers = {drive.node_id for drive in drives_in(received)}
+    numbers = {drive.node_id for drive in discovered_drives(received)}
     return tuple(
         frame
         for frame in received
         if (frame.can_id & ~REMOTE) >> 5 in numbers
-        and (frame.can_id & REMOTE or frame.can_id & 0x1F not in _CYCLIC | {codec.TX_SDO, ADDRESS})
+        and (frame.can_id & REMOTE or frame.can_id & 0x1F not in _CYCLIC_MESSAGES | {codec.TX_SDO, ADDRESS})
     )
 
 
-def ping(drive: DiscoveredNode) -> Frame:
+def ping_request(drive: DiscoveredNode) -> Frame:
     """Return a remote frame to a drive.
 
     It requests a message that the drive rarely sends by itself.
@@ -191,12 +191,12 @@ def ping(drive: DiscoveredNode) -> Frame:
 
 
 def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame is the message that ``ping`` requests from this drive."""
+    """Return True if the frame is the message that ``ping_request`` requests from this drive."""
     return frame.can_id == codec.message_id(drive.node_id, _ping_command(drive)) and len(frame.data) == 8
 
 
 def _ping_command(drive: DiscoveredNode) -> int:
-    """Return the number of the message that ``ping`` requests from a drive.
+    """Return the number of the message that ``ping_request`` requests from a drive.
 
     Firmware 0.6 can report its version. Firmware 0.5 has no such message, so its bus voltage and
     current are requested.
@@ -204,4 +204,6 @@ def _ping_command(drive: DiscoveredNode) -> int:
     return BUS_VOLTAGE if drive.options.get("firmware") == "0.5" else codec.GET_VERSION
 
 
-DISCOVERY = Discovery(probe_frames, drives_in, command_ids, other_host_frames, ping, is_ping_reply, without_firmware)
+DISCOVERY = ProtocolDiscovery(
+    probe_frames, discovered_drives, command_ids, other_host_frames, ping_request, is_ping_reply, without_firmware
+)

@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.causes import Cause
-from handctl.drives.contract import END_OF_TIME_NS, UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import END_OF_TIME_NS, NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
@@ -21,26 +21,26 @@ from handctl.drives.odrive.options import OPTION_NAMES, pop_options
 from handctl.drives.odrive.progress import (
     CLEAR_TRIES,
     MAX_MISSED_HEARTBEATS,
-    MISMATCH,
-    REPEAT_NS,
+    REPEAT_PERIOD_NS,
     SERIAL_NUMBER_TRIES,
-    TEMPERATURE_NS,
+    SETTING_MISMATCH_ERROR,
+    TEMPERATURE_PERIOD_NS,
     VERSION_TRIES,
     OdriveProgress,
     cause_of_error,
+    enter_fault,
     on_heartbeat,
     progress_of,
     start_disabling,
     state_after_timeout,
-    to_fault,
 )
 from handctl.drives.option_checks import refuse_unknown_options
-from handctl.drives.readback import Cursor
-from handctl.drives.signals import Cyclic, Table
+from handctl.drives.readback import ReadbackCursor
+from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,21 +74,23 @@ class OdriveDrive:
     ratio: float
     zero: float
     limits: bytes
-    settings: tuple[endpoints.Setting, ...]
+    settings: tuple[endpoints.OdriveSetting, ...]
     cyclic_s: float
     torque_feedback: bool
     heartbeat_timeout_ns: int
     firmware_05: bool = False
-    command: Table = field(init=False, repr=False, compare=False)
-    encoder: Table = field(init=False, repr=False, compare=False)
-    torques: Table = field(init=False, repr=False, compare=False)
+    command: SignalTable = field(init=False, repr=False, compare=False)
+    encoder: SignalTable = field(init=False, repr=False, compare=False)
+    torques: SignalTable = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
-        object.__setattr__(self, "command", Table(codec.torque_message(self.node_id, self.ratio, self.torque_limit)))
+        object.__setattr__(
+            self, "command", SignalTable(codec.torque_message(self.node_id, self.ratio, self.torque_limit))
+        )
         encoder = codec.encoder_message(self.node_id, self.ratio, self.zero, requested=not self.cyclic_s)
-        object.__setattr__(self, "encoder", Table(encoder))
-        object.__setattr__(self, "torques", Table(codec.torques_message(self.node_id, self.ratio)))
+        object.__setattr__(self, "encoder", SignalTable(encoder))
+        object.__setattr__(self, "torques", SignalTable(codec.torques_message(self.node_id, self.ratio)))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "OdriveDrive":
@@ -125,14 +127,14 @@ class OdriveDrive:
         return ((4, False), *(((0, False), (8, False)) * ((not self.cyclic_s) + self.torque_feedback)))
 
     @property
-    def background(self) -> tuple[tuple[int, bool, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return frames with other rates: heartbeat, unrequested position, temperature, and SDO.
 
         With factory settings the drive sends its position periodically, even if the host does not
         use these messages.
         """
-        temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_NS
-        parsed = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
+        temperature_rate = 0.0 if self.firmware_05 else 1e9 / TEMPERATURE_PERIOD_NS
+        parsed = 1.0 / (self.cyclic_s or codec.ENCODER_PERIOD_MS * 1e-3)
         recheck = readback.RECHECKS_PER_SECOND if self.settings else 0.0
         beats = MAX_MISSED_HEARTBEATS * 1e9 / self.heartbeat_timeout_ns + parsed
         return (
@@ -144,20 +146,20 @@ class OdriveDrive:
         )
 
     @property
-    def extended(self) -> bool:
+    def has_extended_ids(self) -> bool:
         """Return False, because all identifiers have 11 bits."""
         return False
 
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of frames from a host to the drive: commands and remote frames."""
-        commands = frozenset(codec.message_id(self.node_id, command) for command in codec.COMMANDS)
-        return commands | {codec.message_id(self.node_id, command) | REMOTE for command in codec.REQUESTABLE}
+        commands = frozenset(codec.message_id(self.node_id, command) for command in codec.HOST_COMMANDS)
+        return commands | {codec.message_id(self.node_id, command) | REMOTE for command in codec.REQUESTABLE_MESSAGES}
 
     @property
     def node_ids(self) -> frozenset[int]:
         """Return the identifiers of frames from the drive: answers, heartbeats, and cyclic messages."""
-        return frozenset(codec.message_id(self.node_id, command) for command in codec.ANSWERS)
+        return frozenset(codec.message_id(self.node_id, command) for command in codec.DRIVE_MESSAGES)
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
@@ -180,23 +182,25 @@ class OdriveDrive:
         return self.cyclic_s
 
     @property
-    def cyclic(self) -> Cyclic:
+    def cyclic(self) -> CyclicMessages:
         """Return the signal tables of position and torque, the torque command, and the remote frames."""
         requests = [codec.ENCODER_ESTIMATES] * (not self.cyclic_s) + [codec.TORQUES] * self.torque_feedback
         questions = [codec.request_message(self.node_id, command) for command in requests]
-        return Cyclic((self.encoder.message, self.torques.message), (self.command.message, *questions))
+        return CyclicMessages((self.encoder.message, self.torques.message), (self.command.message, *questions))
 
     def steady_status(self, state: DriveState) -> int:
         """Return 0, because frames with values have no status.
 
         Only a heartbeat reports the state of the drive.
         """
-        return 0 if state.phase == ENABLED and progress_of(state).disabling_ns < 0 else UNSTEADY
+        return 0 if state.phase == ENABLED and progress_of(state).disabling_ns < 0 else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time of the next step that is due [ns]: heartbeat timeout, temperature request, or read-back."""
         progress = progress_of(state)
-        temperature_rate = END_OF_TIME_NS if self.firmware_05 else progress.temperature_request_ns + TEMPERATURE_NS
+        temperature_rate = (
+            END_OF_TIME_NS if self.firmware_05 else progress.temperature_request_ns + TEMPERATURE_PERIOD_NS
+        )
         recheck = progress.check.due_ns if self.settings else END_OF_TIME_NS
         return min(
             temperature_rate,
@@ -211,7 +215,7 @@ class OdriveDrive:
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state after a received frame, see ``contract.Drive``."""
         command = frame.can_id & 0x1F
-        if frame.bus != self.bus or frame.can_id >> 5 != self.node_id or command not in codec.ANSWERS:
+        if frame.bus != self.bus or frame.can_id >> 5 != self.node_id or command not in codec.DRIVE_MESSAGES:
             return state
         # A TxSdo contains at least one byte of the value. The message Address has 7 bytes before
         # firmware 0.6.11.
@@ -249,10 +253,12 @@ class OdriveDrive:
         """Return the state after the message Get_Version, with the protocol version."""
         if state.phase not in (SILENT, CONFIGURING):
             return state
-        if data[0] != codec.PROTOCOL:
-            return to_fault(state, MISMATCH, f"has CANSimple version {data[0]}, expected {codec.PROTOCOL}")
+        if data[0] != codec.PROTOCOL_VERSION:
+            return enter_fault(
+                state, SETTING_MISMATCH_ERROR, f"has CANSimple version {data[0]}, expected {codec.PROTOCOL_VERSION}"
+            )
         return state._replace(
-            phase=CONFIGURING, private=progress_of(state)._replace(version=True, tries=0, sent_ns=-REPEAT_NS)
+            phase=CONFIGURING, private=progress_of(state)._replace(version=True, tries=0, sent_ns=-REPEAT_PERIOD_NS)
         )
 
     def _on_serial(self, state: DriveState, data: bytes) -> DriveState:
@@ -271,7 +277,7 @@ class OdriveDrive:
             return state
         cursor, problem = endpoints.on_reply(progress.cursor, self.settings, data)
         updated = state._replace(private=progress._replace(cursor=cursor))
-        return to_fault(updated, MISMATCH, problem) if problem else updated
+        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def _on_recheck_reply(self, state: DriveState, progress: OdriveProgress, data: bytes) -> DriveState:
         """Compare a setting, read again from the enabled drive, with the required value."""
@@ -286,7 +292,7 @@ class OdriveDrive:
             progress.check, len(self.settings), same, setting.name, answer, expected
         )
         updated = state._replace(private=progress._replace(check=check))
-        return to_fault(updated, MISMATCH, problem) if problem else updated
+        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
@@ -328,7 +334,7 @@ class OdriveDrive:
         if progress.enable_sent_ns >= 0:
             return state, (self._torque(self._rest(state)), *requests)
         if not progress.just_verified:
-            recheck = progress._replace(cursor=Cursor(), configured=False)
+            recheck = progress._replace(cursor=ReadbackCursor(), configured=False)
             return state._replace(phase=CONFIGURING, private=recheck), requests
         check = readback.first_recheck(self.node_id, t_ns)
         parsed = state._replace(
@@ -370,7 +376,7 @@ class OdriveDrive:
         cursor, data, problem = endpoints.next_request(progress.cursor, self.settings, t_ns)
         updated = state._replace(private=progress._replace(cursor=cursor))
         if problem:
-            return to_fault(updated, MISMATCH, problem), ()
+            return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
         updated, requests = self._questions(updated, t_ns) if state.feedback_count else (updated, ())
         return updated, (*((self._frame(codec.RX_SDO, data),) if data else ()), *requests)
 
@@ -379,7 +385,7 @@ class OdriveDrive:
 
         The drive does not confirm them, so both are sent before each enable command.
         """
-        mode = self._frame(codec.SET_MODE, codec.encode_integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
+        mode = self._frame(codec.SET_MODE, codec.encode_integers(codec.TORQUE_MODE, codec.PASSTHROUGH_INPUT_MODE))
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
     def _ask_version(
@@ -387,12 +393,12 @@ class OdriveDrive:
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state, and a frame that requests the version or clears errors.
 
-        The frame is sent at most once per ``REPEAT_NS``.
+        The frame is sent at most once per ``REPEAT_PERIOD_NS``.
         """
-        if t_ns - progress.sent_ns < REPEAT_NS:
+        if t_ns - progress.sent_ns < REPEAT_PERIOD_NS:
             return state, ()
         if progress.heartbeat_ns >= 0 and progress.tries >= VERSION_TRIES:
-            return to_fault(state, MISMATCH, "sends heartbeats, but does not report its version"), ()
+            return enter_fault(state, SETTING_MISMATCH_ERROR, "sends heartbeats, but does not report its version"), ()
         requests = progress._replace(sent_ns=t_ns, tries=progress.tries + 1 if progress.heartbeat_ns >= 0 else 0)
         frame = self._frame(codec.CLEAR_ERRORS, b"") if progress.clearing else self._ask(codec.GET_VERSION)
         return state._replace(private=requests), (frame,)
@@ -401,7 +407,7 @@ class OdriveDrive:
         self, state: DriveState, progress: OdriveProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request the serial number at most a few times, because early versions of firmware 0.6 do not answer."""
-        if t_ns - progress.sent_ns < REPEAT_NS:
+        if t_ns - progress.sent_ns < REPEAT_PERIOD_NS:
             return state, ()
         requests = progress._replace(sent_ns=t_ns, serial_requests=progress.serial_requests + 1)
         return state._replace(private=requests), (self._ask(codec.ADDRESS),)
@@ -412,7 +418,7 @@ class OdriveDrive:
             self._ask(codec.TORQUES)
         ] * self.torque_feedback
         progress = progress_of(state)
-        if t_ns - progress.temperature_request_ns >= TEMPERATURE_NS and not self.firmware_05:
+        if t_ns - progress.temperature_request_ns >= TEMPERATURE_PERIOD_NS and not self.firmware_05:
             frames.append(self._ask(codec.TEMPERATURE))
             state = state._replace(private=progress._replace(temperature_request_ns=t_ns))
         return state, tuple(frames)
@@ -426,7 +432,7 @@ class OdriveDrive:
         check, problem = readback.next_recheck(progress.check, setting.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
         if problem:
-            state = to_fault(state, MISMATCH, problem)
+            state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state, (self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),)
 
     def _torque(self, torque: float) -> Frame:
@@ -451,7 +457,7 @@ class OdriveDrive:
         """
         return f"{serial:012X}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> Cause:
+    def cause(self, error: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
         return cause_of_error(error)
 

@@ -3,22 +3,22 @@
 Heartbeat of 8 bytes, little-endian:
 
     byte    0..3                       4             5, bit 0      6, bit 0        7, bit 0           7, bit 7
-    field   errors 32 (bits, ERRORS)   axis state 8  motor error   encoder error   controller error   done
+    field   errors 32 (ERROR_TEXTS)    axis state 8  motor error   encoder error   controller error   done
 
 Over CAN this firmware reports neither version, temperature, nor torque, and has no SDO. Watchdog
 and torque limit are set over USB. They cannot be read over CAN. Source: ODrive firmware 0.5.6
 (``communication/can``) and the vendor's DBC 0.5.6.
 """
 
-from handctl.drives.odrive.codec import SUCCESS, Heartbeat
+from handctl.drives.odrive.codec import PROCEDURE_SUCCESS, Heartbeat
 
-FIRMWARE = ("0.6", "0.5")
+FIRMWARE_VERSIONS = ("0.6", "0.5")
 """Values of the option ``firmware`` in the hand file, the default first."""
 # Error bits that the error flags in bytes 5 to 7 of a heartbeat set.
 MOTOR_ERROR = 1 << 6
 ENCODER_ERROR = 1 << 8
 CONTROLLER_ERROR = 1 << 9
-ERRORS = {
+ERROR_TEXTS = {
     0: "invalid state", 6: "motor failed", 7: "sensorless estimator failed", 8: "encoder failed",
     9: "controller failed", 11: "watchdog expired", 12: "lower end stop pressed", 13: "upper end stop pressed",
     14: "emergency stop requested", 17: "homing without end stop", 18: "over-temperature", 19: "unknown position",
@@ -32,9 +32,9 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
     The error flags of motor, encoder, and controller become error bits of the axis.
     """
     flags = (MOTOR_ERROR * (data[5] & 1)) | (ENCODER_ERROR * (data[6] & 1)) | (CONTROLLER_ERROR * (data[7] & 1))
-    return Heartbeat(int.from_bytes(data[:4], "little") | flags, data[4], SUCCESS)
+    return Heartbeat(int.from_bytes(data[:4], "little") | flags, data[4], PROCEDURE_SUCCESS)
 
 
 def error_text(errors: int) -> str:
     """Return the texts of all set error bits. An undocumented bit appears with its number."""
-    return ", ".join(ERRORS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)
+    return ", ".join(ERROR_TEXTS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)

@@ -14,10 +14,10 @@ from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
 from handctl.drives.odrive.drive import OdriveDrive
-from handctl.drives.signals import Table
+from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
 
-_CONTROL = {DriveMode.POSITION: codec.POSITION_MODE, DriveMode.VELOCITY: codec.VELOCITY_MODE}
+_CONTROL_MODES = {DriveMode.POSITION: codec.POSITION_MODE, DriveMode.VELOCITY: codec.VELOCITY_MODE}
 """Value of the control mode in Set_Controller_Mode for each mode."""
 
 
@@ -40,14 +40,16 @@ class OdriveModeDrive(OdriveDrive):
             message = codec.velocity_message(self.node_id, self.ratio, self.torque_limit)
         else:
             message = codec.position_message(self.node_id, self.ratio, self.zero, self.torque_limit)
-        object.__setattr__(self, "command", Table(message))
+        object.__setattr__(self, "command", SignalTable(message))
 
     def _setup(self) -> tuple[Frame, ...]:
         """Return the frames that set control mode and limits.
 
         The drive does not confirm these frames, as in torque control.
         """
-        mode = self._frame(codec.SET_MODE, codec.encode_integers(_CONTROL[self.mode], codec.PASSTHROUGH))
+        mode = self._frame(
+            codec.SET_MODE, codec.encode_integers(_CONTROL_MODES[self.mode], codec.PASSTHROUGH_INPUT_MODE)
+        )
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
     def _torque(self, torque: float) -> Frame:
@@ -72,7 +74,7 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
     Raises:
         ConfigError: an option is unknown or wrong, or an ODrive does not have the mode.
     """
-    if mode not in _CONTROL:
+    if mode not in _CONTROL_MODES:
         raise ConfigError(mode.value, "mode", "position, velocity or torque for an ODrive")
     fields = init_fields(OdriveDrive.of(motor, bus))
     _, current = codec.decode_float_pair(fields["limits"]) or (0.0, 0.0)

@@ -4,7 +4,7 @@ from collections.abc import MutableMapping
 from typing import Any, NamedTuple
 
 from handctl.drives.odrive import settings as endpoints
-from handctl.drives.odrive.firmware_05 import FIRMWARE
+from handctl.drives.odrive.firmware_05 import FIRMWARE_VERSIONS
 from handctl.drives.option_checks import checked_positive, checked_whole_number
 from handctl.errors import ConfigError
 
@@ -14,7 +14,7 @@ OPTION_NAMES = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, fi
 """Names of the options, for error messages."""
 
 
-class Options(NamedTuple):
+class OdriveOptions(NamedTuple):
     """Values of the options of a motor with an ODrive.
 
     Attributes:
@@ -35,7 +35,7 @@ class Options(NamedTuple):
     firmware_05: bool
 
 
-def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
+def pop_options(options: MutableMapping[str, Any], where: str) -> OdriveOptions:
     """Return the values of the options, and remove their keys. The keys of endpoints remain.
 
     Args:
@@ -45,10 +45,10 @@ def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
     Raises:
         ConfigError: a value is invalid, or the firmware does not have an option.
     """
-    firmware = options.pop("firmware", FIRMWARE[0])
+    firmware = options.pop("firmware", FIRMWARE_VERSIONS[0])
     feedback = options.pop("torque_feedback", False)
-    if firmware not in FIRMWARE:
-        raise ConfigError(repr(firmware), f"{where}.firmware", " or ".join(map(repr, FIRMWARE)))
+    if firmware not in FIRMWARE_VERSIONS:
+        raise ConfigError(repr(firmware), f"{where}.firmware", " or ".join(map(repr, FIRMWARE_VERSIONS)))
     firmware_05 = firmware == "0.5"
     if type(feedback) is not bool or (feedback and firmware_05):
         hint = "false: firmware 0.5 does not report torque" if feedback is True else "true or false"
@@ -58,7 +58,7 @@ def pop_options(options: MutableMapping[str, Any], where: str) -> Options:
     cyclic = options.pop("encoder_period_ms", None)
     if cyclic is not None:
         cyclic = checked_whole_number(cyclic, f"{where}.encoder_period_ms", MAX_OPTION_VALUE)
-    return Options(
+    return OdriveOptions(
         ratio=checked_positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", MAX_OPTION_VALUE),
         current=checked_positive(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", MAX_OPTION_VALUE),
         heartbeat=checked_whole_number(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", MAX_OPTION_VALUE),

@@ -5,28 +5,32 @@ Only they report the state of the drive.
 
 from typing import NamedTuple, cast
 
-from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveState, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
-from handctl.drives.readback import Cursor, Recheck
+from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHER_HOST, LOST = (1 << 32 | number for number in range(5))
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
+DROPPED_OUT_ERROR, SETTING_MISMATCH_ERROR, ENABLE_REFUSED_ERROR, ENABLED_BY_OTHER_HOST_ERROR, DRIVE_LOST_ERROR = (
+    1 << 32 | number for number in range(5)
+)
 """Error codes added by handctl. All are larger than the 32 error bits of the drive."""
-CAUSES = {
-    DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, REFUSED: Cause.OTHER,
-    ENABLED_BY_OTHER_HOST: Cause.MISMATCH, LOST: Cause.LOST,
+CAUSE_BY_ERROR = {
+    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
+    ENABLE_REFUSED_ERROR: DriveFaultCause.OTHER,
+    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH, DRIVE_LOST_ERROR: DriveFaultCause.LOST,
 }  # fmt: skip
 """Cause of each error code added by handctl."""
-CAUSES_OF_BITS = {
-    8: Cause.VOLTAGE, 9: Cause.VOLTAGE, 11: Cause.VOLTAGE, 13: Cause.HOT, 14: Cause.HOT, 24: Cause.WATCHDOG,
+CAUSE_BY_ERROR_BIT = {
+    8: DriveFaultCause.VOLTAGE, 9: DriveFaultCause.VOLTAGE, 11: DriveFaultCause.VOLTAGE, 13: DriveFaultCause.HOT,
+    14: DriveFaultCause.HOT, 24: DriveFaultCause.WATCHDOG,
 }  # fmt: skip
 """Cause of error bits in a heartbeat. All other bits have the cause OTHER."""
 # Time after which a request is repeated, and time between two temperature requests [ns].
-REPEAT_NS = 20_000_000
-TEMPERATURE_NS = 200_000_000
+REPEAT_PERIOD_NS = 20_000_000
+TEMPERATURE_PERIOD_NS = 200_000_000
 # Number of requests for the version, number of heartbeats that may still show a cleared error, and
 # number of requests for the serial number.
 VERSION_TRIES = 10
@@ -36,7 +40,7 @@ ENABLE_COMMANDS = 5
 """Number of enable commands without effect after which the drive is in fault."""
 MAX_MISSED_HEARTBEATS = 3.5
 """Number of heartbeat periods without a heartbeat after which the drive counts as lost."""
-SETTLE_NS = 5_000_000
+SETTLE_TIME_NS = 5_000_000
 """Time after a command in which a received heartbeat may still be older than the command [ns]."""
 
 
@@ -68,19 +72,19 @@ class OdriveProgress(NamedTuple):
     version: bool = False
     serial: int = 0
     serial_requests: int = 0
-    cursor: Cursor = Cursor()
+    cursor: ReadbackCursor = ReadbackCursor()
     configured: bool = False
     axis: int = 0
     heartbeat_ns: int = -1
     enable_sent_ns: int = -1
     disabling_ns: int = -1
-    sent_ns: int = -REPEAT_NS
+    sent_ns: int = -REPEAT_PERIOD_NS
     tries: int = 0
-    temperature_request_ns: int = -TEMPERATURE_NS
+    temperature_request_ns: int = -TEMPERATURE_PERIOD_NS
     clearing: int = 0
     just_verified: bool = False
     enable_commands: int = 0
-    check: Recheck = Recheck()
+    check: RecheckCursor = RecheckCursor()
 
     @property
     def may_be_enabled(self) -> bool:
@@ -93,7 +97,7 @@ def progress_of(state: DriveState) -> OdriveProgress:
     return cast(OdriveProgress, state.private)
 
 
-def to_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
@@ -129,7 +133,7 @@ def _state_after_error(
     torque.
     """
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
-    in_error = to_fault(state, beat.errors, error_text(beat.errors))
+    in_error = enter_fault(state, beat.errors, error_text(beat.errors))
     if beat.state == codec.IDLE:
         return in_error._replace(private=progress._replace(enable_sent_ns=-1, disabling_ns=-1, clearing=0))
     return in_error._replace(phase=ENABLED) if progress.disabling_ns >= 0 else in_error
@@ -140,7 +144,7 @@ def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveSta
     if progress.disabling_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
         return state._replace(phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0))
     if state.phase == READY:
-        return to_fault(state, ENABLED_BY_OTHER_HOST, "in closed loop, but not by this host")
+        return enter_fault(state, ENABLED_BY_OTHER_HOST_ERROR, "in closed loop, but not by this host")
     return state
 
 
@@ -150,9 +154,9 @@ def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress)
     In such a state the drive may make torque that the host does not control.
     """
     if state.phase == ENABLED and progress.disabling_ns < 0:
-        return to_fault(state, DROPPED_OUT, f"went to axis state {progress.axis} by itself")
+        return enter_fault(state, DROPPED_OUT_ERROR, f"went to axis state {progress.axis} by itself")
     if state.phase == READY and progress.enable_sent_ns < 0 and progress.axis > codec.IDLE:
-        return to_fault(state, ENABLED_BY_OTHER_HOST, f"in axis state {progress.axis}, but not by this host")
+        return enter_fault(state, ENABLED_BY_OTHER_HOST_ERROR, f"in axis state {progress.axis}, but not by this host")
     return state
 
 
@@ -163,13 +167,13 @@ def _state_when_disabled(state: DriveState, progress: OdriveProgress, beat: code
     """
     off = state._replace(private=progress._replace(enable_sent_ns=-1, disabling_ns=-1))
     if progress.disabling_ns >= 0:
-        if progress.heartbeat_ns < progress.disabling_ns + SETTLE_NS:
+        if progress.heartbeat_ns < progress.disabling_ns + SETTLE_TIME_NS:
             return state
         return off._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED:
         reason = f": {codec.result_text(beat.result)}" if beat.result else ""
-        return to_fault(off, DROPPED_OUT, f"disabled by itself{reason}")
-    if 0 <= progress.enable_sent_ns < progress.heartbeat_ns - SETTLE_NS and beat.result != codec.BUSY:
+        return enter_fault(off, DROPPED_OUT_ERROR, f"disabled by itself{reason}")
+    if 0 <= progress.enable_sent_ns < progress.heartbeat_ns - SETTLE_TIME_NS and beat.result != codec.PROCEDURE_BUSY:
         return _state_when_enable_failed(state, progress, beat)
     return state._replace(phase=CONFIGURING) if state.phase == SILENT else state
 
@@ -182,13 +186,15 @@ def _state_when_enable_failed(state: DriveState, progress: OdriveProgress, beat:
     The host has no other sign of a restart. All settings are therefore verified and written again
     before the next enable command.
     """
-    if beat.result != codec.SUCCESS:
+    if beat.result != codec.PROCEDURE_SUCCESS:
         off = state._replace(private=progress._replace(enable_sent_ns=-1))
-        return to_fault(off, REFUSED, f"refuses to enable: {codec.result_text(beat.result)}")
+        return enter_fault(off, ENABLE_REFUSED_ERROR, f"refuses to enable: {codec.result_text(beat.result)}")
     if progress.enable_commands >= ENABLE_COMMANDS:
         off = state._replace(private=progress._replace(enable_sent_ns=-1, enable_commands=0))
-        return to_fault(
-            off, REFUSED, f"stays idle after {ENABLE_COMMANDS} enable commands: it restarts, or ignores commands"
+        return enter_fault(
+            off,
+            ENABLE_REFUSED_ERROR,
+            f"stays idle after {ENABLE_COMMANDS} enable commands: it restarts, or ignores commands",
         )
     restarted = OdriveProgress(
         version=progress.version,
@@ -209,7 +215,7 @@ def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
     """
     progress = progress_of(state)
     if state.phase == ENABLED or progress.enable_sent_ns >= 0:
-        return to_fault(state, LOST, "no heartbeat")
+        return enter_fault(state, DRIVE_LOST_ERROR, "no heartbeat")
     return state._replace(phase=SILENT, private=OdriveProgress(version=firmware_05, clearing=progress.clearing))
 
 
@@ -223,13 +229,13 @@ def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> D
     return state._replace(phase=phase, private=progress._replace(disabling_ns=since))
 
 
-def cause_of_error(error: int) -> Cause:
+def cause_of_error(error: int) -> DriveFaultCause:
     """Return the cause of a nonzero error code."""
-    if error in CAUSES:
-        return CAUSES[error]
+    if error in CAUSE_BY_ERROR:
+        return CAUSE_BY_ERROR[error]
     bits = [bit for bit in range(32) if error >> bit & 1]
-    if any(bit not in codec.ERRORS for bit in bits):
-        return Cause.UNKNOWN
-    causes = [CAUSES_OF_BITS.get(bit, Cause.OTHER) for bit in bits]
+    if any(bit not in codec.ERROR_TEXTS for bit in bits):
+        return DriveFaultCause.UNKNOWN
+    causes = [CAUSE_BY_ERROR_BIT.get(bit, DriveFaultCause.OTHER) for bit in bits]
     # If the watchdog has fired, the other errors are its consequences.
-    return next((cause for cause in causes if cause == Cause.WATCHDOG), causes[0])
+    return next((cause for cause in causes if cause == DriveFaultCause.WATCHDOG), causes[0])

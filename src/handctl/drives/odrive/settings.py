@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from handctl.drives import readback
 from handctl.drives.odrive import codec
-from handctl.drives.readback import Cursor
+from handctl.drives.readback import ReadbackCursor
 from handctl.errors import ConfigError
 
 WRITE_TRIES = 3
@@ -20,7 +20,7 @@ ENDPOINT_KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpo
 """Names of the options whose value is an endpoint number."""
 
 
-class Setting(NamedTuple):
+class OdriveSetting(NamedTuple):
     """Setting of an ODrive: endpoint number, bytes of the required value, and name."""
 
     endpoint: int
@@ -30,7 +30,7 @@ class Setting(NamedTuple):
 
 def pop_settings(
     options: MutableMapping[str, Any], where: str, watchdog_s: float, torque: float
-) -> tuple[Setting, ...]:
+) -> tuple[OdriveSetting, ...]:
     """Return the settings whose endpoint numbers are in the options, and remove these options.
 
     Args:
@@ -51,7 +51,7 @@ def pop_settings(
             continue
         if type(endpoint) is not int or not 0 < endpoint <= 0xFFFF:
             raise ConfigError(repr(endpoint), f"{where}.{key}", "a number from flat_endpoints.json, 1 to 65535")
-        settings.append(Setting(endpoint, raw, key.removeprefix("endpoint_")))
+        settings.append(OdriveSetting(endpoint, raw, key.removeprefix("endpoint_")))
     names = {setting.name for setting in settings}
     if len(names & {"enable_watchdog", "watchdog_timeout"}) == 1:
         raise ConfigError(
@@ -62,7 +62,7 @@ def pop_settings(
     return tuple(settings)
 
 
-def unverified_protections(settings: tuple[Setting, ...], firmware_05: bool) -> tuple[str, ...]:
+def unverified_protections(settings: tuple[OdriveSetting, ...], firmware_05: bool) -> tuple[str, ...]:
     """Return the protections of the drive that handctl cannot verify, one line each."""
     names = {setting.name for setting in settings}
     guards = []
@@ -75,7 +75,7 @@ def unverified_protections(settings: tuple[Setting, ...], firmware_05: bool) -> 
     return tuple(guards)
 
 
-def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tuple[Cursor, str]:
+def on_reply(cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], data: bytes) -> tuple[ReadbackCursor, str]:
     """Return the position in the read-back after a TxSdo. Replies to other requests have no effect.
 
     Returns:
@@ -92,7 +92,9 @@ def on_reply(cursor: Cursor, settings: tuple[Setting, ...], data: bytes) -> tupl
     )
 
 
-def next_request(cursor: Cursor, settings: tuple[Setting, ...], t_ns: int) -> tuple[Cursor, bytes, str]:
+def next_request(
+    cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], t_ns: int
+) -> tuple[ReadbackCursor, bytes, str]:
     """Return the next request of the read-back: cursor, payload, and problem in words.
 
     The payload is empty while an answer of the drive is awaited. The problem is empty if all is
@@ -105,7 +107,7 @@ def next_request(cursor: Cursor, settings: tuple[Setting, ...], t_ns: int) -> tu
     return cursor, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem
 
 
-def value_as_text(raw: bytes, setting: Setting) -> str:
+def value_as_text(raw: bytes, setting: OdriveSetting) -> str:
     """Return the value of a setting as text.
 
     A value of one byte is a flag, one of four bytes a float32.

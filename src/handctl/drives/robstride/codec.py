@@ -12,13 +12,13 @@ Control command of 8 bytes, big-endian. Every field covers its range with 16 bit
 
     byte    0, 1           2, 3              4, 5      6, 7
     field   position       velocity          kp        kd
-    range   +-4 pi rad     see MODELS        from 0    from 0
+    range   +-4 pi rad     by model          from 0    from 0
 
 Feedback of 8 bytes, big-endian:
 
     byte    0, 1           2, 3              4, 5            6, 7
     field   position       velocity          torque          winding
-    range   +-4 pi rad     see MODELS        see MODELS      0.1 degC/count
+    range   +-4 pi rad     by model          by model        0.1 degC/count
 
 Requests that read (type 0x11) or write (type 0x12) a parameter are little-endian: parameter number
 in bytes 0 and 1, value in bytes 4 to 7. If a read has failed, bits 23..16 in the identifier of its
@@ -32,7 +32,7 @@ import struct
 from typing import NamedTuple
 
 from handctl.drives.frame import EXTENDED
-from handctl.drives.signals import IDENTIFIER_BIT, Coding, Message, Quantity, Signal
+from handctl.drives.signals import IDENTIFIER_BIT, Message, Quantity, Signal, SignalCoding
 
 # Types of frames, in bits 28..24 of an identifier.
 GET_ID = 0x00
@@ -49,7 +49,7 @@ SAVE = 0x16
 SET_BIT_RATE = 0x17
 REPORTING = 0x18
 SET_PROTOCOL = 0x19
-REQUESTS = (GET_ID, ENABLE, STOP, SET_ZERO, SET_NUMBER, READ, WRITE, SAVE, SET_BIT_RATE, REPORTING, SET_PROTOCOL)
+REQUEST_TYPES = (GET_ID, ENABLE, STOP, SET_ZERO, SET_NUMBER, READ, WRITE, SAVE, SET_BIT_RATE, REPORTING, SET_PROTOCOL)
 """Types of frames that have the number of the host in bits 15..8 of the identifier."""
 BROADCAST = 0xFE
 """Number to which a motor sends the reply with its identity."""
@@ -59,10 +59,10 @@ HOST_ID = 0xFD
 """Default number of a host."""
 
 # Modes of a motor, in the identifier of feedback.
-RESET = 0
-CALIBRATING = 1
-RUNNING = 2
-FAULTS = {
+RESET_MODE = 0
+CALIBRATION_MODE = 1
+RUNNING_MODE = 2
+FAULT_TEXTS = {
     0: "under-voltage",
     1: "over-current",
     2: "over-temperature",
@@ -93,7 +93,7 @@ REPORT_SHIFT = 8
 RUN_MODE = 0x7005
 LIMIT_TORQUE = 0x700B
 CAN_TIMEOUT = 0x7028
-OPERATION = 0
+OPERATION_RUN_MODE = 0
 """Value of the parameter RUN_MODE with which the motor follows control commands."""
 TIMEOUT_UNITS_PER_MS = 20
 """Number of counts per millisecond in CAN_TIMEOUT, the watchdog. 20000 counts are one second."""
@@ -101,14 +101,14 @@ POSITION_RANGE_RAD = 4.0 * math.pi
 """Full scale of the position in frames [rad]."""
 MAX_COUNT = 0xFFFF
 """Largest code of a 16-bit field."""
-_MIDDLE = MAX_COUNT // 2
-NO_MOTION = struct.pack(">HHHH", _MIDDLE, _MIDDLE, 0, 0)
+_MIDDLE_COUNT = MAX_COUNT // 2
+NO_MOTION = struct.pack(">HHHH", _MIDDLE_COUNT, _MIDDLE_COUNT, 0, 0)
 """Payload of a torque command. Its gains are 0, so position and velocity have no effect."""
-CLEAR = bytes((1,)) + bytes(7)
+CLEAR_FAULT_DATA = bytes((1,)) + bytes(7)
 """Payload of a stop command that also clears faults."""
-EMPTY = bytes(8)
+EMPTY_DATA = bytes(8)
 """Payload of requests without data."""
-_PARAMETER = struct.Struct("<HH4s")
+_PARAMETER_STRUCT = struct.Struct("<HH4s")
 
 
 class ModelRanges(NamedTuple):
@@ -120,7 +120,7 @@ class ModelRanges(NamedTuple):
     kd: float
 
 
-MODELS = {
+MOTOR_MODEL_RANGES = {
     "rs00": ModelRanges(33.0, 14.0, 500.0, 5.0),
     "rs01": ModelRanges(44.0, 17.0, 500.0, 5.0),
     "rs02": ModelRanges(44.0, 17.0, 500.0, 5.0),
@@ -197,7 +197,7 @@ def impedance_message(
         Signal("kd", Quantity.DAMPING, 55, 16, True, scale=ranges.kd / MAX_COUNT, unit="N m s/rad"),
         *torque.signals,
     )
-    return torque._replace(name="position_command", signals=signals, base=EMPTY)
+    return torque._replace(name="position_command", signals=signals, base=EMPTY_DATA)
 
 
 def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1, zero: float = 0.0) -> Message:
@@ -212,24 +212,24 @@ def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1
         zero: motor angle at spool angle zero [rad].
     """
     position = _signal_over_range("position", Quantity.POSITION, 7, POSITION_RANGE_RAD, "rad", sign)
-    return Message("feedback", reply_id(FEEDBACK, node_id, host, joined_status(RUNNING, 0)), 8, (
+    return Message("feedback", reply_id(FEEDBACK, node_id, host, joined_status(RUNNING_MODE, 0)), 8, (
         # The spool angle is sign * (motor angle - zero).
         position._replace(offset=position.offset - sign * zero),
         _signal_over_range("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", sign),
         _signal_over_range("torque", Quantity.TORQUE, 39, ranges.torque, "N m", sign),
-        Signal("winding", Quantity.TEMPERATURE, 55, 16, True, Coding.SIGNED, 0.1, unit="degC"),
+        Signal("winding", Quantity.TEMPERATURE, 55, 16, True, SignalCoding.SIGNED, 0.1, unit="degC"),
     ))  # fmt: skip
 
 
 def _signal_over_range(name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int) -> Signal:
     """Return the description of a 16-bit signal whose codes cover the values from -largest to largest."""
     scale = sign * 2 * largest / MAX_COUNT
-    return Signal(name, quantity, start, 16, True, Coding.UNSIGNED, scale, -sign * largest, unit)
+    return Signal(name, quantity, start, 16, True, SignalCoding.UNSIGNED, scale, -sign * largest, unit)
 
 
-def parameter_request(number: int, raw: bytes = EMPTY[:4]) -> bytes:
+def parameter_request(number: int, raw: bytes = EMPTY_DATA[:4]) -> bytes:
     """Return the payload of a request that reads a parameter, or writes its four bytes."""
-    return _PARAMETER.pack(number, 0, raw)
+    return _PARAMETER_STRUCT.pack(number, 0, raw)
 
 
 def decode_parameter_reply(data: bytes) -> tuple[int, bytes]:
@@ -237,5 +237,5 @@ def decode_parameter_reply(data: bytes) -> tuple[int, bytes]:
 
     Return the parameter number and the four bytes of the value.
     """
-    number, _, raw = _PARAMETER.unpack(data)
+    number, _, raw = _PARAMETER_STRUCT.unpack(data)
     return number, raw

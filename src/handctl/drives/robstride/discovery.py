@@ -5,7 +5,7 @@ mode, because only the stop command requests feedback. It reads no parameters ei
 docs/facts/robstride.md.
 """
 
-from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode, Discovery, ReceivedFrames
+from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode, ProtocolDiscovery, ReceivedFrames
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
 from handctl.drives.robstride import codec
 
@@ -13,7 +13,7 @@ MOTOR_NUMBERS = range(1, codec.LAST_NODE + 1)
 """Motor numbers for a scan to try."""
 ALL_HOSTS = range(0x100)
 """Possible numbers of a host."""
-HOST_ONLY = frozenset(codec.REQUESTS) - {codec.GET_ID, codec.READ, codec.REPORTING} | {codec.CONTROL}
+HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {codec.GET_ID, codec.READ, codec.REPORTING} | {codec.CONTROL}
 """Types of frames by which another host is detected."""
 
 
@@ -26,16 +26,16 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     if turn == 2:
         return tuple(_identity_request(number) for number in MOTOR_NUMBERS)
     if turn == 3:
-        return tuple(_identity_request(motor.node_id) for motor in motors_in(received))
+        return tuple(_identity_request(motor.node_id) for motor in discovered_motors(received))
     return ()
 
 
 def _identity_request(number: int) -> Frame:
     """Return the frame to request the identity of a motor."""
-    return Frame(codec.request_id(codec.GET_ID, number, codec.HOST_ID), codec.EMPTY)
+    return Frame(codec.request_id(codec.GET_ID, number, codec.HOST_ID), codec.EMPTY_DATA)
 
 
-def motors_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that have answered with their identity."""
     by_reply = {codec.reply_id(codec.GET_ID, number, codec.BROADCAST): number for number in MOTOR_NUMBERS}
     serials: dict[int, set[bytes]] = {}
@@ -55,7 +55,7 @@ def _describe_motor(number: int, serials: set[bytes]) -> DiscoveredNode:
 
 def command_ids(motor: DiscoveredNode) -> frozenset[int]:
     """Return the identifiers of requests from any host to the motor."""
-    return frozenset(codec.request_id(kind, motor.node_id, host) for kind in codec.REQUESTS for host in ALL_HOSTS)
+    return frozenset(codec.request_id(kind, motor.node_id, host) for kind in codec.REQUEST_TYPES for host in ALL_HOSTS)
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
@@ -65,13 +65,13 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
         for frame in received
         if frame.can_id & EXTENDED
         and not frame.can_id & (REMOTE | ERROR)
-        and (frame.can_id & ~EXTENDED) >> 24 in HOST_ONLY
+        and (frame.can_id & ~EXTENDED) >> 24 in HOST_REQUEST_TYPES
         and 0 < frame.can_id & 0xFF <= codec.LAST_NODE
         and len(frame.data) == 8
     )
 
 
-def ping(motor: DiscoveredNode) -> Frame:
+def ping_request(motor: DiscoveredNode) -> Frame:
     """Return the frame to request the identity of the motor."""
     return _identity_request(motor.node_id)
 
@@ -81,4 +81,6 @@ def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
     return frame.can_id == codec.reply_id(codec.GET_ID, motor.node_id, codec.BROADCAST)
 
 
-DISCOVERY = Discovery(probe_frames, motors_in, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = ProtocolDiscovery(
+    probe_frames, discovered_motors, command_ids, other_host_frames, ping_request, is_ping_reply
+)

@@ -10,30 +10,30 @@ disabled motor, because such a motor answers no other request with feedback.
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.causes import Cause
-from handctl.drives.contract import UNSTEADY, DriveState, DriveTarget, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import EXTENDED, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import check_full_scale, checked_whole_number, pop_motor_model, refuse_unknown_options
-from handctl.drives.readback import Cursor
+from handctl.drives.readback import ReadbackCursor
 from handctl.drives.robstride import codec
 from handctl.drives.robstride import settings as parameters
 from handctl.drives.robstride.progress import (
     CLEAR_TRIES,
-    MISMATCH,
-    SILENCE_NS,
+    SETTING_MISMATCH_ERROR,
+    SILENCE_TIMEOUT_NS,
     RobstrideProgress,
     apply_fault,
     apply_status,
     cause_of_error,
+    enter_fault,
     progress_of,
-    to_fault,
 )
-from handctl.drives.signals import Cyclic, Table
+from handctl.drives.signals import CyclicMessages, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 """Phases of a drive as names of the module, for speed.
 
 Looking a phase up in the enumeration takes longer than comparing two phases.
@@ -69,8 +69,8 @@ class RobstrideDrive:
     direction: int
     zero: float
     watchdog_ms: float
-    command: Table = field(init=False, repr=False, compare=False)
-    feedback: Table = field(init=False, repr=False, compare=False)
+    command: SignalTable = field(init=False, repr=False, compare=False)
+    feedback: SignalTable = field(init=False, repr=False, compare=False)
     required: tuple[parameters.RequiredParameter, ...] = field(init=False, repr=False, compare=False)
     node_ids: frozenset[int] = field(init=False, repr=False, compare=False)
 
@@ -78,8 +78,8 @@ class RobstrideDrive:
         """Build the signal tables of the cyclic frames, the required parameters, and the identifiers."""
         command = codec.command_message(self.node_id, self.ranges, self.torque_limit, self.direction)
         feedback = codec.feedback_message(self.node_id, self.host, self.ranges, self.direction, self.zero)
-        object.__setattr__(self, "command", Table(command))
-        object.__setattr__(self, "feedback", Table(feedback))
+        object.__setattr__(self, "command", SignalTable(command))
+        object.__setattr__(self, "feedback", SignalTable(feedback))
         object.__setattr__(self, "required", parameters.required_parameters(self.torque_limit, self.watchdog_ms))
         object.__setattr__(self, "node_ids", codec.motor_ids(self.node_id, self.host))
 
@@ -96,7 +96,7 @@ class RobstrideDrive:
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
-        ranges = pop_motor_model(options, where, codec.MODELS)
+        ranges = pop_motor_model(options, where, codec.MOTOR_MODEL_RANGES)
         host = checked_whole_number(options.pop("host_id", codec.HOST_ID), f"{where}.options.host_id", codec.HOST_ID)
         refuse_unknown_options(options, f"{where}.options", "motor_type or host_id")
         if host <= codec.LAST_NODE:
@@ -120,12 +120,12 @@ class RobstrideDrive:
         return ((8, False), (8, False))
 
     @property
-    def background(self) -> tuple[tuple[int, bool, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the frames of the repeated read-back of the enabled motor: requests and replies."""
         return ((8, False, readback.RECHECKS_PER_SECOND),) * 2
 
     @property
-    def extended(self) -> bool:
+    def has_extended_ids(self) -> bool:
         """Return True, because all identifiers have 29 bits."""
         return True
 
@@ -136,7 +136,7 @@ class RobstrideDrive:
         Commands have a different identifier for each torque, 65536 in all. The identifiers of other
         torques are left out, because another host is also detected by its requests.
         """
-        requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUESTS}
+        requests = {codec.request_id(kind, self.node_id, self.host) for kind in codec.REQUEST_TYPES}
         return frozenset(requests | {self.command.message.can_id, self.command.pack_frame(0.0)[0]})
 
     @property
@@ -160,18 +160,18 @@ class RobstrideDrive:
         return 0.0
 
     @property
-    def cyclic(self) -> Cyclic:
+    def cyclic(self) -> CyclicMessages:
         """Return the signal tables of the commands and of the feedback."""
         position = codec.impedance_message(
             self.node_id, self.ranges, self.torque_limit, self.direction, self.zero
         )
-        return Cyclic((self.feedback.message,), (self.command.message,), position=position)
+        return CyclicMessages((self.feedback.message,), (self.command.message,), position=position)
 
     def steady_status(self, state: DriveState) -> int:
         """Return 0 for an enabled motor, because not the payload of feedback but its identifier contains the status."""
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
-            return UNSTEADY
+            return NO_STEADY_STATUS
         return 0
 
     def due_ns(self, state: DriveState) -> int:
@@ -224,7 +224,7 @@ class RobstrideDrive:
         faults = int.from_bytes(data[:4], "little")
         if not faults:
             return state
-        return apply_fault(state, codec.RESET, faults << codec.REPORT_SHIFT & 0xFFFFFFFF)
+        return apply_fault(state, codec.RESET_MODE, faults << codec.REPORT_SHIFT & 0xFFFFFFFF)
 
     def _on_parameter(self, state: DriveState, data: bytes, failed: bool) -> DriveState:
         """Return the state after a parameter reply, whose value is compared with the required value."""
@@ -235,12 +235,12 @@ class RobstrideDrive:
             if number != one.number:
                 return state
             same = one.is_right(raw) and not failed
-            answer = "cannot be read" if failed else f"reads {one.shown(raw)}"
+            answer = "cannot be read" if failed else f"reads {one.value_text(raw)}"
             check, problem = readback.on_recheck_reply(
                 progress.check, len(self.required), same, one.name, answer, f"{one.value:g}"
             )
             updated = state._replace(private=progress._replace(check=check))
-            return to_fault(updated, MISMATCH, problem) if problem else updated
+            return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
         cursor = progress.cursor
         if state.phase != CONFIGURING or not cursor.waiting or cursor.step >= len(self.required):
             return state
@@ -248,14 +248,14 @@ class RobstrideDrive:
         if number != one.number:
             return state
         if failed:
-            return to_fault(state, MISMATCH, f"{one.name} cannot be read")
+            return enter_fault(state, SETTING_MISMATCH_ERROR, f"{one.name} cannot be read")
         if one.is_right(raw):
             return state._replace(private=progress._replace(cursor=cursor.next_setting()))
         cursor, problem = readback.on_wrong_value(
-            cursor, one.name, one.shown(raw), f"{one.value:g}", parameters.WRITE_TRIES
+            cursor, one.name, one.value_text(raw), f"{one.value:g}", parameters.WRITE_TRIES
         )
         updated = state._replace(private=progress._replace(cursor=cursor))
-        return to_fault(updated, MISMATCH, problem) if problem else updated
+        return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
@@ -279,7 +279,7 @@ class RobstrideDrive:
         if (
             state.phase == READY
             and not progress.enable_sent
-            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_NS
+            and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
         ):
             return state._replace(phase=SILENT, private=RobstrideProgress()), (self._request_frame(codec.GET_ID),)
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
@@ -297,7 +297,9 @@ class RobstrideDrive:
         """
         if state.phase == READY:
             return self._request_frame(codec.STOP)
-        return self._request_frame(codec.STOP, codec.CLEAR) if progress.clearing else self._request_frame(codec.GET_ID)
+        if progress.clearing:
+            return self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA)
+        return self._request_frame(codec.GET_ID)
 
     def _disable(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> DriveState:
         """Return the state of a motor that is being stopped.
@@ -314,7 +316,7 @@ class RobstrideDrive:
         check, problem = readback.next_recheck(progress.check, one.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
         if problem:
-            state = to_fault(state, MISMATCH, problem)
+            state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state, self._request_frame(codec.READ, codec.parameter_request(one.number))
 
     def _configure(
@@ -329,7 +331,7 @@ class RobstrideDrive:
             return updated, self.cut()
         cursor = progress.cursor
         if cursor.step >= len(self.required):
-            ready = progress._replace(cursor=Cursor(), configured=True, ready_ns=t_ns)
+            ready = progress._replace(cursor=ReadbackCursor(), configured=True, ready_ns=t_ns)
             return state._replace(phase=READY, private=ready), self.cut()
         one = self.required[cursor.step]
         if cursor.writing:
@@ -337,7 +339,7 @@ class RobstrideDrive:
             return updated, (self._request_frame(codec.WRITE, codec.parameter_request(one.number, one.raw)),)
         cursor, send, problem = readback.request_setting(cursor, one.name, t_ns)
         if problem:
-            return to_fault(state._replace(private=progress), MISMATCH, problem), ()
+            return enter_fault(state._replace(private=progress), SETTING_MISMATCH_ERROR, problem), ()
         updated = state._replace(error_text="", private=progress._replace(cursor=cursor))
         return updated, (self._request_frame(codec.READ, codec.parameter_request(one.number)),) if send else ()
 
@@ -373,7 +375,7 @@ class RobstrideDrive:
         Parameters are then read back again.
         """
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=RobstrideProgress(clearing=CLEAR_TRIES))
-        return fresh, (self._request_frame(codec.STOP, codec.CLEAR),)
+        return fresh, (self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
         """Return no frames, because the watchdog of a stopped motor is not active."""
@@ -383,10 +385,10 @@ class RobstrideDrive:
         """Return the 64-bit identifier of the motor's processor, or the node number if it is unknown."""
         return f"{serial:016x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> Cause:
+    def cause(self, error: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
         return cause_of_error(error)
 
-    def _request_frame(self, kind: int, data: bytes = codec.EMPTY) -> Frame:
+    def _request_frame(self, kind: int, data: bytes = codec.EMPTY_DATA) -> Frame:
         """Return a request of type ``kind`` to the motor."""
         return Frame(codec.request_id(kind, self.node_id, self.host), data, 0, self.bus)

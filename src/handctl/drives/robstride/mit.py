@@ -15,7 +15,7 @@ faults has the same identifier, and the layout of the last row:
 
     byte    0         1, 2            3, 4 high     4 low, 5      6, 7
     field   motor 8   position 16     velocity 12   torque 12     winding 16
-    range             +-12.57 rad     see MODELS    see MODELS    0.1 degC/count
+    range             +-12.57 rad     by model      by model      0.1 degC/count
     faults  motor 8   bits 0..7, 8..15, 16..23 in bytes 1..3      0 in bytes 4..7
 
 As with CubeMars motors, the feedback does not report whether the motor is enabled. Watchdog and
@@ -28,8 +28,8 @@ Source: docs/facts/robstride.md, section MIT mode.
 
 from dataclasses import dataclass
 
-from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveState, DriveTarget, Phase
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.mit.cubemars import ANSWERS_REQUIRED, MAX_RESTING_TORQUE_FRACTION, CubemarsDrive, CubemarsProgress
@@ -37,13 +37,15 @@ from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import check_full_scale, checked_whole_number, pop_motor_model, refuse_unknown_options
 from handctl.drives.robstride import codec
 from handctl.drives.robstride.progress import cause_of_error, fault_text
-from handctl.drives.signals import Coding, Quantity, Signal, Table
+from handctl.drives.signals import Quantity, Signal, SignalCoding, SignalTable
 from handctl.errors import ConfigError
 
-POSITION_RANGE = 12.57
+POSITION_RANGE_RAD = 12.57
 """Full scale of the position in MIT mode [rad]."""
-MODELS = {
-    name: mit.Ranges(POSITION_RANGE, codec.MODELS[name].velocity, codec.MODELS[name].torque)
+MOTOR_MODEL_RANGES = {
+    name: mit.MotorRanges(
+        POSITION_RANGE_RAD, codec.MOTOR_MODEL_RANGES[name].velocity, codec.MOTOR_MODEL_RANGES[name].torque
+    )
     for name in ("rs00", "rs01", "rs05")
 }
 """Full scale of the motor models whose ranges in MIT mode are the same in all sources."""
@@ -53,7 +55,7 @@ FACTORY_HOST = 0
 """Factory setting of the host's number."""
 READ_FAULTS = b"\xff" * 6 + b"\x00\xfb"
 """Payload of the special command to read the faults."""
-FAULT_PERIOD = 8
+FAULT_READ_PERIOD = 8
 """Number of answers from a disabled motor between two reads of its faults."""
 CONTROL_MODES = range(3)
 """Values of bits 10..8 in the identifier of commands in MIT, position, and velocity mode."""
@@ -83,11 +85,11 @@ class RobstrideMitDrive(CubemarsDrive):
         command = mit.command_message(self.node_id, self.ranges, self.direction)
         feedback = mit.feedback_message(self.host_id, self.ranges, self.direction, self.zero)
         state, position, velocity, torque, _, _ = feedback.signals
-        winding = Signal("winding", Quantity.TEMPERATURE, 55, 16, True, Coding.SIGNED, 0.1, unit="degC")
+        winding = Signal("winding", Quantity.TEMPERATURE, 55, 16, True, SignalCoding.SIGNED, 0.1, unit="degC")
         # Byte 0 of this feedback is the whole number of the motor, without a state nibble.
         signals = (state._replace(name="node"), position, velocity, torque, winding)
-        object.__setattr__(self, "command", Table(command._replace(limit=self.torque_limit)))
-        object.__setattr__(self, "feedback", Table(feedback._replace(signals=signals)))
+        object.__setattr__(self, "command", SignalTable(command._replace(limit=self.torque_limit)))
+        object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "RobstrideMitDrive":
@@ -99,7 +101,7 @@ class RobstrideMitDrive(CubemarsDrive):
         """
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
-        ranges = pop_motor_model(options, where, MODELS)
+        ranges = pop_motor_model(options, where, MOTOR_MODEL_RANGES)
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"{where}.node_id", f"1 to {codec.LAST_NODE}")
         host = options.pop("host_id", motor.node_id + HOST_OFFSET)
@@ -151,7 +153,7 @@ class RobstrideMitDrive(CubemarsDrive):
         updated = state._replace(feedback_t_ns=t_ns, feedback_count=state.feedback_count + 1)
         # Bytes 4 to 7 are 0 only in the answer to a read of faults. In feedback, they would mean a
         # torque near the negative full scale.
-        if not any(data[4:]) and state.phase != Phase.ENABLED:
+        if not any(data[4:]) and state.phase != DrivePhase.ENABLED:
             return self._on_faults(updated, int.from_bytes(data[1:4], "little"))
         _, position, velocity, torque, winding = self.feedback.unpack(data)
         updated = updated._replace(position=position, velocity=velocity, torque=torque, temperature=winding)
@@ -162,7 +164,7 @@ class RobstrideMitDrive(CubemarsDrive):
         if not faults:
             return state
         error = faults << codec.REPORT_SHIFT
-        return state._replace(phase=Phase.FAULT, error=error, error_text=fault_text(error))
+        return state._replace(phase=DrivePhase.FAULT, error=error, error_text=fault_text(error))
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
@@ -174,8 +176,8 @@ class RobstrideMitDrive(CubemarsDrive):
         """
         updated, frames = CubemarsDrive.advance(self, state, t_ns, target, torque)
         progress: CubemarsProgress = updated.private
-        disabled = updated.phase in (Phase.READY, Phase.FAULT) and not progress.enable_sent
-        if target == DriveTarget.POLL and disabled and updated.feedback_count % FAULT_PERIOD == ANSWERS_REQUIRED:
+        disabled = updated.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.enable_sent
+        if target == DriveTarget.POLL and disabled and updated.feedback_count % FAULT_READ_PERIOD == ANSWERS_REQUIRED:
             return updated, (self._frame_to_motor(READ_FAULTS),)
         return updated, frames
 
@@ -187,6 +189,6 @@ class RobstrideMitDrive(CubemarsDrive):
         fresh, stop = CubemarsDrive.clear(self, state)
         return fresh, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
 
-    def cause(self, error: int) -> Cause:
+    def cause(self, error: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
         return cause_of_error(error)

@@ -2,25 +2,35 @@
 
 from typing import NamedTuple
 
-from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveState, Phase
-from handctl.drives.readback import Cursor, Recheck
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.readback import ReadbackCursor, RecheckCursor
 from handctl.drives.robstride import codec
 
-SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
 
 # Error codes added by handctl. They use the two bits between the faults in feedback and those in
 # the fault report.
-DROPPED_OUT = 1 << 6
-MISMATCH = 1 << 7
-ENABLED_BY_OTHER_HOST = 3 << 6
-CAUSES = {DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHER_HOST: Cause.MISMATCH}
+DROPPED_OUT_ERROR = 1 << 6
+SETTING_MISMATCH_ERROR = 1 << 7
+ENABLED_BY_OTHER_HOST_ERROR = 3 << 6
+CAUSE_BY_ERROR = {
+    DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT,
+    SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
+    ENABLED_BY_OTHER_HOST_ERROR: DriveFaultCause.MISMATCH,
+}
 """Cause of each error code added by handctl."""
-CAUSES_OF_BITS = {0: Cause.VOLTAGE, 10: Cause.VOLTAGE, 11: Cause.VOLTAGE, 2: Cause.HOT, 8: Cause.HOT}
+CAUSE_BY_FAULT_BIT = {
+    0: DriveFaultCause.VOLTAGE,
+    10: DriveFaultCause.VOLTAGE,
+    11: DriveFaultCause.VOLTAGE,
+    2: DriveFaultCause.HOT,
+    8: DriveFaultCause.HOT,
+}
 """Cause of fault bits of the motor. All other bits have the cause OTHER."""
 CLEAR_TRIES = 3
 """Number of feedback frames that may still show a fault after the clear command."""
-SILENCE_NS = 250_000_000
+SILENCE_TIMEOUT_NS = 250_000_000
 """Time without a frame after which the motor may have lost power, and therefore its parameters [ns]."""
 WATCHDOG_TEXT = "disabled by itself: it restarted, or its watchdog fired"
 """Error text for a motor that has left the running mode without reporting a reason."""
@@ -43,7 +53,7 @@ class RobstrideProgress(NamedTuple):
         serial: identifier of the motor's processor, 0 if unknown.
     """
 
-    cursor: Cursor = Cursor()
+    cursor: ReadbackCursor = ReadbackCursor()
     configured: bool = False
     enabled_by_other: bool = False
     enable_sent: bool = False
@@ -51,7 +61,7 @@ class RobstrideProgress(NamedTuple):
     disabling_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
-    check: Recheck = Recheck()
+    check: RecheckCursor = RecheckCursor()
     serial: int = 0
 
 
@@ -61,7 +71,7 @@ def progress_of(state: DriveState) -> RobstrideProgress:
     return progress
 
 
-def to_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
@@ -74,9 +84,9 @@ def apply_status(state: DriveState, mode: int, fault: int) -> DriveState:
     progress = progress_of(state)
     if fault:
         return apply_fault(state, mode, fault)
-    if mode == codec.RESET:
+    if mode == codec.RESET_MODE:
         return _state_when_stopped(state, progress)
-    if mode == codec.RUNNING:
+    if mode == codec.RUNNING_MODE:
         return _state_when_running(state, progress)
     return _state_when_enabled_by_other(state, progress, "calibrating, but not by this host")
 
@@ -89,9 +99,9 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     progress = progress_of(state)
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-    off = mode == codec.RESET
+    off = mode == codec.RESET_MODE
     updated = progress._replace(enable_sent=progress.enable_sent and not off, enabled_by_other=not off)
-    in_error = to_fault(state._replace(private=updated), fault, fault_text(fault))
+    in_error = enter_fault(state._replace(private=updated), fault, fault_text(fault))
     return in_error._replace(phase=ENABLED) if progress.disabling and not off else in_error
 
 
@@ -104,7 +114,7 @@ def _state_when_stopped(state: DriveState, progress: RobstrideProgress) -> Drive
             return state
         return state._replace(phase=FAULT if state.error else READY, private=off)
     if state.phase == ENABLED:
-        return to_fault(state._replace(private=off), DROPPED_OUT, WATCHDOG_TEXT)
+        return enter_fault(state._replace(private=off), DROPPED_OUT_ERROR, WATCHDOG_TEXT)
     off = off._replace(enable_sent=progress.enable_sent)
     return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
 
@@ -122,22 +132,22 @@ def _state_when_enabled_by_other(state: DriveState, progress: RobstrideProgress,
     if progress.disabling:
         return enabled._replace(phase=ENABLED)
     if state.phase in (READY, ENABLED):
-        return to_fault(enabled, ENABLED_BY_OTHER_HOST, text)
+        return enter_fault(enabled, ENABLED_BY_OTHER_HOST_ERROR, text)
     return enabled._replace(phase=CONFIGURING) if state.phase == SILENT else enabled
 
 
 def fault_text(fault: int) -> str:
     """Return the texts of the faults in an error code."""
-    names = [codec.FAULTS.get(bit, f"unknown fault bit {bit}") for bit in range(32) if fault >> bit & 1]
+    names = [codec.FAULT_TEXTS.get(bit, f"unknown fault bit {bit}") for bit in range(32) if fault >> bit & 1]
     return ", ".join(dict.fromkeys(names))
 
 
-def cause_of_error(error: int) -> Cause:
+def cause_of_error(error: int) -> DriveFaultCause:
     """Return the cause of a nonzero error code."""
-    if error in CAUSES:
-        return CAUSES[error]
+    if error in CAUSE_BY_ERROR:
+        return CAUSE_BY_ERROR[error]
     bits = [bit for bit in range(32) if error >> bit & 1]
-    if not bits or any(bit not in codec.FAULTS for bit in bits):
-        return Cause.UNKNOWN
-    causes = [CAUSES_OF_BITS.get(bit, Cause.OTHER) for bit in bits]
-    return next((cause for cause in causes if cause != Cause.OTHER), Cause.OTHER)
+    if not bits or any(bit not in codec.FAULT_TEXTS for bit in bits):
+        return DriveFaultCause.UNKNOWN
+    causes = [CAUSE_BY_FAULT_BIT.get(bit, DriveFaultCause.OTHER) for bit in bits]
+    return next((cause for cause in causes if cause != DriveFaultCause.OTHER), DriveFaultCause.OTHER)

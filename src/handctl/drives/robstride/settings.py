@@ -45,7 +45,7 @@ class RequiredParameter(NamedTuple):
         size = struct.calcsize(self.coding)
         return raw[:size] == self.raw[:size]
 
-    def shown(self, raw: bytes) -> str:
+    def value_text(self, raw: bytes) -> str:
         """Return the value in four received bytes as text."""
         return f"{struct.unpack_from(f'<{self.coding}', raw)[0]:g}"
 
@@ -59,7 +59,7 @@ def required_parameters(torque: float, watchdog_ms: float) -> tuple[RequiredPara
     """
     counts = round(watchdog_ms * codec.TIMEOUT_UNITS_PER_MS)
     return (
-        RequiredParameter("run_mode", codec.RUN_MODE, "B", codec.OPERATION),
+        RequiredParameter("run_mode", codec.RUN_MODE, "B", codec.OPERATION_RUN_MODE),
         RequiredParameter("limit_torque", codec.LIMIT_TORQUE, "f", torque),
         RequiredParameter("canTimeout", codec.CAN_TIMEOUT, "I", counts),
     )

@@ -5,12 +5,12 @@ Each protocol of load cells implements it for controller, log and tools.
 
 from typing import Protocol
 
-from handctl.drives.cia404.amplifier import Amplifier
+from handctl.drives.cia404.amplifier import LoadCellAmplifier
 from handctl.drives.frame import Frame
 from handctl.drives.signals import Message
 
 
-class Sensors(Protocol):
+class SensorInterface(Protocol):
     """Load cells and joint encoders of a hand, all on one bus. Implementations are immutable.
 
     Attributes:
@@ -58,7 +58,7 @@ class Sensors(Protocol):
         ...
 
     @property
-    def amplifiers(self) -> tuple[Amplifier, ...]:
+    def amplifiers(self) -> tuple[LoadCellAmplifier, ...]:
         """Return the measuring amplifiers for the host to set up."""
         ...
 
@@ -103,7 +103,7 @@ class Sensors(Protocol):
         ...
 
     @property
-    def background(self) -> tuple[tuple[int, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, float], ...]:
         """Return frames whose rate is not the control rate, as (payload bytes, frames per second)."""
         ...
 

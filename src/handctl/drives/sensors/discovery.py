@@ -5,12 +5,12 @@ A scan therefore sends no SYNC on a bus with a CANopen drive, or with an ODrive 
 Their ``command_ids`` include the identifier of SYNC. Source: ``node``.
 """
 
-from handctl.drives.discovery import DiscoveredNode, Discovery, ReceivedFrames
+from handctl.drives.discovery import DiscoveredNode, ProtocolDiscovery, ReceivedFrames
 from handctl.drives.frame import Frame
 
-SYNC = 0x080
+SYNC_ID = 0x080
 """Identifier of SYNC, as in CANopen."""
-COUNTERS = (0x35, 0x3A)
+PROBE_COUNTERS = (0x35, 0x3A)
 """Counters of the two SYNC frames that a scan sends.
 
 The counters differ, so that a frame that another device repeats does not count as two answers.
@@ -24,10 +24,10 @@ MAX_FRAME_BYTES = 8
 
 def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan: two SYNC frames in round 3, none in the others."""
-    return tuple(ping_with_counter(counter) for counter in COUNTERS) if turn == 3 else ()
+    return tuple(sync_with_counter(counter) for counter in PROBE_COUNTERS) if turn == 3 else ()
 
 
-def sensor_nodes_in(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
+def discovered_sensor_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered sensor nodes. They are identifiers with an answer to both SYNC frames.
 
     Consecutive identifiers count as one node.
@@ -42,14 +42,16 @@ def _answers_both_syncs(received: ReceivedFrames, can_id: int) -> bool:
     counters = [
         frame.data[0] & 0xF for frame in received if frame.can_id == can_id and 2 <= len(frame.data) <= MAX_FRAME_BYTES
     ]
-    return can_id < SYNC << 3 and counters == [counter & 0xF for counter in COUNTERS]
+    return can_id < SYNC_ID << 3 and counters == [counter & 0xF for counter in PROBE_COUNTERS]
 
 
 def _describe_node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
     """Return the discovered sensor node whose first identifier is ``can_id``."""
     size = next(len(frame.data) for frame in received if frame.can_id == can_id)
     channels = (8 * size - HEADER_BITS) // CHANNEL_BITS
-    note = f"answers SYNC 0x{SYNC:03x}: a sensor node with base_id = 0x{can_id:x} and {channels} channels in a frame?"
+    note = (
+        f"answers SYNC 0x{SYNC_ID:03x}: a sensor node with base_id = 0x{can_id:x} and {channels} channels in a frame?"
+    )
     return DiscoveredNode("sensor", can_id, state="answers SYNC", notes=(note,))
 
 
@@ -63,19 +65,21 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     return ()
 
 
-def ping_with_counter(counter: int) -> Frame:
+def sync_with_counter(counter: int) -> Frame:
     """Return a SYNC frame with the given counter."""
-    return Frame(SYNC, bytes((counter,)))
+    return Frame(SYNC_ID, bytes((counter,)))
 
 
-def ping(node: DiscoveredNode) -> Frame:
+def ping_request(node: DiscoveredNode) -> Frame:
     """Return a SYNC frame as the request to a sensor node."""
-    return ping_with_counter(COUNTERS[0])
+    return sync_with_counter(PROBE_COUNTERS[0])
 
 
 def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
-    """Return True if the frame is an answer of the node to ``ping``, with the counter of ``ping``."""
-    return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == COUNTERS[0] & 0xF
+    """Return True if the frame is an answer of the node to ``ping_request``, with the counter of ``ping_request``."""
+    return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == PROBE_COUNTERS[0] & 0xF
 
 
-DISCOVERY = Discovery(probe_frames, sensor_nodes_in, command_ids, other_host_frames, ping, is_ping_reply)
+DISCOVERY = ProtocolDiscovery(
+    probe_frames, discovered_sensor_nodes, command_ids, other_host_frames, ping_request, is_ping_reply
+)

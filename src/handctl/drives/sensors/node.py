@@ -21,17 +21,17 @@ import math
 from dataclasses import dataclass, field
 from typing import Protocol, Self
 
-from handctl.drives.cia404.amplifier import Amplifier
+from handctl.drives.cia404.amplifier import LoadCellAmplifier
 from handctl.drives.frame import Frame
 from handctl.drives.signals import Message, Quantity, Signal
 
-CHANNELS = 5
+CHANNELS_PER_FRAME = 5
 """Number of channels in a frame."""
 CHANNEL_BITS = 12
 """Number of bits of a channel."""
 COUNTER_BITS = 4
 """Number of bits of the counter in an answer."""
-CHANNEL_SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS * CHANNEL_BITS, CHANNEL_BITS))
+CHANNEL_SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS_PER_FRAME * CHANNEL_BITS, CHANNEL_BITS))
 """Number of the lowest bit of each channel in a frame."""
 MAX_CHANNEL_COUNT = (1 << CHANNEL_BITS) - 1
 """Largest possible count of a channel."""
@@ -64,7 +64,7 @@ COUNTER_PERIOD = 4096
 DISTINCT_COUNTERS = 8
 JOINT_STEP_RAD = 2 * math.pi / 4096
 """Change of the joint angle per count [rad]."""
-JOINT_ZERO = 2048
+JOINT_ZERO_COUNT = 2048
 """Count at joint angle 0."""
 ANY_TIME = -(1 << 62)
 """Earliest arrival of an answer [ns], for answers with a counter.
@@ -173,7 +173,7 @@ class SensorNode:
         return frozenset((self.sync_id,) if self.ids else ())
 
     @property
-    def amplifiers(self) -> tuple[Amplifier, ...]:
+    def amplifiers(self) -> tuple[LoadCellAmplifier, ...]:
         """Return an empty tuple, because the node has no amplifiers that need a set-up."""
         return ()
 
@@ -193,7 +193,7 @@ class SensorNode:
         return TENSION_ZERO_N, TENSION_MAX_N
 
     @property
-    def background(self) -> tuple[tuple[int, float], ...]:
+    def background_frames(self) -> tuple[tuple[int, float], ...]:
         """Return an empty tuple, because the node sends nothing but answers."""
         return ()
 
@@ -293,7 +293,7 @@ def _channel_signal(slot: int, index: int, tension: bool) -> Signal:
         return Signal(f"tension_{slot}", Quantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS, scale=TENSION_STEP_N,
                       offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
     return Signal(f"angle_{slot}", Quantity.ANGLE, CHANNEL_SHIFTS[slot], CHANNEL_BITS, scale=JOINT_STEP_RAD,
-                  offset=-JOINT_ZERO * JOINT_STEP_RAD, unit="rad", channel=index)  # fmt: skip
+                  offset=-JOINT_ZERO_COUNT * JOINT_STEP_RAD, unit="rad", channel=index)  # fmt: skip
 
 
 @functools.lru_cache(maxsize=16)
@@ -328,7 +328,9 @@ def sync_counters(decimation: int) -> bytes:
 
 def _channel_groups(channels: list[int]) -> list[tuple[int, ...]]:
     """Return the channels in groups. Each group is the content of one frame."""
-    return [tuple(channels[first : first + CHANNELS]) for first in range(0, len(channels), CHANNELS)]
+    return [
+        tuple(channels[first : first + CHANNELS_PER_FRAME]) for first in range(0, len(channels), CHANNELS_PER_FRAME)
+    ]
 
 
 def _payload_length(channels: int) -> int:

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.hand.file.error_text import Mistake
+from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.sections import Digit, Motor, Mount, StreamLimits, Tendon
 from handctl.hand.file.sensor_checks import amplifier_identifiers, check_sensor_node
 from handctl.hand.link_bodies import link_inertia
-from handctl.hand.moment_arms import TABLE_DEGREE, arms_at, is_varying, polynomial_of, table_residual
+from handctl.hand.moment_arms import TABLE_DEGREE, arms_at, is_arm_varying, polynomial_of_arm, table_residual
 
 if TYPE_CHECKING:
     from handctl.hand.description import Hand
@@ -67,7 +67,7 @@ The identifier of a device's frame is this number plus its node number.
 
 Source: CiA 301.
 """
-EXTENDED = 1 << 31
+EXTENDED_ID_FLAG = 1 << 31
 """Bit that marks a 29-bit CAN identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
 STANDARD_IDS = 0x800
 """Number of 11-bit CAN identifiers."""
@@ -82,10 +82,10 @@ MIN_SINGULAR_VALUE_RATIO = 1e-6
 """Ratio of the smallest to the largest singular value above which a matrix counts as having full rank."""
 
 
-Mistakes = Iterator[Mistake]
+MistakeIterator = Iterator[FileMistake]
 
 
-def check_hand(hand: Hand) -> Mistakes:
+def check_hand(hand: Hand) -> MistakeIterator:
     """Yield the mistakes that concern several sections of a hand.
 
     Checks that need valid references or shapes run only if the checks of references and shapes
@@ -114,13 +114,13 @@ def check_hand(hand: Hand) -> Mistakes:
     yield from _check_identifiers(hand)
 
 
-def check_names(hand: Hand) -> Mistakes:
+def check_names(hand: Hand) -> MistakeIterator:
     """Yield a mistake for each name that two sections of the same kind have."""
     for key in ("bus", "digit", "tendon", "motor"):
         yield from _check_unique([section.name for section in getattr(hand, key)], key + "[{}].name")
 
 
-def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistakes:
+def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> MistakeIterator:
     """Yield the mistakes within single digits and single tendons.
 
     These checks need no other sections of the file.
@@ -132,7 +132,7 @@ def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> Mistak
         yield from _check_pretension(tendon)
 
 
-def _check_unique(names: Iterable[str], where: str) -> Mistakes:
+def _check_unique(names: Iterable[str], where: str) -> MistakeIterator:
     """Yield a mistake for each repeated name.
 
     The repeated name replaces {} in the key path ``where``.
@@ -140,16 +140,16 @@ def _check_unique(names: Iterable[str], where: str) -> Mistakes:
     seen: set[str] = set()
     for name in names:
         if name in seen:
-            yield Mistake(f'"{name}" twice', where.format(name), "every name once")
+            yield FileMistake(f'"{name}" twice', where.format(name), "every name once")
         seen.add(name)
 
 
-def _check_digit(digit: Digit) -> Mistakes:
+def _check_digit(digit: Digit) -> MistakeIterator:
     """Check a digit: the lengths of its lists, the order of its joint limits, and its links."""
     where = f"digit[{digit.name}]"
     links = len(digit.link_length_m)
     wrong = [
-        Mistake(f"{len(values)} values", f"{where}.{key}", f"{links}, one per link_length_m")
+        FileMistake(f"{len(values)} values", f"{where}.{key}", f"{links}, one per link_length_m")
         for key in (*KEYS_PER_LINK, *OPTIONAL_KEYS_PER_LINK)
         if (values := getattr(digit, key)) is not None and len(values) != links
     ]
@@ -159,32 +159,34 @@ def _check_digit(digit: Digit) -> Mistakes:
         yield from _check_body(digit, i, where)
         if digit.joint_min_deg[i] >= digit.joint_max_deg[i]:
             right = f"more than joint_min_deg[{i}] = {digit.joint_min_deg[i]:g}"
-            yield Mistake(f"{digit.joint_max_deg[i]:g}", f"{where}.joint_max_deg[{i}]", right)
+            yield FileMistake(f"{digit.joint_max_deg[i]:g}", f"{where}.joint_max_deg[{i}]", right)
     for i, axis in enumerate(digit.joint_axis or ()):
         length = float(np.linalg.norm(axis))
         if abs(length - 1.0) > UNIT_TOLERANCE:
-            yield Mistake(f"a vector of length {length:.3g}", f"{where}.joint_axis[{i}]", "a unit vector, of length 1")
+            yield FileMistake(
+                f"a vector of length {length:.3g}", f"{where}.joint_axis[{i}]", "a unit vector, of length 1"
+            )
     if digit.link_length_m[-1] == 0.0:
-        yield Mistake(
+        yield FileMistake(
             "0", f"{where}.link_length_m[{links - 1}]", "more than 0, as the tip is at the end of the last link"
         )
     if digit.coupling is not None:
         yield from _check_coupling(digit.coupling, f"{where}.coupling", links)
 
 
-def check_mesh_keys(section: Digit | Mount, mesh: str, keys: Iterable[str], where: str) -> Mistakes:
+def check_mesh_keys(section: Digit | Mount, mesh: str, keys: Iterable[str], where: str) -> MistakeIterator:
     """Check that a section without meshes has no scale and no pose of meshes, and that no scale is 0."""
     for key in keys:
         if getattr(section, mesh) is None and getattr(section, key) is not None:
-            yield Mistake(f"given without {mesh}", f"{where}.{key}", f"{mesh} as well, or no such key")
+            yield FileMistake(f"given without {mesh}", f"{where}.{key}", f"{mesh} as well, or no such key")
     scales = getattr(section, f"{mesh}_scale")
     for i, scale in enumerate(scales if isinstance(section, Digit) and scales else [scales]):
         if isinstance(scale, tuple) and 0.0 in scale:
             place = f"{where}.{mesh}_scale" + (f"[{i}]" if isinstance(section, Digit) else "")
-            yield Mistake("a factor of 0", place, "factors that are not 0")
+            yield FileMistake("a factor of 0", place, "factors that are not 0")
 
 
-def _check_body(digit: Digit, i: int, where: str) -> Mistakes:
+def _check_body(digit: Digit, i: int, where: str) -> MistakeIterator:
     """Check that centre of mass and inertia of link i are possible for the size of the link."""
     com = digit.link_com_m[i]
     length = digit.link_length_m[i]
@@ -192,33 +194,33 @@ def _check_body(digit: Digit, i: int, where: str) -> Mistakes:
     size = max(length, 2 * digit.link_radius_m)
     if isinstance(com, float):
         if com > length:
-            yield Mistake(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
+            yield FileMistake(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
     elif np.linalg.norm(com) > size:
         right = f"at most {size:g} m from the joint, the link's length or width"
-        yield Mistake(f"{np.linalg.norm(com):g} m", f"{where}.link_com_m[{i}]", right)
+        yield FileMistake(f"{np.linalg.norm(com):g} m", f"{where}.link_com_m[{i}]", right)
     moments = np.linalg.eigvalsh(link_inertia(digit, i))
     largest = digit.link_mass_kg[i] * size**2
     if moments[-1] > largest:
         right = f"at most mass x length^2 = {largest:.3g} kg m2"
-        yield Mistake(f"{moments[-1]:g}", f"{where}.link_inertia_kg_m2[{i}]", right)
+        yield FileMistake(f"{moments[-1]:g}", f"{where}.link_inertia_kg_m2[{i}]", right)
     elif moments[0] <= 0.0:
         what = f"a principal moment of {moments[0]:.3g} kg m2"
-        yield Mistake(what, f"{where}.link_inertia_kg_m2[{i}]", "a positive definite inertia")
+        yield FileMistake(what, f"{where}.link_inertia_kg_m2[{i}]", "a positive definite inertia")
     elif moments[-1] > (moments[0] + moments[1]) * (1.0 + UNIT_TOLERANCE):
         what = "principal moments " + ", ".join(f"{moment:.3g}" for moment in moments)
-        yield Mistake(what, f"{where}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two")
+        yield FileMistake(what, f"{where}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two")
 
 
-def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: int) -> Mistakes:
+def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: int) -> MistakeIterator:
     """Check the shape of a coupling matrix."""
     if len(coupling) != links:
-        yield Mistake(f"{len(coupling)} rows", where, f"{links}, one per joint")
+        yield FileMistake(f"{len(coupling)} rows", where, f"{links}, one per joint")
     widths = {len(row) for row in coupling}
     if len(widths) != 1 or not 1 <= min(widths) <= links:
-        yield Mistake(f"rows of {sorted(widths)} values", where, f"rows of equal length, 1 to {links}")
+        yield FileMistake(f"rows of {sorted(widths)} values", where, f"rows of equal length, 1 to {links}")
 
 
-def _check_references(hand: Hand) -> Mistakes:
+def _check_references(hand: Hand) -> MistakeIterator:
     """Check that every referenced name exists, and that each motor drives one tendon."""
     node = hand.sensor_node
     yield from _check_name("sensor_node.bus", node.bus, hand.bus_names)
@@ -234,33 +236,33 @@ def _check_references(hand: Hand) -> Mistakes:
     yield from _check_motors(hand)
 
 
-def _check_motors(hand: Hand) -> Mistakes:
+def _check_motors(hand: Hand) -> MistakeIterator:
     """Check that each tendon names an existing motor that no other tendon names, and that each motor has a tendon."""
     driven: dict[str, str] = {}
-    wrong: list[Mistake] = []
+    wrong: list[FileMistake] = []
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].motor"
         wrong += _check_name(where, tendon.motor, hand.motor_names)
         if tendon.motor in driven:
             what = f'"{tendon.motor}" drives {driven[tendon.motor]} already'
             right = "a motor of its own, or one tendon with pretension_N for both tendons of its spool"
-            wrong.append(Mistake(what, where, right))
+            wrong.append(FileMistake(what, where, right))
         driven[tendon.motor] = tendon.name
     yield from wrong
     for motor in hand.motor:
         # If a tendon names a wrong motor, another motor has no tendon as a consequence. Then only
         # the wrong name is reported.
         if motor.name not in driven and not wrong:
-            yield Mistake("drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon")
+            yield FileMistake("drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon")
 
 
-def _check_name(where: str, name: str, valid: tuple[str, ...]) -> Mistakes:
+def _check_name(where: str, name: str, valid: tuple[str, ...]) -> MistakeIterator:
     """Yield a mistake if a name is not one of the valid names of the file."""
     if name not in valid:
-        yield Mistake(f'"{name}" is not in this file', where, "one of " + ", ".join(valid))
+        yield FileMistake(f'"{name}" is not in this file', where, "one of " + ", ".join(valid))
 
 
-def _check_mounts(hand: Hand) -> Mistakes:
+def _check_mounts(hand: Hand) -> MistakeIterator:
     """Check that a digit carried by another digit comes right after it in the file, or after others that it carries."""
     line: list[str] = []
     for digit in hand.digit:
@@ -270,13 +272,13 @@ def _check_mounts(hand: Hand) -> Mistakes:
             yield from _check_name(where, carrier, hand.digit_names)
             if carrier in hand.digit_names:
                 what = f"{digit.name} does not follow {carrier}"
-                yield Mistake(what, where, "each digit right after the one that carries it, or after others on it")
+                yield FileMistake(what, where, "each digit right after the one that carries it, or after others on it")
         # The next digit may be carried by this digit, or by one of the digits that carry this
         # digit.
         line = [*line[: line.index(carrier) + 1 if carrier in line else 0], digit.name]
 
 
-def _check_tendon_order(hand: Hand) -> Mistakes:
+def _check_tendon_order(hand: Hand) -> MistakeIterator:
     """Check that each tendon moves one digit, and that the tendons are in the order of the digits.
 
     Besides the joints of its digit, a tendon may only pass joints of digits that carry its digit.
@@ -290,21 +292,21 @@ def _check_tendon_order(hand: Hand) -> Mistakes:
         if name is None:
             crossed = [digit.name for digit in hand.digit if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
             right = "joints of one digit, and of digits that carry it (mount_on)"
-            yield Mistake(f"moves {' and '.join(crossed) or 'no digit'}", where, right)
+            yield FileMistake(f"moves {' and '.join(crossed) or 'no digit'}", where, right)
             continue
         passed = [joint for joint in tendon.moment_arm_m if joint not in hand.digit_named(name).joints]
         for joint in passed:
-            if is_varying(tendon.moment_arm_m[joint]):
+            if is_arm_varying(tendon.moment_arm_m[joint]):
                 right = f"a number: {name} is carried by this joint"
-                yield Mistake("an arm that depends on the angle", f"{where}.{joint}", right)
+                yield FileMistake("an arm that depends on the angle", f"{where}.{joint}", right)
         digit = hand.digit_names.index(name)
         if digit < latest:
             what = f"a tendon of {hand.digit[digit].name} after one of {hand.digit[latest].name}"
-            yield Mistake(what, where, "tendons digit by digit, in the order of the digits")
+            yield FileMistake(what, where, "tendons digit by digit, in the order of the digits")
         latest = max(latest, digit)
 
 
-def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> Mistakes:
+def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
     """Check size and sign of a moment arm over the range of its joint.
 
     A table of moment arms must cover the range and must be smooth.
@@ -313,61 +315,65 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> Mistakes:
     where = f"tendon[{tendon.name}].moment_arm_m.{joint}"
     if not isinstance(arm, dict):
         if abs(arm) < SMALLEST_ARM_M:
-            yield Mistake(f"{arm:g}", where, "0.0001 to 0.05 m either way, or no such key")
+            yield FileMistake(f"{arm:g}", where, "0.0001 to 0.05 m either way, or no such key")
         return
     low, high = np.degrees(hand.joint_limits[:, hand.joints.index(joint)]).tolist()
     range_text = f"the joint's range, {low:g} to {high:g} deg"
     first, *_, last = arm.get("angle_deg", (low, high))
     if first > low + ROUNDING_DEG or last < high - ROUNDING_DEG:
-        yield Mistake(f"angle_deg from {first:g} to {last:g}", where, f"a table over {range_text}")
+        yield FileMistake(f"angle_deg from {first:g} to {last:g}", where, f"a table over {range_text}")
         return
     angle = np.linspace(low, high, ARM_SAMPLES)
-    values = np.polynomial.polynomial.polyval(np.radians(angle), polynomial_of(arm))
+    values = np.polynomial.polynomial.polyval(np.radians(angle), polynomial_of_arm(arm))
     least = int(np.argmin(np.abs(values)))
     size = float(np.abs(values).max())
     if values.min() < 0.0 < values.max():
         turned = int(np.argmax(values * values[0] < 0.0))
         what = f"the arm changes its sign at {angle[turned]:.0f} deg"
-        yield Mistake(what, where, f"one sign over {range_text}: a tendon either closes or opens a joint")
+        yield FileMistake(what, where, f"one sign over {range_text}: a tendon either closes or opens a joint")
     elif abs(values[least]) < SMALLEST_ARM_M or size > LARGEST_ARM_M:
         worst = values[least] if abs(values[least]) < SMALLEST_ARM_M else values[np.argmax(np.abs(values))]
         place = angle[np.argmin(np.abs(values - worst))]
-        yield Mistake(f"an arm of {worst:.3g} m at {place:.0f} deg", where, f"0.0001 to 0.05 m over {range_text}")
+        yield FileMistake(f"an arm of {worst:.3g} m at {place:.0f} deg", where, f"0.0001 to 0.05 m over {range_text}")
     elif (residual := table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
         what = f"the polynomial of degree {TABLE_DEGREE} differs by {1e3 * residual:.2g} mm from the table"
-        yield Mistake(
+        yield FileMistake(
             what, where, f"a smoother table, within {1e2 * MAX_TABLE_RESIDUAL_FRACTION:g} % of the arm, or polynomial_m"
         )
 
 
-def _check_routing(hand: Hand, digit: Digit) -> Mistakes:
+def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
     """Check that the tendons of a digit move each coordinate (R B has full column rank) and cross each joint."""
     tendons = hand.digit_tendons[digit.name]
     joints = hand.digit_joints[digit.name]
     arms = hand.moment_arms[tendons, joints]
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
     columns = coupling.shape[1]
-    rank = _rank(arms @ coupling)
+    rank = _moment_arm_rank(arms @ coupling)
     if hand.has_varying_arm[tendons].any():
         limits = hand.joint_limits[:, joints]
         postures = np.linspace(limits[0], limits[1], ROUTING_SAMPLES)
-        rank = min(_rank(one @ coupling) for one in arms_at(hand.arm_polynomials[tendons, joints], limits, postures))
+        rank = min(
+            _moment_arm_rank(one @ coupling) for one in arms_at(hand.arm_polynomials[tendons, joints], limits, postures)
+        )
     if rank < columns:
         where = f"digit[{digit.name}].coupling"
         right = f"a tendon for every coordinate, or a coupling that leaves {max(rank, 1)}"
-        yield Mistake(f"its tendons (moment_arm_m) can move only {rank} of {columns} coordinates", where, right)
+        yield FileMistake(f"its tendons (moment_arm_m) can move only {rank} of {columns} coordinates", where, right)
     for joint, column in zip(digit.joints, arms.T, strict=True):
         if not column.any():
-            yield Mistake(f"no tendon crosses {joint}", f"digit[{digit.name}]", f"a tendon with moment_arm_m.{joint}")
+            yield FileMistake(
+                f"no tendon crosses {joint}", f"digit[{digit.name}]", f"a tendon with moment_arm_m.{joint}"
+            )
 
 
-def _rank(arms: NDArray[np.float64]) -> int:
+def _moment_arm_rank(arms: NDArray[np.float64]) -> int:
     """Return the rank of a matrix of reduced moment arms."""
     values = np.linalg.svd(arms, compute_uv=False)
     return int((values > MIN_SINGULAR_VALUE_RATIO * values.max(initial=0.0)).sum()) if values.size else 0
 
 
-def _check_limits(tendon: Tendon) -> Mistakes:
+def _check_limits(tendon: Tendon) -> MistakeIterator:
     """Check that the tension limits of a tendon increase from the floor to the breaking force."""
     values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
     strength = tendon.rated_breaking_force_N
@@ -387,10 +393,10 @@ def _check_limits(tendon: Tendon) -> Mistakes:
             too_high = value >= next_value
         if too_high or too_low:
             breaks = f", and the tendon breaks at {strength:g} N" if value > strength else ""
-            yield Mistake(f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds))
+            yield FileMistake(f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds))
 
 
-def _check_pretension(tendon: Tendon) -> Mistakes:
+def _check_pretension(tendon: Tendon) -> MistakeIterator:
     """Check the pretension of a spool pair, and that the pair has no tension floor.
 
     The pretension must not bring a single tendon of the pair above the limits of the net tension.
@@ -404,13 +410,13 @@ def _check_pretension(tendon: Tendon) -> Mistakes:
     largest = 0.5 * tendon.tension_max_N
     if pretension > largest:
         right = f"at most tension_max_N / 2 = {largest:g} N, so that no tendon of the pair exceeds its limits"
-        yield Mistake(f"{pretension:g}", f"tendon[{tendon.name}].pretension_N", right)
+        yield FileMistake(f"{pretension:g}", f"tendon[{tendon.name}].pretension_N", right)
     if tendon.tension_floor_N != 0.0:
         right = "0, or no such key: the net tension of a spool pair has both signs"
-        yield Mistake(f"{tendon.tension_floor_N:g}", f"tendon[{tendon.name}].tension_floor_N", right)
+        yield FileMistake(f"{tendon.tension_floor_N:g}", f"tendon[{tendon.name}].tension_floor_N", right)
 
 
-def _check_pairs(hand: Hand, digit: Digit) -> Mistakes:
+def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
     """Check a digit with spool pairs: one pair per coordinate, no single tendons, load cells on pairs, or springs."""
     tendons = hand.tendon[hand.digit_tendons[digit.name]]
     pairs = [tendon for tendon in tendons if tendon.pretension_N is not None]
@@ -422,31 +428,33 @@ def _check_pairs(hand: Hand, digit: Digit) -> Mistakes:
     if single:
         what = f"{pairs[0].name} is a spool pair, and {single[0]} is not"
         right = f"pretension_N on all tendons of {digit.name}, or on none"
-        yield Mistake(what, f"tendon[{single[0]}].pretension_N", right)
+        yield FileMistake(what, f"tendon[{single[0]}].pretension_N", right)
     elif len(pairs) != coordinates:
         what = f"{len(pairs)} spool pairs for {coordinates} coordinates"
-        yield Mistake(what, f"{where}.tendon", "one spool pair per coordinate: a pair pulls both ways")
+        yield FileMistake(what, f"{where}.tendon", "one spool pair per coordinate: a pair pulls both ways")
     if any(digit.spring_stiffness_N_m_per_rad):
         what = "springs beside spool pairs"
-        yield Mistake(what, f"{where}.spring_stiffness_N_m_per_rad", "no springs: a spool pair returns the joint")
+        yield FileMistake(what, f"{where}.spring_stiffness_N_m_per_rad", "no springs: a spool pair returns the joint")
     for i, name in enumerate(hand.sensor_node.tendons):
         if name in [tendon.name for tendon in pairs]:
             right = "tendons with one load cell each: the net tension of a spool pair comes from its motor"
-            yield Mistake(f"{name} is a spool pair", f"sensor_node.tendons[{i}]", right)
+            yield FileMistake(f"{name} is a spool pair", f"sensor_node.tendons[{i}]", right)
 
 
-def _check_drive(tendon: Tendon, motor: Motor) -> Mistakes:
+def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
     """Check that a drive's torque limit fits the tendon's ``drive_limit_N``, and that the motor can reach the limit."""
     where = f"motor[{motor.name}].torque_max_N_m"
     limit = tendon.drive_limit_N * motor.spool_radius_m
     if abs(motor.torque_max_N_m - limit) > 0.01 * limit:
         right = f"drive_limit_N x spool_radius_m = {limit:.4g} N m, within 1 %"
-        yield Mistake(f"{motor.torque_max_N_m:g}", where, right)
+        yield FileMistake(f"{motor.torque_max_N_m:g}", where, right)
     if motor.torque_max_N_m > motor.torque_peak_N_m:
-        yield Mistake(f"{motor.torque_max_N_m:g}", where, f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m")
+        yield FileMistake(
+            f"{motor.torque_max_N_m:g}", where, f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m"
+        )
 
 
-def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> Mistakes:
+def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> MistakeIterator:
     """Check the keys for the position loop in a drive.
 
     Only a drive with ``control = "position"`` may have them.
@@ -457,28 +465,28 @@ def _check_control(hand: Hand, tendon: Tendon, motor: Motor) -> Mistakes:
             value = getattr(motor, key)
             if value is not None:
                 right = 'no such key without control = "position"'
-                yield Mistake(f"{value:g}", f"{where}.{key}", right)
+                yield FileMistake(f"{value:g}", f"{where}.{key}", right)
         return
     for digit in hand.digit:
         tendons = hand.digit_tendons[digit.name]
         coordinates = len(digit.joints) if digit.coupling is None else len(digit.coupling[0])
         if tendon in hand.tendon[tendons] and tendons.stop - tendons.start > coordinates:
             right = '"torque": position loops of antagonistic tendons would pull against each other'
-            yield Mistake('"position"', f"{where}.control", right)
+            yield FileMistake('"position"', f"{where}.control", right)
     stiffest = tendon.stiffness_N_per_m * motor.spool_radius_m**2
     if (motor.kp_N_m_per_rad or 0.0) > stiffest:
         right = f"at most stiffness_N_per_m x spool_radius_m^2 = {stiffest:.3g} N m/rad"
-        yield Mistake(f"{motor.kp_N_m_per_rad:g}", f"{where}.kp_N_m_per_rad", right)
+        yield FileMistake(f"{motor.kp_N_m_per_rad:g}", f"{where}.kp_N_m_per_rad", right)
 
 
-def _check_stream(stream: StreamLimits) -> Mistakes:
+def _check_stream(stream: StreamLimits) -> MistakeIterator:
     """Check that a hand whose stream of targets stops first holds and later relaxes."""
     if stream.relax_after_ms <= stream.hold_after_ms:
         right = f"more than hold_after_ms = {stream.hold_after_ms:g} ms"
-        yield Mistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", right)
+        yield FileMistake(f"{stream.relax_after_ms:g}", "stream.relax_after_ms", right)
 
 
-def _check_identifiers(hand: Hand) -> Mistakes:
+def _check_identifiers(hand: Hand) -> MistakeIterator:
     """Check that no two frames on a bus have the same CAN identifier."""
     owner: dict[tuple[str, object], str] = {}
     wrong: set[str] = set()
@@ -487,9 +495,9 @@ def _check_identifiers(hand: Hand) -> Mistakes:
     for bus, identifier, where in _frame_identifiers(hand):
         if (bus, identifier) in owner and where not in wrong:
             wrong.add(where)
-            text = f"0x{identifier & ~EXTENDED:X}" if isinstance(identifier, int) else str(identifier)
+            text = f"0x{identifier & ~EXTENDED_ID_FLAG:X}" if isinstance(identifier, int) else str(identifier)
             right = f"an identifier that is not in use; {owner[bus, identifier]} has it"
-            yield Mistake(f'{text} on bus "{bus}" is taken', where, right)
+            yield FileMistake(f'{text} on bus "{bus}" is taken', where, right)
         owner.setdefault((bus, identifier), where)
 
 
@@ -530,13 +538,13 @@ def _motor_identifiers(motor: Motor) -> Iterator[tuple[object, str]]:
     elif motor.protocol == "moteus":
         # First the requests, which come from source 0 and have the reply bit. Then the replies,
         # with an 11-bit identifier if the number fits.
-        yield EXTENDED | 0x8000 | motor.node_id, where
+        yield EXTENDED_ID_FLAG | 0x8000 | motor.node_id, where
         number = motor.node_id << 8
-        yield number if number < STANDARD_IDS else number | EXTENDED, where
+        yield number if number < STANDARD_IDS else number | EXTENDED_ID_FLAG, where
     elif motor.protocol == "robstride":
         # First requests of type 0, then the feedback of a running motor to the default host.
-        yield EXTENDED | 0xFD00 | motor.node_id, where
-        yield EXTENDED | 0x0280_00FD | motor.node_id << 8, where
+        yield EXTENDED_ID_FLAG | 0xFD00 | motor.node_id, where
+        yield EXTENDED_ID_FLAG | 0x0280_00FD | motor.node_id << 8, where
     else:
         yield f"{motor.protocol} node {motor.node_id}", where
 
@@ -549,10 +557,10 @@ def _mit_reply_id(motor: Motor, where: str) -> tuple[object, str]:
     return reply, f"motor[{motor.name}].options.reply_id"
 
 
-def _check_reply_id(motor: Motor) -> Mistakes:
+def _check_reply_id(motor: Motor) -> MistakeIterator:
     """Check the CAN identifier of the replies of an MIT drive."""
     reply = motor.options.get("reply_id")
     if motor.protocol != "mit" or reply is None:
         return
     if isinstance(reply, bool) or not isinstance(reply, int) or not 1 <= reply <= 0x7FF:
-        yield Mistake(f"{reply}", f"motor[{motor.name}].options.reply_id", "a whole number from 1 to 2047")
+        yield FileMistake(f"{reply}", f"motor[{motor.name}].options.reply_id", "a whole number from 1 to 2047")

@@ -33,7 +33,7 @@ MIN_SECTIONS_TO_SHARE = 2
 
 
 @dataclass
-class Entry:
+class TomlEntry:
     """Line of a hand file: a key with its value and the comment behind it, or only a comment.
 
     Attributes:
@@ -66,7 +66,7 @@ class TomlTable:
         held: tables of the tendons and motors within a digit, by kind and short name.
     """
 
-    entries: list[Entry]
+    entries: list[TomlEntry]
     before: list[str] = field(default_factory=list)
     comment: str = ""
     held: dict[str, dict[str, "TomlTable"]] = field(default_factory=lambda: {kind: {} for kind in DIGIT_KINDS})
@@ -75,7 +75,7 @@ class TomlTable:
         """Return the values of the table by key."""
         return {entry.key: entry.value for entry in self.entries if entry.key}
 
-    def take(self, keys: Iterable[str]) -> list[Entry]:
+    def take(self, keys: Iterable[str]) -> list[TomlEntry]:
         """Remove the lines with the given keys from the table, and return these lines."""
         taken = [entry for entry in self.entries if entry.key in set(keys)]
         self.entries = [entry for entry in self.entries if entry not in taken]
@@ -135,16 +135,18 @@ def _parse_blocks(document: tomlkit.TOMLDocument) -> tuple[TomlTable, list[tuple
     return root, tables
 
 
-def _parse_entry(key: str, item: Item) -> list[Entry]:
+def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
     """Return the lines of one TOML item: a key, a comment, or blank lines."""
     if isinstance(item, Whitespace):
         return []
     if isinstance(item, Comment):
-        return [Entry("", item.trivia.comment)]
+        return [TomlEntry("", item.trivia.comment)]
     if isinstance(item, Table):
-        comments = [Entry("", value.trivia.comment) for name, value in item.value.body if isinstance(value, Comment)]
-        return [*comments, Entry(key, _inline_table(item.unwrap()), item.unwrap())]
-    return [Entry(key, item.as_string().strip(), item.unwrap(), item.trivia.comment)]
+        comments = [
+            TomlEntry("", value.trivia.comment) for name, value in item.value.body if isinstance(value, Comment)
+        ]
+        return [*comments, TomlEntry(key, _inline_table(item.unwrap()), item.unwrap())]
+    return [TomlEntry(key, item.as_string().strip(), item.unwrap(), item.trivia.comment)]
 
 
 def _trailing_comments(block: TomlTable) -> list[str]:
@@ -158,7 +160,7 @@ def _trailing_comments(block: TomlTable) -> list[str]:
     return trailing
 
 
-def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[Entry]:
+def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[TomlEntry]:
     """Remove the values that all sections of a kind have in common, and return their lines."""
     if kind == "digit":
         for block in blocks:
@@ -169,7 +171,7 @@ def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[Entry]:
     return _take_shared_values(blocks, lambda key, value: key not in kept)
 
 
-def _take_shared_values(blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]) -> list[Entry]:
+def _take_shared_values(blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]) -> list[TomlEntry]:
     """Remove the values that all tables have in common, and return their lines with the comments of all tables."""
     first = blocks[0].values()
     others = [block.values() for block in blocks[1:]]
@@ -281,12 +283,12 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
         templates[name] = template
         for block in group:
             place = next(i for i, entry in enumerate(block.entries) if entry.key == "name") + 1
-            block.entries.insert(place, Entry("template", f'"{name}"', name))
+            block.entries.insert(place, TomlEntry("template", f'"{name}"', name))
     return templates
 
 
 def _kind_lines(
-    kind: str, default: Sequence[Entry], templates: dict[str, TomlTable], sections: Sequence[TomlTable]
+    kind: str, default: Sequence[TomlEntry], templates: dict[str, TomlTable], sections: Sequence[TomlTable]
 ) -> list[str]:
     """Return the lines of the file for one kind of section: the default, the templates and the sections."""
     lines = ["", *(sections[0].before if sections else [])]

@@ -51,10 +51,10 @@ def _docstrings_in(model: type[BaseModel]) -> dict[str, str]:
         return {}
     (definition,) = ast.parse(textwrap.dedent(source)).body
     assert isinstance(definition, ast.ClassDef)
-    return dict(_documented(definition.body))
+    return dict(_documented_attributes(definition.body))
 
 
-def _documented(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
+def _documented_attributes(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
     """Yield name and docstring of each attribute that is followed by a docstring."""
     for statement, following in pairwise(body):
         match statement, following:

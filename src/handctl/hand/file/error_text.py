@@ -8,11 +8,11 @@ from pydantic import BaseModel, ValidationError
 
 from handctl.errors import ConfigError
 from handctl.hand.file.descriptions import key_description
-from handctl.hand.file.quantities import UNMEASURED
+from handctl.hand.file.quantities import UNMEASURED_PLACEHOLDER
 from handctl.printing import similar_name
 
 
-class Mistake(NamedTuple):
+class FileMistake(NamedTuple):
     """One mistake in a file.
 
     Attributes:
@@ -48,7 +48,9 @@ All other errors contain a valid value themselves, as ``right``.
 """
 
 
-def validation_mistakes(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any]) -> list[Mistake]:
+def validation_mistakes(
+    error: ValidationError, model: type[BaseModel], content: Mapping[str, Any]
+) -> list[FileMistake]:
     """Return one mistake for each validation error of pydantic.
 
     Mistakes about unknown keys come first. A misspelt key is reported twice, as unknown and as
@@ -71,13 +73,13 @@ def validation_mistakes(error: ValidationError, model: type[BaseModel], content:
         where = key_path(content, location)
         if detail["type"] == "missing":
             if (location[:-1], location[-1]) not in misspelt:
-                found.append(Mistake("missing", where, _meaning_of_missing_key(location, model)))
+                found.append(FileMistake("missing", where, _meaning_of_missing_key(location, model)))
         elif detail["type"] != "extra_forbidden":
             context = {"right": detail["msg"], **detail.get("ctx", {})}
             right = EXPECTED_TYPES.get(detail["type"], "{right}").format(**context)
-            if detail["input"] == UNMEASURED:
-                right += _meaning(_field_of_key(location, model))
-            found.append(Mistake(toml_spelling(detail["input"]), where, right))
+            if detail["input"] == UNMEASURED_PLACEHOLDER:
+                right += _field_meaning(_field_of_key(location, model))
+            found.append(FileMistake(toml_spelling(detail["input"]), where, right))
     return found
 
 
@@ -100,17 +102,17 @@ def _meaning_of_missing_key(location: Sequence[str | int], model: type[BaseModel
         is_list = not isinstance(annotation, type)
         form = f"[[{name}]] sections" if is_list else f"a section [{name}]"
         form += f", or {name}.NAME in each digit" if name in WITHIN_DIGITS else ""
-    return form + _meaning(field)
+    return form + _field_meaning(field)
 
 
-class _Field(NamedTuple):
+class _ModelField(NamedTuple):
     """Field of a pydantic model: the model, and the name of the attribute."""
 
     model: type[BaseModel]
     name: str
 
 
-def _meaning(field: _Field | None) -> str:
+def _field_meaning(field: _ModelField | None) -> str:
     """Return a colon and the first sentence of a key's description, or an empty text without a description."""
     text = first_sentence(key_description(*field)) if field else ""
     return f": {text}" if text else ""
@@ -121,7 +123,7 @@ def first_sentence(description: str) -> str:
     return " ".join(re.split(r"\.\s", description, maxsplit=1)[0].rstrip(".").replace("``", "").split())
 
 
-def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _Field | None:
+def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _ModelField | None:
     """Return the field of a key.
 
     An entry of a list, for example, has no field. Then return None.
@@ -134,18 +136,22 @@ def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _Fie
                 return None
             model = models[0]
     fields = model.model_fields.items()
-    return next((_Field(model, name) for name, field in fields if key in (name, field.alias)), None)
+    return next((_ModelField(model, name) for name, field in fields if key in (name, field.alias)), None)
 
 
-def _unknown_key_mistake(location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]) -> Mistake:
+def _unknown_key_mistake(
+    location: Sequence[str | int], model: type[BaseModel], content: Mapping[str, Any]
+) -> FileMistake:
     """Return the mistake for an unknown key, with the most similar valid key as the valid value."""
     if location[0] == "motor" and location[-1] == "mode":
-        return Mistake("a hand commands torques", key_path(content, location), "no mode; one drive: handctl jog --mode")
+        return FileMistake(
+            "a hand commands torques", key_path(content, location), "no mode; one drive: handctl jog --mode"
+        )
     valid = most_similar_key(str(location[-1]), _valid_keys_at(model, location[:-1]))
-    return Mistake("unknown key", key_path(content, location), valid)
+    return FileMistake("unknown key", key_path(content, location), valid)
 
 
-def with_paths_of_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) -> list[Mistake]:
+def with_paths_of_file(mistakes: Iterable[FileMistake], origins: Mapping[str, str]) -> list[FileMistake]:
     """Return the mistakes of resolved content with key paths as they are in the file.
 
     Many sections use the same value of a default or template. Only the first mistake about such a
@@ -155,7 +161,7 @@ def with_paths_of_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) 
         mistakes: mistakes with key paths of the resolved content.
         origins: key path in the file by key path in the resolved content.
     """
-    found: dict[Mistake | str, Mistake] = {}
+    found: dict[FileMistake | str, FileMistake] = {}
     for mistake in mistakes:
         where = _path_in_file(mistake.where, origins)
         shared = where != mistake.where and mistake.what != "missing"
@@ -164,7 +170,7 @@ def with_paths_of_file(mistakes: Iterable[Mistake], origins: Mapping[str, str]) 
     return list(found.values())
 
 
-def group_mistakes(mistakes: Iterable[Mistake]) -> list[Mistake]:
+def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
     """Join mistakes that differ only in the name of the section.
 
     Each joined mistake has the place of its first mistake.
@@ -172,7 +178,7 @@ def group_mistakes(mistakes: Iterable[Mistake]) -> list[Mistake]:
     The key path of a joined mistake names at most three sections: ``tendon[a, b and 4
     more].knee_N``.
     """
-    names: dict[Mistake, list[str]] = {}
+    names: dict[FileMistake, list[str]] = {}
     for mistake in mistakes:
         section = SECTION_PATTERN.fullmatch(mistake.where)
         pattern = mistake._replace(where=f"{section[1]}[{{}}]{section[3]}") if section else mistake

@@ -10,11 +10,11 @@ from handctl.hand.digit import Array
 from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.error_text import first_sentence
 from handctl.hand.file.new_file import DRIVE_LIMIT_RATIO, MOTORS_PER_BUS, SENSOR_IDS, TENSION_FLOOR_N, TRIP_RATIO
-from handctl.hand.file.quantities import UNMEASURED
+from handctl.hand.file.quantities import UNMEASURED_PLACEHOLDER
 from handctl.hand.file.sections import Digit, Motor, Mount, Section, SensorNode, Tendon
-from handctl.hand.file.toml_text import quoted
+from handctl.hand.file.toml_text import quoted_string
 from handctl.hand.formats.model_tree import ModelDigit, ModelMesh
-from handctl.hand.link_bodies import rpy_of
+from handctl.hand.link_bodies import rpy_of_rotation
 
 SMALLEST_ARM_M = 1e-4
 """Smallest absolute moment arm of a tendon [m]."""
@@ -26,7 +26,7 @@ arm.
 """
 ROUNDING_TOLERANCE = 1e-9
 """Tolerance for rounding errors in an axis, a position or a rotation."""
-DECIMALS = 12
+WRITTEN_DECIMALS = 12
 """Number of decimals that are written of a length, a mass or an inertia in SI units."""
 CHOSEN_KEYS = {
     "protocol",
@@ -42,7 +42,7 @@ CHOSEN_KEYS = {
 }
 """Keys whose values the user chooses. All other missing values must be measured."""
 MISSING_ARMS_COMMENT = (
-    f"{UNMEASURED} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
+    f"{UNMEASURED_PLACEHOLDER} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
 )
 """Comment in the new file behind a tendon without moment arms."""
 PLACEHOLDER_TENDONS_COMMENT = (
@@ -88,7 +88,7 @@ class TendonAnswers:
 
 
 @dataclass(frozen=True, eq=False)
-class Described:
+class DescribedHand:
     """Hand as a robot description (URDF or MJCF) describes it.
 
     Attributes:
@@ -112,7 +112,7 @@ class Described:
 
 
 @dataclass(frozen=True)
-class _Line:
+class _SectionLine:
     """Line of a section of the new file: a key, the text of its value, and a comment."""
 
     key: str
@@ -123,7 +123,7 @@ class _Line:
         return f"{self.key} = {self.value}" + (f"   # {self.comment}" if self.comment else "")
 
 
-def usable_tendons(described: Described) -> tuple[list[dict[str, Any]], list[str]]:
+def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the tendons of a description that a hand file can express, and notes about the other tendons.
 
     The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max``, and ``arms`` by
@@ -145,8 +145,8 @@ def usable_tendons(described: Described) -> tuple[list[dict[str, Any]], list[str
             (digit,) = digits
             own: dict[str, Any] = {
                 "digit": digit,
-                "name": _short(name, digit),
-                "motor": _short(tendon["motor"] or name, digit),
+                "name": _short_name(name, digit),
+                "motor": _short_name(tendon["motor"] or name, digit),
             }
             own |= {"arms": {joint: arm for (_, joint), arm in arms.items()}, "tension_max": tendon["tension_max"]}
             usable.append(own)
@@ -159,7 +159,7 @@ def usable_tendons(described: Described) -> tuple[list[dict[str, Any]], list[str
     return usable, notes
 
 
-def described_text(described: Described, answers: TendonAnswers, options: str, can_fd: bool) -> str:
+def described_text(described: DescribedHand, answers: TendonAnswers, options: str, can_fd: bool) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
@@ -171,24 +171,24 @@ def described_text(described: Described, answers: TendonAnswers, options: str, c
     tendons, _ = usable_tendons(described)
     skeleton = not tendons
     tendons = tendons or [one for digit in described.digits for one in _skeleton(digit, answers)]
-    buses = _buses(described, tendons)
-    parts = [_head(described, answers, max(buses.values(), default=0) + 1, can_fd)]
+    buses = _bus_by_digit(described, tendons)
+    parts = [_head_text(described, answers, max(buses.values(), default=0) + 1, can_fd)]
     if skeleton:
         parts[0] = PLACEHOLDER_TENDONS_COMMENT.format("digit" if answers.tendons == "one" else "joint") + parts[0]
     common = _common_lines(described, answers)
-    parts += [_section("default.digit", common)] if common else []
+    parts += [_section_text("default.digit", common)] if common else []
     largest = {tendon["tension_max"] for tendon in tendons}
     if answers.tension_N is None and len(largest) == 1:
         answers = replace(answers, tension_N=largest.pop())
-    parts.append(_section("default.tendon", _tendon_lines(answers)))
-    parts.append(_section("default.motor", _motor_lines(answers)) + options)
+    parts.append(_section_text("default.tendon", _tendon_lines(answers)))
+    parts.append(_section_text("default.motor", _motor_lines(answers)) + options)
     nodes: dict[int, int | None] = dict.fromkeys(buses.values(), answers.first_node)
     for digit in described.digits:
         own = [tendon for tendon in tendons if tendon["digit"] == digit.name]
         lines = [*_digit_lines(digit, answers), *_drive_lines(own, buses[digit.name], nodes)]
         if len(own) < len(digit.joints):
-            lines.append(_todo(Digit, "coupling"))
-        parts.append(f"# joints in {described.source}: {', '.join(digit.joints)}\n" + _section("[digit]", lines))
+            lines.append(_todo_line(Digit, "coupling"))
+        parts.append(f"# joints in {described.source}: {', '.join(digit.joints)}\n" + _section_text("[digit]", lines))
     return "\n\n".join(parts) + "\n"
 
 
@@ -207,7 +207,7 @@ def _skeleton(digit: ModelDigit, answers: TendonAnswers) -> Iterable[dict[str, A
         }
 
 
-def _buses(described: Described, tendons: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+def _bus_by_digit(described: DescribedHand, tendons: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """Return the bus of each digit. All motors of a digit are on the same bus."""
     buses = {}
     bus = used = 0
@@ -224,7 +224,7 @@ def _bus_name(bus: int) -> str:
     return "main" if bus == 0 else f"bus_{bus + 1}"
 
 
-def _head(described: Described, answers: TendonAnswers, buses: int, can_fd: bool) -> str:
+def _head_text(described: DescribedHand, answers: TendonAnswers, buses: int, can_fd: bool) -> str:
     """Return the text of the tables before the first digit."""
     joints = sum(len(digit.joints) for digit in described.digits)
     turned = (
@@ -232,16 +232,20 @@ def _head(described: Described, answers: TendonAnswers, buses: int, can_fd: bool
         if np.array_equal(described.palm, np.eye(3))
         else (
             f"# The palm frame is the root frame of {described.source} turned by roll, pitch, yaw of "
-            f"{_numbers(np.round(np.degrees(rpy_of(described.palm)), 6))} degrees.\n"
+            f"{_number_list_text(np.round(np.degrees(rpy_of_rotation(described.palm)), 6))} degrees.\n"
         )
     )
     gravity = described.gravity
-    mount = _todo(Mount, "gravity_m_s2") if gravity is None else _Line("gravity_m_s2", _numbers(gravity))
+    mount = (
+        _todo_line(Mount, "gravity_m_s2")
+        if gravity is None
+        else _SectionLine("gravity_m_s2", _number_list_text(gravity))
+    )
     rate = "bitrate = 1_000_000" + ("\ndata_bitrate = 5_000_000" if can_fd else "")
     palm_mesh = "".join(f"{line}\n" for line in _palm_mesh_lines(described.palm_mesh))
     lines = "\n\n".join(f'[[bus]]\nname = "{_bus_name(bus)}"\n{rate}' for bus in range(buses))
     return (
-        f"# From {described.source} by handctl config init. Each value {UNMEASURED!r} must be measured or\n"
+        f"# From {described.source} by handctl config init. Each value {UNMEASURED_PLACEHOLDER!r} must be measured or\n"
         f"# chosen before the hand can run: handctl config check --hand FILE lists them.\n{turned}"
         f'schema = 2\nname = "{answers.name or described.name}"\n'
         f'description = "{len(described.digits)} digits, {joints} joints, from {described.source}"\n\n'
@@ -254,22 +258,22 @@ def _sensor_node(answers: TendonAnswers) -> str:
     if answers.cells == answers.encoders == "none":
         return ""
     sync, base = SENSOR_IDS.get(answers.protocol or "", SENSOR_IDS["mit"])
-    lines = [_Line("bus", '"main"'), _Line("sync_id", sync), _Line("base_id", base)]
+    lines = [_SectionLine("bus", '"main"'), _SectionLine("sync_id", sync), _SectionLine("base_id", base)]
     for key, answer in (("tendons", answers.cells), ("joints", answers.encoders)):
         known = {"all": '"all"', "none": "[]"}.get(answer or "")
-        lines.append(_todo(SensorNode, key) if known is None else _Line(key, known))
-    lines.append(_Line("joint_decimation", "1"))
+        lines.append(_todo_line(SensorNode, key) if known is None else _SectionLine(key, known))
+    lines.append(_SectionLine("joint_decimation", "1"))
     for key, answer in (
         ("tension_noise_N", answers.cells),
         ("tension_bias_drift_N", answers.cells),
         ("joint_noise_rad", answers.encoders),
     ):
         unused = "0.001" if key == "joint_noise_rad" else "0.0"
-        lines.append(_Line(key, unused, "no such sensor") if answer == "none" else _todo(SensorNode, key))
-    return "\n\n" + _section("sensor_node", lines)
+        lines.append(_SectionLine(key, unused, "no such sensor") if answer == "none" else _todo_line(SensorNode, key))
+    return "\n\n" + _section_text("sensor_node", lines)
 
 
-def _common_lines(described: Described, answers: TendonAnswers) -> list[_Line]:
+def _common_lines(described: DescribedHand, answers: TendonAnswers) -> list[_SectionLine]:
     """Return lines for the values of digits that the description does not contain, to be set once for all digits."""
     links = [link for digit in described.digits for link in digit.links]
     known = {
@@ -279,74 +283,76 @@ def _common_lines(described: Described, answers: TendonAnswers) -> list[_Line]:
         "spring_stiffness_N_m_per_rad": any(link.stiffness for link in links) or answers.springs == "none",
         "spring_preload_rad": any(link.stiffness for link in links) or answers.springs == "none",
     }
-    return [_todo(Digit, key) for key, is_known in known.items() if not is_known]
+    return [_todo_line(Digit, key) for key, is_known in known.items() if not is_known]
 
 
-def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_Line]:
+def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_SectionLine]:
     """Return lines for the values of a digit, as far as the description contains them."""
     links = digit.links
-    lines = [_Line("name", f'"{digit.name}"')]
+    lines = [_SectionLine("name", f'"{digit.name}"')]
     if digit.carrier is not None:
-        lines.append(_Line("mount_on", f'"{digit.carrier}"'))
+        lines.append(_SectionLine("mount_on", f'"{digit.carrier}"'))
     lines += [
-        _Line("mount_position_m", _numbers(digit.position)),
-        _Line("mount_rpy_deg", _degrees(digit.rotation)),
-        _Line("link_length_m", _numbers(digit.lengths)),
+        _SectionLine("mount_position_m", _number_list_text(digit.position)),
+        _SectionLine("mount_rpy_deg", _rpy_deg_text(digit.rotation)),
+        _SectionLine("link_length_m", _number_list_text(digit.lengths)),
     ]
     if np.abs(digit.axes - Z_AXIS).max() > ROUNDING_TOLERANCE:
-        lines.append(_Line("joint_axis", _rows(digit.axes)))
+        lines.append(_SectionLine("joint_axis", _number_rows_text(digit.axes)))
     if len(digit.turns) and np.abs(digit.turns - np.eye(3)).max() > ROUNDING_TOLERANCE:
-        turned = ", ".join(["[0.0, 0.0, 0.0]", *(_degrees(turn) for turn in digit.turns)])
-        lines.append(_Line("joint_rpy_deg", f"[{turned}]"))
+        turned = ", ".join(["[0.0, 0.0, 0.0]", *(_rpy_deg_text(turn) for turn in digit.turns)])
+        lines.append(_SectionLine("joint_rpy_deg", f"[{turned}]"))
     lines += [
-        _Line("link_com_m", _rows(digit.coms)),
-        _Line("link_mass_kg", _numbers([link.mass for link in links])),
-        _Line("link_inertia_kg_m2", _rows([_moments(inertia) for inertia in digit.inertias])),
+        _SectionLine("link_com_m", _number_rows_text(digit.coms)),
+        _SectionLine("link_mass_kg", _number_list_text([link.mass for link in links])),
+        _SectionLine(
+            "link_inertia_kg_m2", _number_rows_text([_inertia_moments(inertia) for inertia in digit.inertias])
+        ),
     ]
     radii = [link.radius for link in links if link.radius]
     if radii:
-        lines.append(_Line("link_radius_m", _number(float(np.median(radii)))))
+        lines.append(_SectionLine("link_radius_m", _number_text(float(np.median(radii)))))
     for key, side in (("joint_min_deg", 0), ("joint_max_deg", 1)):
         limits = [link.range[side] for link in links if link.range is not None]
         whole = len(limits) == len(links)
-        lines.append(_Line(key, _numbers(np.degrees(limits))) if whole else _todo(Digit, key))
+        lines.append(_SectionLine(key, _number_list_text(np.degrees(limits))) if whole else _todo_line(Digit, key))
     return [*lines, *_joint_lines(digit, answers), *_mesh_lines(digit.meshes)]
 
 
-def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_Line]:
+def _palm_mesh_lines(mesh: ModelMesh | None) -> Iterable[_SectionLine]:
     """Yield lines for the mesh of the palm. Keys with their default value are left out."""
     if mesh is None:
         return
-    yield _Line("palm_mesh", quoted(mesh.file))
+    yield _SectionLine("palm_mesh", quoted_string(mesh.file))
     if (mesh.scale != 1.0).any():
-        yield _Line("palm_mesh_scale", _scale(mesh.scale))
+        yield _SectionLine("palm_mesh_scale", _scale_text(mesh.scale))
     if np.abs(mesh.position).max() > ROUNDING_TOLERANCE:
-        yield _Line("palm_mesh_position_m", _numbers(mesh.position))
+        yield _SectionLine("palm_mesh_position_m", _number_list_text(mesh.position))
     if np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING_TOLERANCE:
-        yield _Line("palm_mesh_rpy_deg", _degrees(mesh.rotation))
+        yield _SectionLine("palm_mesh_rpy_deg", _rpy_deg_text(mesh.rotation))
 
 
-def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_Line]:
+def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
     """Yield lines for the meshes of a digit. Keys with their default value are left out."""
     if not any(meshes):
         return
     none = ModelMesh("", np.ones(3), np.zeros(3), np.eye(3))
     shown = [mesh or none for mesh in meshes]
-    yield _Line("link_mesh", f"[{', '.join(quoted(mesh.file) for mesh in shown)}]")
+    yield _SectionLine("link_mesh", f"[{', '.join(quoted_string(mesh.file) for mesh in shown)}]")
     if any((mesh.scale != 1.0).any() for mesh in shown):
-        yield _Line("link_mesh_scale", f"[{', '.join(_scale(mesh.scale) for mesh in shown)}]")
+        yield _SectionLine("link_mesh_scale", f"[{', '.join(_scale_text(mesh.scale) for mesh in shown)}]")
     if any(np.abs(mesh.position).max() > ROUNDING_TOLERANCE for mesh in shown):
-        yield _Line("link_mesh_position_m", _rows(mesh.position for mesh in shown))
+        yield _SectionLine("link_mesh_position_m", _number_rows_text(mesh.position for mesh in shown))
     if any(np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING_TOLERANCE for mesh in shown):
-        yield _Line("link_mesh_rpy_deg", f"[{', '.join(_degrees(mesh.rotation) for mesh in shown)}]")
+        yield _SectionLine("link_mesh_rpy_deg", f"[{', '.join(_rpy_deg_text(mesh.rotation) for mesh in shown)}]")
 
 
-def _scale(scale: Array) -> str:
+def _scale_text(scale: Array) -> str:
     """Return the scale of a mesh as text. It is one number if the scale is equal along all axes."""
-    return _number(float(scale[0])) if scale[0] > 0.0 and not np.ptp(scale) else _numbers(scale)
+    return _number_text(float(scale[0])) if scale[0] > 0.0 and not np.ptp(scale) else _number_list_text(scale)
 
 
-def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Line]:
+def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_SectionLine]:
     """Yield lines for damping, armature and springs of a digit.
 
     In a description, the value 0 means that the value is not described.
@@ -361,10 +367,12 @@ def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_Line]:
         values["spring_preload_rad"] = [-link.rest if link.stiffness else 0.0 for link in links]
     for key, given in values.items():
         if any(given):
-            yield _Line(key, _numbers(given))
+            yield _SectionLine(key, _number_list_text(given))
 
 
-def _drive_lines(tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int, int | None]) -> Iterable[_Line]:
+def _drive_lines(
+    tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int, int | None]
+) -> Iterable[_SectionLine]:
     """Yield lines for the tendons and motors of a digit.
 
     The node numbers on each bus are consecutive.
@@ -372,20 +380,24 @@ def _drive_lines(tendons: Sequence[Mapping[str, Any]], bus: int, nodes: dict[int
     for tendon in tendons:
         arms = tendon["arms"]
         words = [f'motor = "{tendon["motor"]}"']
-        words.append(f'moment_arm_m = "{UNMEASURED}"' if arms is None else f"moment_arm_m = {{ {_table(arms)} }}")
+        words.append(
+            f'moment_arm_m = "{UNMEASURED_PLACEHOLDER}"'
+            if arms is None
+            else f"moment_arm_m = {{ {_inline_table_text(arms)} }}"
+        )
         comment = MISSING_ARMS_COMMENT if arms is None else ""
-        yield _Line(f"tendon.{tendon['name']}", f"{{ {', '.join(words)} }}", comment)
+        yield _SectionLine(f"tendon.{tendon['name']}", f"{{ {', '.join(words)} }}", comment)
     for motor in dict.fromkeys(tendon["motor"] for tendon in tendons):
         node = nodes[bus]
         words = [f'bus = "{_bus_name(bus)}"'] if bus else []
-        words.append(f'node_id = "{UNMEASURED}"' if node is None else f"node_id = {node}")
-        comment = f"{UNMEASURED} set: {_meaning(Motor, 'node_id')}" if node is None else ""
-        yield _Line(f"motor.{motor}", f"{{ {', '.join(words)} }}", comment)
+        words.append(f'node_id = "{UNMEASURED_PLACEHOLDER}"' if node is None else f"node_id = {node}")
+        comment = f"{UNMEASURED_PLACEHOLDER} set: {_key_meaning(Motor, 'node_id')}" if node is None else ""
+        yield _SectionLine(f"motor.{motor}", f"{{ {', '.join(words)} }}", comment)
         if node is not None:
             nodes[bus] = node + 1
 
 
-def _tendon_lines(answers: TendonAnswers) -> Iterable[_Line]:
+def _tendon_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the values that all tendons have in common."""
     tension = answers.tension_N
     given: dict[str, float | None] = {
@@ -403,10 +415,10 @@ def _tendon_lines(answers: TendonAnswers) -> Iterable[_Line]:
         "drive_limit_N": None if tension is None else DRIVE_LIMIT_RATIO * tension,
     }
     for key, value in given.items():
-        yield _todo(Tendon, key) if value is None else _Line(key, _number(value))
+        yield _todo_line(Tendon, key) if value is None else _SectionLine(key, _number_text(value))
 
 
-def _motor_lines(answers: TendonAnswers) -> Iterable[_Line]:
+def _motor_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
     """Yield lines for the values that all motors have in common."""
     torque = None
     if answers.tension_N is not None and answers.spool_mm is not None:
@@ -414,12 +426,12 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_Line]:
     given: dict[str, str | None] = {
         "protocol": None if answers.protocol is None else f'"{answers.protocol}"',
         "bus": '"main"',
-        "spool_radius_m": None if answers.spool_mm is None else _number(1e-3 * answers.spool_mm),
+        "spool_radius_m": None if answers.spool_mm is None else _number_text(1e-3 * answers.spool_mm),
         "inertia_kg_m2": None,
         "viscous_N_m_s_per_rad": None,
         "coulomb_N_m": None,
         "torque_constant_N_m_per_A": None,
-        "torque_max_N_m": None if torque is None else _number(torque),
+        "torque_max_N_m": None if torque is None else _number_text(torque),
         "torque_peak_N_m": None,
         "position_range_rad": None,
         "velocity_range_rad_s": None,
@@ -429,63 +441,65 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_Line]:
     }
     found = {"direction": "commission finds it", "zero_rad": "commission measures it"}
     for key, value in given.items():
-        yield _todo(Motor, key) if value is None else _Line(key, value, found.get(key, ""))
+        yield _todo_line(Motor, key) if value is None else _SectionLine(key, value, found.get(key, ""))
 
 
-def _todo(section: type[Section], key: str) -> _Line:
+def _todo_line(section: type[Section], key: str) -> _SectionLine:
     """Return the line of a key whose value is missing, with ``"TODO"`` as its value."""
     verb = "set" if key in CHOSEN_KEYS else "measure"
-    return _Line(key, f'"{UNMEASURED}"', f"{UNMEASURED} {verb}: {_meaning(section, key)}")
+    return _SectionLine(
+        key, f'"{UNMEASURED_PLACEHOLDER}"', f"{UNMEASURED_PLACEHOLDER} {verb}: {_key_meaning(section, key)}"
+    )
 
 
-def _meaning(section: type[Section], key: str) -> str:
+def _key_meaning(section: type[Section], key: str) -> str:
     """Return the first sentence of the description of a key."""
     return first_sentence(key_description(section, key))
 
 
-def _section(name: str, lines: Iterable[_Line]) -> str:
+def _section_text(name: str, lines: Iterable[_SectionLine]) -> str:
     """Return the text of a section, or an empty text if there are no lines."""
     return "\n".join([f"[{name}]", *map(str, lines)])
 
 
-def _short(name: str, digit: str) -> str:
+def _short_name(name: str, digit: str) -> str:
     """Return the short name of a tendon or motor, without the name of its digit."""
     short = name.removeprefix(f"{digit}_")
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in short)
 
 
-def _moments(inertia: Array) -> Array:
+def _inertia_moments(inertia: Array) -> Array:
     """Return the three moments of an inertia (3, 3) [kg m2], followed by three products if they are not zero."""
     mixed = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
     principal = np.diag(inertia)
     return principal if np.abs(mixed).max() < 1e-9 * principal.max() else np.concatenate((principal, mixed))
 
 
-def _degrees(rotation: Array) -> str:
+def _rpy_deg_text(rotation: Array) -> str:
     """Return the text of roll, pitch and yaw [deg] of a rotation (3, 3)."""
-    return _numbers(np.degrees(rpy_of(rotation)))
+    return _number_list_text(np.degrees(rpy_of_rotation(rotation)))
 
 
-def _number(value: float) -> str:
+def _number_text(value: float) -> str:
     """Return the text of a number with ten significant digits."""
     number = float(f"{value:.10g}")
-    return repr(0.0 if abs(number) < 10.0**-DECIMALS else number)
+    return repr(0.0 if abs(number) < 10.0**-WRITTEN_DECIMALS else number)
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _number_list_text(values: Iterable[float]) -> str:
     """Return the text of a list of numbers."""
-    return "[" + ", ".join(_number(float(value)) for value in values) + "]"
+    return "[" + ", ".join(_number_text(float(value)) for value in values) + "]"
 
 
-def _rows(rows: Iterable[Iterable[float]]) -> str:
+def _number_rows_text(rows: Iterable[Iterable[float]]) -> str:
     """Return the text of a list of lists of numbers."""
-    return "[" + ", ".join(_numbers(row) for row in rows) + "]"
+    return "[" + ", ".join(_number_list_text(row) for row in rows) + "]"
 
 
-def _table(values: Mapping[str, float]) -> str:
+def _inline_table_text(values: Mapping[str, float]) -> str:
     """Return the text of an inline table of numbers, without the braces."""
-    return ", ".join(f"{key} = {_number(value)}" for key, value in values.items())
+    return ", ".join(f"{key} = {_number_text(value)}" for key, value in values.items())
 
 
-ANSWERS = tuple(one.name for one in fields(TendonAnswers))
+ANSWER_NAMES = tuple(one.name for one in fields(TendonAnswers))
 """Names of all answers of the user."""

@@ -14,16 +14,16 @@ from handctl.hand.file.templates import (
     KEYS_ONE_FOR_ALL_LINKS,
     RESOLVED_SCHEMA,
     SECTION_KINDS,
-    TEMPLATES,
+    TEMPLATE_KEYS,
     WORD_FOR_ALL,
     WRITTEN_SCHEMA,
 )
 
 SCHEMA_DRAFT = "http://json-schema.org/draft-07/schema#"
 """Identifier of the version of JSON Schema. TOML editors support this version."""
-DEFINITIONS = {"digit": "Digit", "tendon": "Tendon", "motor": "Motor"}
+SECTION_DEFINITIONS = {"digit": "Digit", "tendon": "Tendon", "motor": "Motor"}
 """Name of the schema's definition for each kind of section."""
-VALUES = {kind: f"{name}Values" for kind, name in DEFINITIONS.items()}
+VALUE_DEFINITIONS = {kind: f"{name}Values" for kind, name in SECTION_DEFINITIONS.items()}
 """Name of the schema's definition for a default, a template, or a table within a digit, of each kind."""
 
 
@@ -35,19 +35,19 @@ def hand_schema() -> dict[str, Any]:
     """
     schema = Hand.model_json_schema(by_alias=True, schema_generator=DescribedSchema)
     definitions = schema["definitions"] = schema.pop("$defs")
-    for kind, name in DEFINITIONS.items():
+    for kind, name in SECTION_DEFINITIONS.items():
         definition = definitions[name]
         if kind == "digit":
             _extend_digit(definition)
         definition["properties"]["template"] = {
             "type": "string",
-            "description": f"Name of a table [{TEMPLATES[kind]}.NAME] with values that this section does not have.",
+            "description": f"Name of a table [{TEMPLATE_KEYS[kind]}.NAME] with values that this section does not have.",
         }
         definition["required"] = ["name"]
         values = deepcopy(definition)
         del values["required"], values["properties"]["name"]
-        values["title"] = VALUES[kind]
-        definitions[VALUES[kind]] = values
+        values["title"] = VALUE_DEFINITIONS[kind]
+        definitions[VALUE_DEFINITIONS[kind]] = values
     node = definitions["SensorNode"]["properties"]
     for key in ("tendons", "joints"):
         node[key] = {"description": node[key].pop("description"), "anyOf": [{"const": WORD_FOR_ALL}, node[key]]}
@@ -56,10 +56,10 @@ def hand_schema() -> dict[str, Any]:
     properties["default"] = {
         "type": "object",
         "description": "Values of all digits, tendons or motors that do not have their own.",
-        "properties": {kind: _reference_to(VALUES[kind]) for kind in SECTION_KINDS},
+        "properties": {kind: _reference_to(VALUE_DEFINITIONS[kind]) for kind in SECTION_KINDS},
         "additionalProperties": False,
     }
-    for kind, key in TEMPLATES.items():
+    for kind, key in TEMPLATE_KEYS.items():
         properties[key] = _table_array_schema(kind, f"Values of each {kind} that names the template.")
     optional = (*DIGIT_KINDS, "sensor_node")
     schema["required"] = [key for key in schema["required"] if key not in optional]
@@ -84,7 +84,11 @@ def _extend_digit(definition: dict[str, Any]) -> None:
 
 def _table_array_schema(kind: str, description: str) -> dict[str, Any]:
     """Return the JSON Schema of a table of named tables of one kind."""
-    return {"type": "object", "description": description, "additionalProperties": _reference_to(VALUES[kind])}
+    return {
+        "type": "object",
+        "description": description,
+        "additionalProperties": _reference_to(VALUE_DEFINITIONS[kind]),
+    }
 
 
 def _reference_to(name: str) -> dict[str, Any]:

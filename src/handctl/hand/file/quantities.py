@@ -13,14 +13,14 @@ from typing import Annotated, Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-COEFFICIENTS = 6
+POLYNOMIAL_COEFFICIENTS = 6
 """Number of coefficients of the polynomial of each moment arm.
 
 Their units are [m], [m/rad], [m/rad^2] and so on.
 """
 NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """Pattern of valid names of hands, digits, tendons, motors, and buses."""
-UNMEASURED = "TODO"
+UNMEASURED_PLACEHOLDER = "TODO"
 """Placeholder for a value that is not yet measured or chosen.
 
 The checks refuse this text for every key.
@@ -36,7 +36,7 @@ def validation_error(right: str) -> PydanticCustomError:
 
 
 @dataclass(frozen=True, eq=False)
-class Checked:
+class CheckedType:
     """Validation of one type of value. pydantic calls ``check``, and editors use ``schema``.
 
     Attributes:
@@ -57,7 +57,7 @@ class Checked:
 
 
 @dataclass(frozen=True)
-class Range:
+class NumberRange:
     """Check of a finite real number within [low, high]. The result is a float.
 
     Attributes:
@@ -88,34 +88,34 @@ class Range:
         return {"type": "number", "minimum": self.low, "maximum": self.high}
 
 
-def in_range(low: float, high: float, unit: str = "", hint: str = "") -> Checked:
-    """Return the validation of a number within [low, high], see ``Range``."""
-    number = Range(low, high, unit, hint)
-    return Checked(number, number.schema)
+def in_range(low: float, high: float, unit: str = "", hint: str = "") -> CheckedType:
+    """Return the validation of a number within [low, high], see ``NumberRange``."""
+    number = NumberRange(low, high, unit, hint)
+    return CheckedType(number, number.schema)
 
 
-def whole_in_range(low: int, high: int) -> Checked:
+def whole_in_range(low: int, high: int) -> CheckedType:
     """Return the validation of an integer within [low, high]."""
 
-    def check(value: Any) -> int:
+    def check_value(value: Any) -> int:
         """Return the value if it is valid."""
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             raise validation_error(f"a whole number from {low} to {high}")
         return value
 
-    return Checked(check, {"type": "integer", "minimum": low, "maximum": high})
+    return CheckedType(check_value, {"type": "integer", "minimum": low, "maximum": high})
 
 
-def one_of(*words: str) -> Checked:
+def one_of(*words: str) -> CheckedType:
     """Return the validation of a text that must be one of the given words."""
 
-    def check(value: Any) -> str:
+    def check_value(value: Any) -> str:
         """Return the value if it is one of the given words."""
         if not isinstance(value, str) or value not in words:
             raise validation_error(" or ".join(f'"{word}"' for word in words))
         return value
 
-    return Checked(check, {"enum": list(words)})
+    return CheckedType(check_value, {"enum": list(words)})
 
 
 def _check_direction(value: Any) -> int:
@@ -127,7 +127,7 @@ def _check_direction(value: Any) -> int:
 
 def _check_name(value: Any) -> str:
     """Return the value if it is a valid name."""
-    if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value) or value == UNMEASURED:
+    if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value) or value == UNMEASURED_PLACEHOLDER:
         raise validation_error("a name of letters, digits and _ that begins with a letter")
     return value
 
@@ -150,19 +150,19 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
     return value
 
 
-def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> Checked:
-    """Return the validation of a number that is 0 or within [low, high], see ``Range``."""
-    number = Range(low, high, unit, hint)
+def zero_or_in_range(low: float, high: float, unit: str, hint: str) -> CheckedType:
+    """Return the validation of a number that is 0 or within [low, high], see ``NumberRange``."""
+    number = NumberRange(low, high, unit, hint)
 
-    def check(value: Any) -> float:
+    def check_value(value: Any) -> float:
         """Return the value as a float."""
         zero = isinstance(value, int | float) and not isinstance(value, bool) and value == 0
         return 0.0 if zero else number(value)
 
-    return Checked(check, {"anyOf": [{"const": 0}, number.schema]})
+    return CheckedType(check_value, {"anyOf": [{"const": 0}, number.schema]})
 
 
-def number_or_list(number: Range, entry: Range, *counts: int) -> Checked:
+def number_or_list(number: NumberRange, entry: NumberRange, *counts: int) -> CheckedType:
     """Return the validation of a value that may be a number or a list of numbers.
 
     Args:
@@ -172,7 +172,7 @@ def number_or_list(number: Range, entry: Range, *counts: int) -> Checked:
     """
     right = f"a number, or a list of {' or '.join(str(count) for count in counts)} numbers"
 
-    def check(value: Any) -> float | tuple[float, ...]:
+    def check_value(value: Any) -> float | tuple[float, ...]:
         """Return the number as a float, or the list as a tuple of floats."""
         if not isinstance(value, list | tuple):
             return number(value)
@@ -181,16 +181,16 @@ def number_or_list(number: Range, entry: Range, *counts: int) -> Checked:
         return tuple(entry(one) for one in value)
 
     lists = [{"type": "array", "items": entry.schema, "minItems": count, "maxItems": count} for count in counts]
-    return Checked(check, {"anyOf": [number.schema, *lists]})
+    return CheckedType(check_value, {"anyOf": [number.schema, *lists]})
 
 
-MOMENT_ARM_RANGE = Range(-0.05, 0.05, "m", "in metres?")
+MOMENT_ARM_RANGE = NumberRange(-0.05, 0.05, "m", "in metres?")
 """Range of a constant moment arm of a tendon at a joint."""
 
 
 ARM_FORMS = "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }"
 """Valid forms of a moment arm that depends on the joint angle, for messages."""
-MAX_TABLE = 1000
+MAX_TABLE_ENTRIES = 1000
 """Largest number of entries in a table of moment arms."""
 
 
@@ -201,11 +201,13 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
     if not isinstance(value, Mapping):
         return MOMENT_ARM_RANGE(value)
     if set(value) == {"polynomial_m"}:
-        return {"polynomial_m": _numbers(value["polynomial_m"], "polynomial_m", 1, COEFFICIENTS, 1.0)}
+        return {
+            "polynomial_m": _checked_numbers(value["polynomial_m"], "polynomial_m", 1, POLYNOMIAL_COEFFICIENTS, 1.0)
+        }
     if set(value) != {"angle_deg", "arm_m"}:
         raise validation_error(ARM_FORMS)
-    angle = _numbers(value["angle_deg"], "angle_deg", 2, MAX_TABLE, 360.0)
-    arm = _numbers(value["arm_m"], "arm_m", 2, MAX_TABLE, MOMENT_ARM_RANGE.high)
+    angle = _checked_numbers(value["angle_deg"], "angle_deg", 2, MAX_TABLE_ENTRIES, 360.0)
+    arm = _checked_numbers(value["arm_m"], "arm_m", 2, MAX_TABLE_ENTRIES, MOMENT_ARM_RANGE.high)
     if len(angle) != len(arm):
         raise validation_error(f"an arm_m for each angle_deg, and there are {len(arm)} for {len(angle)}")
     if any(after <= before for before, after in pairwise(angle)):
@@ -213,7 +215,7 @@ def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
     return {"angle_deg": angle, "arm_m": arm}
 
 
-def _numbers(values: Any, key: str, least: int, most: int, largest: float) -> tuple[float, ...]:
+def _checked_numbers(values: Any, key: str, least: int, most: int, largest: float) -> tuple[float, ...]:
     """Return the list at a key, if it has ``least`` to ``most`` numbers from ``-largest`` to ``largest``."""
     right = f"{least} to {most} numbers from {-largest:g} to {largest:g} in {key}"
     if not isinstance(values, list | tuple) or not least <= len(values) <= most:
@@ -225,7 +227,7 @@ def _numbers(values: Any, key: str, least: int, most: int, largest: float) -> tu
 
 
 def _list_schema(least: int, most: int, largest: float) -> dict[str, Any]:
-    """Return the JSON Schema of a list that ``_numbers`` accepts."""
+    """Return the JSON Schema of a list that ``_checked_numbers`` accepts."""
     entry = {"type": "number", "minimum": -largest, "maximum": largest}
     return {"type": "array", "items": entry, "minItems": least, "maxItems": most}
 
@@ -237,17 +239,20 @@ def _table_schema(**lists: dict[str, Any]) -> dict[str, Any]:
 
 ARM_SCHEMA = {"anyOf": [
     MOMENT_ARM_RANGE.schema,
-    _table_schema(polynomial_m=_list_schema(1, COEFFICIENTS, 1.0)),
-    _table_schema(angle_deg=_list_schema(2, MAX_TABLE, 360.0), arm_m=_list_schema(2, MAX_TABLE, MOMENT_ARM_RANGE.high)),
+    _table_schema(polynomial_m=_list_schema(1, POLYNOMIAL_COEFFICIENTS, 1.0)),
+    _table_schema(
+        angle_deg=_list_schema(2, MAX_TABLE_ENTRIES, 360.0),
+        arm_m=_list_schema(2, MAX_TABLE_ENTRIES, MOMENT_ARM_RANGE.high),
+    ),
 ]}  # fmt: skip
 
 
-Name = Annotated[str, Checked(_check_name, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})]
-Text = Annotated[str, Checked(_check_text, {"type": "string"})]
-Direction = Annotated[int, Checked(_check_direction, {"enum": [1, -1]})]
+Name = Annotated[str, CheckedType(_check_name, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})]
+Text = Annotated[str, CheckedType(_check_text, {"type": "string"})]
+Direction = Annotated[int, CheckedType(_check_direction, {"enum": [1, -1]})]
 Options = Annotated[
     dict[str, bool | int | float | str],
-    Checked(_check_options, {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}}),
+    CheckedType(_check_options, {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}}),
 ]
 
 MotorControl = Annotated[str, one_of("torque", "position")]
@@ -258,16 +263,18 @@ Length = Annotated[float, zero_or_in_range(1e-3, 0.2, "m", "in metres?")]
 """Length of a link. The length is 0 if the axes of two joints intersect."""
 CentreOfMass = Annotated[
     float | tuple[float, float, float],
-    number_or_list(Range(0.0, 0.2, "m", "in metres?"), Range(-0.2, 0.2, "m", "in metres?"), 3),
+    number_or_list(NumberRange(0.0, 0.2, "m", "in metres?"), NumberRange(-0.2, 0.2, "m", "in metres?"), 3),
 ]
-Direction3 = Annotated[float, in_range(-1.0, 1.0)]
+DirectionComponent = Annotated[float, in_range(-1.0, 1.0)]
 Radius = Annotated[float, in_range(5e-4, 0.05, "m", "in metres?")]
-MomentArm = Annotated[float | dict[str, tuple[float, ...]], Checked(_check_moment_arm, ARM_SCHEMA)]
+MomentArm = Annotated[float | dict[str, tuple[float, ...]], CheckedType(_check_moment_arm, ARM_SCHEMA)]
 Position = Annotated[float, in_range(-0.5, 0.5, "m", "in metres?")]
 Mass = Annotated[float, in_range(1e-5, 0.5, "kg", "in kilograms?")]
 LinkInertia = Annotated[
     float | tuple[float, ...],
-    number_or_list(Range(1e-12, 1e-3, "kg m2", "in kg m2?"), Range(-1e-3, 1e-3, "kg m2", "in kg m2?"), 3, 6),
+    number_or_list(
+        NumberRange(1e-12, 1e-3, "kg m2", "in kg m2?"), NumberRange(-1e-3, 1e-3, "kg m2", "in kg m2?"), 3, 6
+    ),
 ]
 Armature = Annotated[float, in_range(0.0, 1e-3, "kg m2", "in kg m2?")]
 MotorInertia = Annotated[float, in_range(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
@@ -300,9 +307,9 @@ JointAcceleration = Annotated[float, in_range(10.0, 1e6, "deg/s2", "in degrees?"
 TensionRate = Annotated[float, in_range(1.0, 1e5, "N/s")]
 StaleTime = Annotated[float, in_range(1.0, 60_000.0, "ms", "in milliseconds?")]
 # Smallest and largest accepted bit rate of classical CAN and of the data phase of CAN FD [bit/s].
-SLOWEST_BUS = 10_000
-FASTEST_BUS = 8_000_000
-Bitrate = Annotated[int, whole_in_range(SLOWEST_BUS, FASTEST_BUS)]
+MIN_BITRATE_BIT_S = 10_000
+MAX_BITRATE_BIT_S = 8_000_000
+Bitrate = Annotated[int, whole_in_range(MIN_BITRATE_BIT_S, MAX_BITRATE_BIT_S)]
 NodeId = Annotated[int, whole_in_range(1, 0x7F)]
 CanId = Annotated[int, whole_in_range(1, 0x7FF)]
 AmplifierId = Annotated[int, whole_in_range(1, 0x7E)]

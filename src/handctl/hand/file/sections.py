@@ -240,7 +240,7 @@ class Digit(Section):
 
     It is 0 if the axes of the two joints meet.
     """
-    joint_axis: tuple[tuple[qty.Direction3, qty.Direction3, qty.Direction3], ...] | None = None
+    joint_axis: tuple[tuple[qty.DirectionComponent, qty.DirectionComponent, qty.DirectionComponent], ...] | None = None
     """Axis of each hinge, as a unit vector in the frame of its link.
 
     If absent, all hinges are along z, [0, 0, 1].

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from handctl.hand.file.descriptions import key_description
-from handctl.hand.file.error_text import Mistake, first_sentence
+from handctl.hand.file.error_text import FileMistake, first_sentence
 from handctl.hand.file.sections import CIA404, CIA404_KEYS, HANDCTL_NODE, HANDCTL_NODE_KEYS, SensorNode
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ MAX_COUNT = (1 << 31) - 1
 """Largest value of the CANopen type INTEGER32."""
 
 
-def check_sensor_node(hand: Hand) -> Iterator[Mistake]:
+def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
     """Yield the mistakes of the section ``sensor_node`` that concern several keys."""
     node = hand.sensor_node
     foreign, protocol = (HANDCTL_NODE_KEYS, HANDCTL_NODE) if node.is_cia404 else (CIA404_KEYS, CIA404)
@@ -35,7 +35,7 @@ def check_sensor_node(hand: Hand) -> Iterator[Mistake]:
         value = getattr(node, key)
         if key in node.model_fields_set and value != ():
             right = f'no such key, it belongs to protocol = "{protocol}"'
-            yield Mistake("given", f"sensor_node.{key}", right)
+            yield FileMistake("given", f"sensor_node.{key}", right)
     if node.is_cia404:
         yield from _check_amplifiers(node)
         yield from _check_range(hand)
@@ -43,41 +43,41 @@ def check_sensor_node(hand: Hand) -> Iterator[Mistake]:
     for key in ("sync_id", *HANDCTL_NODE_KEYS):
         if key not in node.model_fields_set:
             meaning = first_sentence(key_description(SensorNode, key))
-            yield Mistake("missing", f"sensor_node.{key}", f"a value: {meaning}")
+            yield FileMistake("missing", f"sensor_node.{key}", f"a value: {meaning}")
 
 
-def _check_amplifiers(node: SensorNode) -> Iterator[Mistake]:
+def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
     """Check the SYNC identifier and the node numbers, and that the amplifiers have a channel for each load cell."""
     if node.sync_id != CANOPEN_SYNC:
-        yield Mistake(f"0x{node.sync_id:X}", "sensor_node.sync_id", f"0x{CANOPEN_SYNC:03X}, the SYNC of CANopen")
+        yield FileMistake(f"0x{node.sync_id:X}", "sensor_node.sync_id", f"0x{CANOPEN_SYNC:03X}, the SYNC of CANopen")
     where = "sensor_node.node_ids"
     twice = sorted({number for number in node.node_ids if node.node_ids.count(number) > 1})
     if twice:
-        yield Mistake(f"0x{twice[0]:X} twice", where, "every node number once")
+        yield FileMistake(f"0x{twice[0]:X} twice", where, "every node number once")
     cells, room = len(node.tendons), len(node.node_ids) * node.channels_per_node
     if cells > room:
         what = f"{len(node.node_ids)} amplifiers of {node.channels_per_node} channels for {cells} load cells"
-        yield Mistake(what, where, f"room for {cells} load cells, or another channels_per_node")
+        yield FileMistake(what, where, f"room for {cells} load cells, or another channels_per_node")
     elif 0 in node.amplifier_channels:
         unused = node.node_ids[node.amplifier_channels.index(0)]
-        yield Mistake(f"0x{unused:X} has no load cell", where, "only amplifiers with a load cell of tendons")
+        yield FileMistake(f"0x{unused:X} has no load cell", where, "only amplifiers with a load cell of tendons")
 
 
-def _check_range(hand: Hand) -> Iterator[Mistake]:
+def _check_range(hand: Hand) -> Iterator[FileMistake]:
     """Check that the largest tension is within the measuring range, and that the process value can hold the range."""
     node, where = hand.sensor_node, "sensor_node.range_N"
     if node.range_N is None:
-        yield Mistake("missing", where, "a value: rated load of the load cells [N]")
+        yield FileMistake("missing", where, "a value: rated load of the load cells [N]")
         return
     measured = [tendon for tendon in hand.tendon if tendon.name in node.tendons]
     strongest = max(measured, key=lambda tendon: tendon.drive_limit_N, default=None)
     if strongest is not None and node.range_N < strongest.drive_limit_N + TARE_MARGIN_N:
         needed = strongest.drive_limit_N + TARE_MARGIN_N
         right = f"at least {needed:g} N: drive_limit_N of {strongest.name}, and {TARE_MARGIN_N:g} N for the tare"
-        yield Mistake(f"{node.range_N:g}", where, right)
+        yield FileMistake(f"{node.range_N:g}", where, right)
     if node.process_value == "int32" and node.range_N * 10**node.decimal_digits > MAX_COUNT:
         what = f"{node.range_N:g} N has more than 32 bits with {node.decimal_digits} digits"
-        yield Mistake(what, "sensor_node.decimal_digits", "fewer digits")
+        yield FileMistake(what, "sensor_node.decimal_digits", "fewer digits")
 
 
 def amplifier_identifiers(node: SensorNode) -> Iterator[tuple[int, str]]:

@@ -19,7 +19,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from handctl.hand.file.checks import KEYS_PER_LINK
-from handctl.hand.file.error_text import Mistake, most_similar_key, toml_spelling
+from handctl.hand.file.error_text import FileMistake, most_similar_key, toml_spelling
 
 RESOLVED_SCHEMA = 1
 """Schema number of a hand file in which every section has all its values."""
@@ -29,7 +29,7 @@ SECTION_KINDS = ("digit", "tendon", "motor")
 """Kinds of section that can have defaults and templates."""
 DIGIT_KINDS = ("tendon", "motor")
 """Kinds of table that a digit may hold."""
-TEMPLATES = {kind: f"{kind}_template" for kind in SECTION_KINDS}
+TEMPLATE_KEYS = {kind: f"{kind}_template" for kind in SECTION_KINDS}
 """Name of the table that holds the templates of each kind of section."""
 KEYS_ONE_FOR_ALL_LINKS = (*KEYS_PER_LINK, "joint_rated_torque_N_m", "link_mesh_scale")
 """Keys of a digit that accept one number in place of a list with a value per link."""
@@ -44,22 +44,22 @@ MISSING_KEY_PATTERN = re.compile(r"(digit|tendon|motor)\[[^\]]*\]\.([A-Za-z_0-9]
 """Pattern of the key path of a key in a digit, tendon or motor."""
 SHORT_JOINT_PATTERN = re.compile(r"j[0-9]+")
 
-Table = Mapping[str, Any]
-Origins = dict[str, str]
+TableContent = Mapping[str, Any]
+KeyPathOrigins = dict[str, str]
 """Key path in the file of each value, by the key path of the value in the resolved content."""
 
 
-class Layer(NamedTuple):
+class ValueLayer(NamedTuple):
     """Values for a section from one place in the file, and the key path of this place.
 
     Values of later layers replace values of earlier ones.
     """
 
-    values: Table
+    values: TableContent
     path: str
 
 
-class Resolved(NamedTuple):
+class ResolvedContent(NamedTuple):
     """Result of the resolution of a hand file.
 
     Attributes:
@@ -69,23 +69,23 @@ class Resolved(NamedTuple):
     """
 
     content: dict[str, Any]
-    origins: Origins
-    mistakes: list[Mistake]
+    origins: KeyPathOrigins
+    mistakes: list[FileMistake]
 
 
-def resolve_templates(content: Table) -> Resolved:
+def resolve_templates(content: TableContent) -> ResolvedContent:
     """Replace defaults and templates by values. Content of schema 1 is not changed.
 
     A value that should be a section but is no table is not changed either. The later validation
     describes this mistake better.
     """
-    tables = [key for key in ("default", *TEMPLATES.values()) if key in content]
+    tables = [key for key in ("default", *TEMPLATE_KEYS.values()) if key in content]
     if content.get("schema") != WRITTEN_SCHEMA and not tables:
-        return Resolved(dict(content), {}, [])
-    resolver = _Resolver(content)
+        return ResolvedContent(dict(content), {}, [])
+    resolver = _TemplateResolver(content)
     if content.get("schema") != WRITTEN_SCHEMA:
-        resolver.mistakes.append(Mistake(f"the file has [{tables[0]}]", "schema", str(WRITTEN_SCHEMA)))
-    names = ("default", *TEMPLATES.values())
+        resolver.mistakes.append(FileMistake(f"the file has [{tables[0]}]", "schema", str(WRITTEN_SCHEMA)))
+    names = ("default", *TEMPLATE_KEYS.values())
     resolved = {key: value for key, value in content.items() if key not in names} | {"schema": RESOLVED_SCHEMA}
     resolver.check_tables()
     sections: dict[str, Any] = {kind: [] for kind in SECTION_KINDS}
@@ -95,7 +95,9 @@ def resolve_templates(content: Table) -> Resolved:
             sections[kind] = entries
             continue
         for position, entry in enumerate(entries):
-            sections[kind].append(resolver.entry(kind, [Layer(entry, f"{kind}[{_section_label(entry, position)}]")]))
+            sections[kind].append(
+                resolver.entry(kind, [ValueLayer(entry, f"{kind}[{_section_label(entry, position)}]")])
+            )
     for kind in DIGIT_KINDS:
         if isinstance(sections[kind], list):
             sections[kind] = resolver.of_digits[kind] + sections[kind]
@@ -104,17 +106,17 @@ def resolve_templates(content: Table) -> Resolved:
     node = content.get("sensor_node")
     if isinstance(node, Mapping):
         resolved["sensor_node"] = _expand_all_names(node, sections)
-    return Resolved(resolved, resolver.origins, resolver.mistakes)
+    return ResolvedContent(resolved, resolver.origins, resolver.mistakes)
 
 
-class _Resolver:
+class _TemplateResolver:
     """Resolution of one hand file: the content of the file, and the results so far."""
 
-    def __init__(self, content: Table) -> None:
+    def __init__(self, content: TableContent) -> None:
         """Start the resolution with the content of a hand file."""
         self.content = content
-        self.origins: Origins = {}
-        self.mistakes: list[Mistake] = []
+        self.origins: KeyPathOrigins = {}
+        self.mistakes: list[FileMistake] = []
         self.of_digits: dict[str, list[dict[str, Any]]] = {kind: [] for kind in DIGIT_KINDS}
 
     def check_tables(self) -> None:
@@ -125,15 +127,15 @@ class _Resolver:
         """
         default = self.content.get("default", {})
         if not isinstance(default, Mapping):
-            self.mistakes.append(Mistake(toml_spelling(default), "default", "a table"))
+            self.mistakes.append(FileMistake(toml_spelling(default), "default", "a table"))
             default = {}
         for kind in default:
             if kind not in SECTION_KINDS:
                 self.mistakes.append(
-                    Mistake("unknown key", f"default.{kind}", most_similar_key(kind, [*SECTION_KINDS]))
+                    FileMistake("unknown key", f"default.{kind}", most_similar_key(kind, [*SECTION_KINDS]))
                 )
         layers = [(f"default.{kind}", values) for kind, values in default.items()]
-        for key in TEMPLATES.values():
+        for key in TEMPLATE_KEYS.values():
             templates = self.content.get(key, {})
             if isinstance(templates, Mapping):
                 layers += [(f"{key}.{name}", values) for name, values in templates.items()]
@@ -141,12 +143,12 @@ class _Resolver:
                 layers.append((key, templates))
         for path, values in layers:
             if not isinstance(values, Mapping):
-                self.mistakes.append(Mistake(toml_spelling(values), path, "a table"))
+                self.mistakes.append(FileMistake(toml_spelling(values), path, "a table"))
                 continue
             for key in {"name", "template"} & values.keys():
-                self.mistakes.append(Mistake("unknown key", f"{path}.{key}", f"{key} in the section itself"))
+                self.mistakes.append(FileMistake("unknown key", f"{path}.{key}", f"{key} in the section itself"))
 
-    def entry(self, kind: str, own: Sequence[Layer], name: str | None = None) -> dict[str, Any]:
+    def entry(self, kind: str, own: Sequence[ValueLayer], name: str | None = None) -> dict[str, Any]:
         """Return one digit, tendon or motor with all its values.
 
         Args:
@@ -166,10 +168,10 @@ class _Resolver:
             self._resolve_digit(layers, values, path)
         return values
 
-    def shared(self, kind: str, own: Sequence[Layer]) -> Iterator[Layer]:
+    def shared(self, kind: str, own: Sequence[ValueLayer]) -> Iterator[ValueLayer]:
         """Yield the layers of the default of a kind, and of the template that a section names."""
         given = self.content.get("default")
-        default: Table = given if isinstance(given, Mapping) else {}
+        default: TableContent = given if isinstance(given, Mapping) else {}
         for key, values in default.items():
             # The default of a misspelt kind is used. Otherwise the values in it would also be
             # reported as missing.
@@ -177,24 +179,24 @@ class _Resolver:
                 key not in SECTION_KINDS and kind not in default and most_similar_key(key, [*SECTION_KINDS]) == kind
             )
             if isinstance(values, Mapping) and (key == kind or misspelt):
-                yield Layer(_without_entry_keys(values), f"default.{key}")
+                yield ValueLayer(_without_entry_keys(values), f"default.{key}")
         named = [layer for layer in own if "template" in layer.values]
         if not named:
             return
-        key = TEMPLATES[kind]
+        key = TEMPLATE_KEYS[kind]
         name = named[-1].values["template"]
         templates = self.content.get(key)
         valid = [*templates] if isinstance(templates, Mapping) else []
         if not isinstance(name, str) or name not in valid:
             right = most_similar_key(str(name), valid) if valid else f"the name of a table [{key}.NAME]"
-            self.mistakes.append(Mistake(toml_spelling(name), f"{named[-1].path}.template", right))
+            self.mistakes.append(FileMistake(toml_spelling(name), f"{named[-1].path}.template", right))
             # The most similar template is used. Otherwise the values in it would also be reported
             # as missing.
             name = right if right in valid else next(iter(valid), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
-            yield Layer(_without_entry_keys(templates[name]), f"{key}.{name}")
+            yield ValueLayer(_without_entry_keys(templates[name]), f"{key}.{name}")
 
-    def _resolve_digit(self, layers: Sequence[Layer], values: dict[str, Any], path: str) -> None:
+    def _resolve_digit(self, layers: Sequence[ValueLayer], values: dict[str, Any], path: str) -> None:
         """Take tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
         digit = values.get("name")
         inner = {kind: _template_layers_by_name(layers, kind) for kind in DIGIT_KINDS}
@@ -208,7 +210,7 @@ class _Resolver:
                 if isinstance(table, Mapping):
                     self.of_digits[kind].append(self._of_digit(kind, digit, name, inner[kind][name], inner["motor"]))
                 else:
-                    self.mistakes.append(Mistake(toml_spelling(table), where, "a table"))
+                    self.mistakes.append(FileMistake(toml_spelling(table), where, "a table"))
         links = values.get("link_length_m", [0.0])
         for key in KEYS_ONE_FOR_ALL_LINKS:
             value = values.get(key)
@@ -217,7 +219,9 @@ class _Resolver:
                 origin = self.origins[f"{path}.{key}"]
                 self.origins |= {f"{path}.{key}[{i}]": origin for i in range(len(links))}
 
-    def _of_digit(self, kind: str, digit: Any, name: str, own: list[Layer], motors: Table) -> dict[str, Any]:
+    def _of_digit(
+        self, kind: str, digit: Any, name: str, own: list[ValueLayer], motors: TableContent
+    ) -> dict[str, Any]:
         """Return a tendon or motor that a digit holds, with full names of itself, its motor and its joints.
 
         Args:
@@ -233,7 +237,7 @@ class _Resolver:
         self.origins[path] = own[0].path
         for layer in own:
             if "name" in layer.values:
-                self.mistakes.append(Mistake("unknown key", f"{layer.path}.name", f"none: the name is {full}"))
+                self.mistakes.append(FileMistake("unknown key", f"{layer.path}.name", f"none: the name is {full}"))
         if kind == "tendon":
             if values.get("motor") in motors:
                 values["motor"] = f"{digit}_{values['motor']}"
@@ -248,7 +252,7 @@ class _Resolver:
         return values
 
 
-def join_mistakes_of_default(mistakes: Iterable[Mistake], content: Table) -> list[Mistake]:
+def join_mistakes_of_default(mistakes: Iterable[FileMistake], content: TableContent) -> list[FileMistake]:
     """Join the mistakes about a key that is missing in all sections of a kind.
 
     The joined mistake says that the key is missing in the default.
@@ -260,16 +264,16 @@ def join_mistakes_of_default(mistakes: Iterable[Mistake], content: Table) -> lis
     found = list(mistakes)
     missing = [MISSING_KEY_PATTERN.fullmatch(mistake.where) if mistake.what == "missing" else None for mistake in found]
     counts = Counter(match.groups() for match in missing if match)
-    joined: dict[Mistake, None] = {}
+    joined: dict[FileMistake, None] = {}
     for mistake, match in zip(found, missing, strict=True):
         if match and counts[match.groups()] == len(_list_of_tables(content.get(match[1]))) > 1:
             right = f"a value, there or in each {match[1]}" + mistake.right.removeprefix("a value")
-            mistake = Mistake("missing", f"default.{match[1]}.{match[2]}", right)
+            mistake = FileMistake("missing", f"default.{match[1]}.{match[2]}", right)
         joined[mistake] = None
     return list(joined)
 
 
-def _merge_layers(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], Origins]:
+def _merge_layers(layers: Sequence[ValueLayer], depth: int) -> tuple[dict[str, Any], KeyPathOrigins]:
     """Merge layers. Values of later layers replace those of earlier ones, and tables are merged key by key.
 
     Returns:
@@ -277,9 +281,9 @@ def _merge_layers(layers: Sequence[Layer], depth: int) -> tuple[dict[str, Any], 
         section.
     """
     values: dict[str, Any] = {}
-    origins: Origins = {}
+    origins: KeyPathOrigins = {}
     for key in dict.fromkeys(key for layer in layers for key in layer.values):
-        given = [Layer(layer.values[key], f"{layer.path}.{key}") for layer in layers if key in layer.values]
+        given = [ValueLayer(layer.values[key], f"{layer.path}.{key}") for layer in layers if key in layer.values]
         value, path = given[-1]
         origins[key] = path
         if isinstance(value, Mapping) and depth > 0:
@@ -294,18 +298,18 @@ def _copy_list(value: Any) -> Any:
     return [_copy_list(entry) for entry in value] if isinstance(value, list) else value
 
 
-def _template_layers_by_name(layers: Sequence[Layer], kind: str) -> dict[str, list[Layer]]:
+def _template_layers_by_name(layers: Sequence[ValueLayer], kind: str) -> dict[str, list[ValueLayer]]:
     """Return the layers of each tendon or motor that a digit holds, by its short name."""
-    held: dict[str, list[Layer]] = {}
+    held: dict[str, list[ValueLayer]] = {}
     for layer in layers:
         tables = layer.values.get(kind)
         for name, table in tables.items() if isinstance(tables, Mapping) else ():
             if isinstance(table, Mapping):
-                held.setdefault(name, []).append(Layer(table, f"{layer.path}.{kind}.{name}"))
+                held.setdefault(name, []).append(ValueLayer(table, f"{layer.path}.{kind}.{name}"))
     return held
 
 
-def _expand_all_names(node: Table, sections: Table) -> dict[str, Any]:
+def _expand_all_names(node: TableContent, sections: TableContent) -> dict[str, Any]:
     """Return the sensor node with the names that ``"all"`` stands for."""
     names = {
         "tendons": [tendon.get("name") for tendon in _list_of_tables(sections["tendon"])],
@@ -319,7 +323,7 @@ def _expand_all_names(node: Table, sections: Table) -> dict[str, Any]:
     return dict(node) | {key: names[key] for key in names if node.get(key) == WORD_FOR_ALL}
 
 
-def _without_entry_keys(values: Table) -> dict[str, Any]:
+def _without_entry_keys(values: TableContent) -> dict[str, Any]:
     """Return the values of a default or template, without the keys ``name`` and ``template``."""
     return {key: value for key, value in values.items() if key not in ("name", "template")}
 
@@ -329,12 +333,12 @@ def _is_list_of_tables(value: Any) -> bool:
     return isinstance(value, list | tuple) and all(isinstance(entry, Mapping) for entry in value)
 
 
-def _list_of_tables(value: Any) -> list[Table]:
+def _list_of_tables(value: Any) -> list[TableContent]:
     """Return a list of tables. For any other value, return an empty list."""
     return list(value) if _is_list_of_tables(value) else []
 
 
-def _section_label(entry: Table, position: int) -> str:
+def _section_label(entry: TableContent, position: int) -> str:
     """Return the name of a section for key paths. Without a name, return the section's position."""
     name = entry.get("name")
     return name if isinstance(name, str) and name else str(position)

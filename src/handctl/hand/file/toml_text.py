@@ -48,7 +48,7 @@ def _value_text(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return quoted(value)
+        return quoted_string(value)
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_key_text(key)} = {_value_text(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, list | tuple):
@@ -56,7 +56,7 @@ def _value_text(value: Any) -> str:
     return repr(value)
 
 
-def quoted(text: str) -> str:
+def quoted_string(text: str) -> str:
     """Return a text as a TOML basic string, with quotes.
 
     Characters without a UTF-8 encoding become the text of an escape sequence, because TOML has no
@@ -67,4 +67,4 @@ def quoted(text: str) -> str:
 
 def _key_text(key: str) -> str:
     """Return the text of a key, with quotes if they are necessary."""
-    return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else quoted(key)
+    return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else quoted_string(key)

@@ -10,12 +10,12 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
-from handctl.hand.file.error_text import Mistake
-from handctl.hand.file.mesh_values import SUFFIXES
+from handctl.hand.file.error_text import FileMistake
+from handctl.hand.file.mesh_values import MESH_SUFFIXES
 from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.link_bodies import rotation_rpy
+from handctl.hand.link_bodies import rotation_of_rpy
 
-PALM = "palm"
+PALM_LINK = "palm"
 """Link name of the palm."""
 LARGEST_EXTENT_M = 1.0
 """Largest extent of a mesh, and largest distance of its points from the origin of its link [m]."""
@@ -53,7 +53,7 @@ class LinkMesh:
     @property
     def rotation(self) -> Array:
         """Return the orientation of the mesh in the frame of its link, (3, 3)."""
-        return rotation_rpy(*np.radians(self.rpy_deg))
+        return rotation_of_rpy(*np.radians(self.rpy_deg))
 
     @property
     def suffix(self) -> str:
@@ -65,31 +65,31 @@ class LinkMesh:
         return np.asarray(triangles * self.scale @ self.rotation.T + self.position)
 
 
-def meshes_of(hand: Hand) -> tuple[LinkMesh, ...]:
+def meshes_of_hand(hand: Hand) -> tuple[LinkMesh, ...]:
     """Return the meshes of a hand, first the mesh of the palm."""
     mount = hand.mount
     meshes = []
     if mount.palm_mesh:
         pose = (mount.palm_mesh_scale, mount.palm_mesh_position_m, mount.palm_mesh_rpy_deg)
-        meshes.append(_mesh(PALM, "mount.palm_mesh", mount.palm_mesh, *pose))
+        meshes.append(_link_mesh(PALM_LINK, "mount.palm_mesh", mount.palm_mesh, *pose))
     for digit in hand.digit:
         for i, file in enumerate(digit.link_mesh or ()):
             if file:
                 keys = (digit.link_mesh_scale, digit.link_mesh_position_m, digit.link_mesh_rpy_deg)
                 pose_of_link = [None if values is None else values[i] for values in keys]
                 key = f"digit[{digit.name}].link_mesh[{i}]"
-                meshes.append(_mesh(f"{digit.name}_link{i + 1}", key, file, *pose_of_link))
+                meshes.append(_link_mesh(f"{digit.name}_link{i + 1}", key, file, *pose_of_link))
     return tuple(meshes)
 
 
-def _mesh(link: str, key: str, file: str, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
+def _link_mesh(link: str, key: str, file: str, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
     """Return the mesh of a link, with default values for arguments that are None."""
     scale = 1.0 if scale is None else scale
     scales = (scale, scale, scale) if isinstance(scale, float) else scale
     return LinkMesh(link, key, file, scales, position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0))
 
 
-def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[Mistake]:
+def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[FileMistake]:
     """Yield a mistake for each mesh that cannot be shown, or whose size is not plausible.
 
     Args:
@@ -97,13 +97,13 @@ def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[Mistake]:
         folder: folder of the hand file.
     """
     triangles: dict[str, Array] = {}
-    for mesh in meshes_of(hand):
+    for mesh in meshes_of_hand(hand):
         try:
             if mesh.file not in triangles:
                 triangles[mesh.file] = read_triangles(folder / mesh.file)
         except ValueError as error:
             what, _, right = str(error).partition("; expected ")
-            yield Mistake(f'"{mesh.file}": {what}', mesh.key, right)
+            yield FileMistake(f'"{mesh.file}": {what}', mesh.key, right)
             continue
         yield from _size_mistakes(mesh, triangles[mesh.file])
 
@@ -115,8 +115,8 @@ def read_triangles(path: Path) -> Array:
         ValueError: the file is missing, unreadable, too large, or not a mesh. The message says
             which file is expected.
     """
-    if path.suffix.lower() not in SUFFIXES:
-        raise ValueError(f"a file of type {path.suffix or 'unknown'}; expected {' or '.join(SUFFIXES)}")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise ValueError(f"a file of type {path.suffix or 'unknown'}; expected {' or '.join(MESH_SUFFIXES)}")
     return mesh_triangles(_read_file(path), path.suffix)
 
 
@@ -136,7 +136,7 @@ def _read_file(path: Path) -> bytes:
         raise ValueError(f"cannot be read: {error.strerror}; expected a readable file") from None
 
 
-def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[Mistake]:
+def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
     """Check that the extent of a mesh and its distance from the link are plausible."""
     points = mesh.place(triangles).reshape(-1, 3)
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
@@ -149,15 +149,17 @@ def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[Mistake]:
             largest * MILLIMETRE_SCALE <= LARGEST_EXTENT_M and extent * MILLIMETRE_SCALE >= SMALLEST_EXTENT_M
         )
         hint = f"; {scale_key} = {MILLIMETRE_SCALE:g} if the mesh is in millimetres" if in_millimetres else ""
-        yield Mistake(f'"{mesh.file}": {what}', mesh.key, f"at most {LARGEST_EXTENT_M:g} m{hint}")
+        yield FileMistake(f'"{mesh.file}": {what}', mesh.key, f"at most {LARGEST_EXTENT_M:g} m{hint}")
     elif extent < SMALLEST_EXTENT_M:
         what = f"{extent:.3g} m long"
-        yield Mistake(f'"{mesh.file}": {what}', mesh.key, f"at least {SMALLEST_EXTENT_M:g} m; is {scale_key} right?")
+        yield FileMistake(
+            f'"{mesh.file}": {what}', mesh.key, f"at least {SMALLEST_EXTENT_M:g} m; is {scale_key} right?"
+        )
 
 
 def mesh_sizes(hand: Hand, folder: Path) -> dict[str, int]:
     """Return the size of each existing mesh file of a hand [bytes], by its path as written in the hand file."""
-    files = dict.fromkeys(mesh.file for mesh in meshes_of(hand))
+    files = dict.fromkeys(mesh.file for mesh in meshes_of_hand(hand))
     return {file: (folder / file).stat().st_size for file in files if (folder / file).is_file()}
 
 
@@ -178,7 +180,7 @@ def exported_meshes(hand: Hand, folder: Path, output: Path) -> dict[str, LinkMes
         folder: folder of the hand file.
         output: folder of the exported file.
     """
-    return {mesh.link: replace(mesh, file=path_from(folder / mesh.file, output)) for mesh in meshes_of(hand)}
+    return {mesh.link: replace(mesh, file=path_from(folder / mesh.file, output)) for mesh in meshes_of_hand(hand)}
 
 
 def path_from(path: Path, folder: Path) -> str:

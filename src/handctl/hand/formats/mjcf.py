@@ -16,7 +16,7 @@ from handctl.hand.formats.meshes import LinkMesh
 from handctl.hand.formats.numbers import number_text, numbers_text
 from handctl.hand.formats.urdf import NO_MESHES, palm_box, shape_length
 from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement
-from handctl.hand.link_frames import quaternion
+from handctl.hand.link_frames import quaternion_of_rotation
 
 STOP_SOLVER_PARAMETERS = ("0.002 1", "0.99 0.9999 0.001")
 """Values of ``solreflimit`` and ``solimplimit`` that make the joint stops stiff.
@@ -75,14 +75,14 @@ def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
     for i, joint in enumerate(digit.joints):
         position, rotation = link_placement(digit, i)
         # A quaternion of MuJoCo begins with w.
-        x, y, z, w = quaternion(rotation)
+        x, y, z, w = quaternion_of_rotation(rotation)
         place = {"pos": numbers_text(position), "quat": numbers_text((w, x, y, z))}
         link = ET.SubElement(parent, "body", place, name=f"{digit.name}_link{i + 1}")
         _add_hinge(link, digit, i, joint)
         _add_link_body(link, digit, i, shape_length(hand, digit, i))
         parent = link
     ET.SubElement(parent, "site", name=f"{digit.name}_tip", pos=numbers_text((digit.link_length_m[-1], 0.0, 0.0)))
-    if digit.name in hand.carriers:
+    if digit.name in hand.carrier_digits:
         _add_palm(parent, hand, digit.name)
 
 
@@ -140,7 +140,7 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
         ET.SubElement(assets, "mesh", name=link, file=mesh.file, scale=numbers_text(mesh.scale), inertia="shell")
         for geom in bodies[link].findall("geom"):
             geom.set("group", HIDDEN_GROUP)
-        x, y, z, w = quaternion(mesh.rotation)
+        x, y, z, w = quaternion_of_rotation(mesh.rotation)
         place = {"pos": numbers_text(mesh.position), "quat": numbers_text((w, x, y, z))}
         free = {"contype": "0", "conaffinity": "0", "mass": "0", "group": VISUAL_GROUP}
         ET.SubElement(bodies[link], "geom", place | free, type="mesh", mesh=link)

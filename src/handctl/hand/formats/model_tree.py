@@ -188,7 +188,7 @@ class ModelDigit:
 
 
 @dataclass(frozen=True)
-class _Chain:
+class _LinkChain:
     """Chain of links: its name, the index of the chain that carries it, and the indices of its links."""
 
     name: str
@@ -196,7 +196,7 @@ class _Chain:
     members: tuple[int, ...]
 
 
-def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit, ...], Array, Array]:
+def digits_of_links(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit, ...], Array, Array]:
     """Return the digits of a tree of links and the frame of the palm.
 
     Each digit comes after the digit that carries it.
@@ -215,8 +215,8 @@ def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit
     Raises:
         ConfigError: the description does not show where a digit ends.
     """
-    chains = list(_chains(links))
-    frames = _frames(links, chains, source)
+    chains = list(_link_chains(links))
+    frames = _link_frames(links, chains, source)
     palm, origin = _palm_frame(links, chains, frames)
     digits = []
     for chain in chains:
@@ -247,7 +247,7 @@ def digits_of(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit
     return tuple(digits), palm, origin
 
 
-def _chains(links: Sequence[ModelLink]) -> Iterator[_Chain]:
+def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
     """Yield the chains of a tree of links.
 
     A chain ends where the tree branches, and after ``MAX_LINKS`` links.
@@ -263,7 +263,7 @@ def _chains(links: Sequence[ModelLink]) -> Iterator[_Chain]:
             members += children[members[-1]]
         name = _digit_name([links[i] for i in members], names, count)
         names.add(name)
-        yield _Chain(name, carrier, tuple(members))
+        yield _LinkChain(name, carrier, tuple(members))
         waiting += [(i, count) for i in reversed(children[members[-1]])]
         count += 1
 
@@ -285,18 +285,20 @@ def _digit_name(links: Sequence[ModelLink], taken: set[str], count: int) -> str:
     return next(name for i in range(len(taken) + 1) if (name := f"digit_{count + 1 + i}") not in taken)
 
 
-def _frames(links: Sequence[ModelLink], chains: Sequence[_Chain], source: str) -> dict[int, tuple[Array, float]]:
+def _link_frames(
+    links: Sequence[ModelLink], chains: Sequence[_LinkChain], source: str
+) -> dict[int, tuple[Array, float]]:
     """Return the new frame of each link, (3, 3) in the frame of the description, and the length of the link [m]."""
     frames = {}
     for chain in chains:
         for i, following in zip(chain.members, chain.members[1:], strict=False):
-            frames[i] = _frame(links[i], links[following].position, last=False)
+            frames[i] = _link_frame(links[i], links[following].position, last=False)
         last = chain.members[-1]
-        frames[last] = _frame(links[last], _end(links, last, f"{source}: digit {chain.name}"), last=True)
+        frames[last] = _link_frame(links[last], _link_end(links, last, f"{source}: digit {chain.name}"), last=True)
     return frames
 
 
-def _frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
+def _link_frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
     """Return a frame for a link with the x axis towards the link's end, and the length of the link [m]."""
     length = float(np.linalg.norm(end))
     if length < INTERSECTION_TOLERANCE_M:
@@ -314,7 +316,7 @@ def _frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
     return np.column_stack((x, np.cross(z, x), z)), length
 
 
-def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
+def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
     """Return the end of the last link of a digit, (3,) in the frame of the link [m].
 
     Raises:
@@ -348,7 +350,7 @@ def _end(links: Sequence[ModelLink], i: int, where: str) -> Array:
 
 
 def _palm_frame(
-    links: Sequence[ModelLink], chains: Sequence[_Chain], frames: Mapping[int, tuple[Array, float]]
+    links: Sequence[ModelLink], chains: Sequence[_LinkChain], frames: Mapping[int, tuple[Array, float]]
 ) -> tuple[Array, Array]:
     """Return rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
 

@@ -14,15 +14,15 @@ from handctl.hand.digit import Array
 from handctl.hand.file.sections import Digit
 from handctl.hand.formats.meshes import LinkMesh
 from handctl.hand.formats.numbers import number_text, numbers_text
-from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rpy_of
+from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rpy_of_rotation
 
 INERTIA_INDICES = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
 """Row and column in the inertia matrix of each attribute of URDF's ``inertia``."""
 NO_MESHES: Mapping[str, LinkMesh] = {}
 """Meshes of a hand that is exported with primitive shapes only."""
-PALM_THICKNESS = 0.010
+PALM_THICKNESS_M = 0.010
 """Depth of the box that represents the palm [m]. The front of the box is at x = 0."""
-PALM_MARGIN = 0.010
+PALM_MARGIN_M = 0.010
 """Extent of the box beyond the mounts of the outermost digits [m]."""
 
 
@@ -48,7 +48,7 @@ def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
         for i in range(len(digit.link_length_m)):
             _add_joint(robot, hand, digit, i)
             _add_link(robot, digit, i, shape_length(hand, digit, i), meshes.get(f"{digit.name}_link{i + 1}"))
-        if digit.name in hand.carriers:
+        if digit.name in hand.carrier_digits:
             _add_palm(robot[-1], hand, digit.name, meshes.get(robot[-1].get("name", "")))
         _add_tip_frame(robot, digit)
     ET.indent(robot)
@@ -63,10 +63,10 @@ def palm_box(hand: Hand, carrier: str | None) -> tuple[Array, Array]:
         carrier: digit whose last link carries the digits, None for the palm.
     """
     mounts = np.array([digit.mount_position_m for digit in hand.digit if digit.mount_on == carrier])
-    low = mounts.min(axis=0) - PALM_MARGIN
-    high = mounts.max(axis=0) + PALM_MARGIN
+    low = mounts.min(axis=0) - PALM_MARGIN_M
+    high = mounts.max(axis=0) + PALM_MARGIN_M
     high[0] = 0.0 if carrier is None else mounts[:, 0].min()
-    low[0] = high[0] - PALM_THICKNESS
+    low[0] = high[0] - PALM_THICKNESS_M
     return (low + high) / 2, high - low
 
 
@@ -78,7 +78,7 @@ def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     """
     length = digit.link_length_m[i]
     last = i == len(digit.link_length_m) - 1
-    return max(length - digit.link_radius_m, 0.0) if last and digit.name in hand.carriers else length
+    return max(length - digit.link_radius_m, 0.0) if last and digit.name in hand.carrier_digits else length
 
 
 def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh | None) -> None:
@@ -106,7 +106,7 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
     position, rotation = link_placement(digit, i)
     # Adding 0.0 turns -0.0 into 0.0.
-    ET.SubElement(joint, "origin", xyz=numbers_text(position), rpy=numbers_text(np.add(rpy_of(rotation), 0.0)))
+    ET.SubElement(joint, "origin", xyz=numbers_text(position), rpy=numbers_text(np.add(rpy_of_rotation(rotation), 0.0)))
     ET.SubElement(joint, "axis", xyz=numbers_text(joint_axes(digit)[i]))
     crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
     arms = [abs(float(hand.moment_arms[hand.tendon.index(tendon), hand.joints.index(name)])) for tendon in crossing]

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from handctl.errors import ConfigError, LogError
 from handctl.printing import printable_text
 
-VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+VIDEO_PATH_PATTERN = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 FILES_PER_CHUNK = 1000
 """Number of videos in one folder. LeRobot calls such a folder a chunk."""
-LONGEST_GAP_S = 0.5
+MAX_FRAME_GAP_S = 0.5
 """Longest time without camera frames that is accepted at the start or end of an episode [s].
 
 The first or last camera frame is repeated for this time.
@@ -123,32 +123,32 @@ def write_episode_video(source: Path, target: Path, first_s: float, frames: int,
         LogError: the source is not a video or does not cover the whole episode.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    if first_s < -LONGEST_GAP_S:
+    if first_s < -MAX_FRAME_GAP_S:
         late = f"the video begins {-first_s:.2f} s after the start of the episode"
         raise LogError(late, str(source), "a video of the whole run")
     filters = [
         f"setpts=PTS-STARTPTS-({first_s:.9f}/TB)",
         f"fps=fps={fps}:start_time=0:round=up",
-        f"tpad=stop_mode=clone:stop_duration={LONGEST_GAP_S:g}",
+        f"tpad=stop_mode=clone:stop_duration={MAX_FRAME_GAP_S:g}",
         "scale=trunc(iw/2)*2:trunc(ih/2)*2",
     ]
     encode = ["-an", "-vf", ",".join(filters), "-frames:v", str(frames), "-c:v", "libx264", "-g", "2", "-crf", "23"]
-    _ffmpeg(source, *encode, "-pix_fmt", "yuv420p", str(target))
-    width, height, _ = next(_images(target, "null"))
+    _run_ffmpeg(source, *encode, "-pix_fmt", "yuv420p", str(target))
+    width, height, _ = next(_video_frames(target, "null"))
     scaled = f"scale=min({STATISTICS_WIDTH}\\,iw):-2"
     histogram = np.zeros((3, CHANNEL_LEVELS), np.int64)
     count = 0
-    for _, _, pixels in _images(target, scaled):
+    for _, _, pixels in _video_frames(target, scaled):
         histogram += [np.bincount(channel, minlength=CHANNEL_LEVELS) for channel in pixels.reshape(-1, 3).T]
         count += 1
     if count < frames:
-        missing = (frames - count) / fps + LONGEST_GAP_S
+        missing = (frames - count) / fps + MAX_FRAME_GAP_S
         early = f"the video ends {missing:.2f} s before the end of the episode"
         raise LogError(early, str(source), "a video of the whole run")
     return EpisodeVideo(height, width, count, histogram)
 
 
-def _ffmpeg(source: Path, *words: str) -> None:
+def _run_ffmpeg(source: Path, *words: str) -> None:
     """Run ffmpeg on a video file, with the given further arguments.
 
     Raises:
@@ -166,7 +166,7 @@ def _unreadable_video_error(source: Path, stderr: str) -> LogError:
     return LogError(f"ffmpeg: {reason}", str(source), "a video that ffmpeg reads")
 
 
-def _images(source: Path, filters: str) -> Any:
+def _video_frames(source: Path, filters: str) -> Any:
     """Yield width, height and pixels (height * width * 3,) of every frame of a video.
 
     Raises:

@@ -29,7 +29,7 @@ from handctl.core.types import Mode
 from handctl.errors import ConfigError, LogError
 from handctl.hand.load import parse_toml
 from handctl.log.export.camera_video import (
-    VIDEO,
+    VIDEO_PATH_PATTERN,
     Camera,
     EpisodeVideo,
     histogram_statistics,
@@ -40,9 +40,9 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order
 from handctl.printing import printable_text
 
-DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-QUANTILES = (1, 10, 50, 90, 99)
+DATA_PATH_PATTERN = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES_PATH_PATTERN = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+STATISTICS_PERCENTILES = (1, 10, 50, 90, 99)
 """Percentiles in the statistics of a feature."""
 
 SIGMA_FIELDS = ("q_sigma", "tension_sigma")
@@ -52,7 +52,7 @@ Logs of version 0.1 lack `q_sigma`.
 """
 
 Array = NDArray[np.float64]
-Statistics = dict[str, dict[str, list[Any]]]
+FeatureStatistics = dict[str, dict[str, list[Any]]]
 """Values of each statistic, by name of the feature and by name of the statistic."""
 
 
@@ -100,11 +100,11 @@ def export_lerobot(
     fps = control_rate if fps is None else fps
     if not 1 <= fps <= control_rate:
         raise ConfigError(f"{fps} Hz", "--fps", f"1 to {control_rate} Hz, the control rate of the log")
-    episodes = [_episode(log, fps) for log in logs]
+    episodes = [_episode_of_log(log, fps) for log in logs]
     for i, (log, episode) in enumerate(zip(logs, episodes, strict=True)):
         _check_same_dataset(first, log, episodes[0].names == episode.names, f"log {i + 1}")
     tasks = list(dict.fromkeys(episode.task for episode in episodes))
-    scalars = [_scalars(episodes, i, tasks, fps) for i in range(len(episodes))]
+    scalars = [_scalar_features(episodes, i, tasks, fps) for i in range(len(episodes))]
     parts = [
         {name: values for name, (_, values) in episode.vectors.items()} | scalars[i]
         for i, episode in enumerate(episodes)
@@ -112,26 +112,28 @@ def export_lerobot(
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     path.mkdir()
     videos = {camera.key: _write_videos(camera, episodes, path, fps) for camera in cameras}
-    _write_parquet(path / DATA.format(chunk_index=0, file_index=0), _frame_table(episodes[0].names, whole))
-    statistics = [{name: _statistics(table) for name, table in part.items()} for part in parts]
+    _write_parquet(path / DATA_PATH_PATTERN.format(chunk_index=0, file_index=0), _frame_table(episodes[0].names, whole))
+    statistics = [{name: _feature_statistics(table) for name, table in part.items()} for part in parts]
     for number, one in enumerate(statistics):
         one |= {key: _video_statistics(files[number : number + 1]) for key, files in videos.items()}
     table = _episode_table(episodes, statistics, videos.keys(), fps)
-    _write_parquet(path / EPISODES.format(chunk_index=0, file_index=0), table)
+    _write_parquet(path / EPISODES_PATH_PATTERN.format(chunk_index=0, file_index=0), table)
     _write_parquet(path / "meta" / "tasks.parquet", _task_table(tasks))
     info = _info_content(first, fps, episodes, len(tasks), scalars[0])
     info["features"] |= {key: _video_feature(files, fps) for key, files in videos.items()}
-    info["video_path"] = VIDEO if videos else None
+    info["video_path"] = VIDEO_PATH_PATTERN if videos else None
     _write_json(path / "meta" / "info.json", info)
     of_videos = {key: _video_statistics(files) for key, files in videos.items()}
-    _write_json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in whole.items()} | of_videos)
+    _write_json(
+        path / "meta" / "stats.json", {name: _feature_statistics(table) for name, table in whole.items()} | of_videos
+    )
     return sum(episode.frames for episode in episodes)
 
 
-def _episode(log: RunLog, fps: int) -> _Episode:
+def _episode_of_log(log: RunLog, fps: int) -> _Episode:
     """Return the episode that a log becomes."""
     rows = _tick_indices(log, fps)
-    return _Episode(_vectors(log, rows), _task(log), len(rows), float(log.t_ns[rows[0]]) / 1e9)
+    return _Episode(_vector_features(log, rows), _task_description(log), len(rows), float(log.t_ns[rows[0]]) / 1e9)
 
 
 def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps: int) -> list[EpisodeVideo]:
@@ -143,7 +145,7 @@ def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps:
     """
     written = list[EpisodeVideo]()
     for number, episode in enumerate(episodes):
-        target = path / VIDEO.format(video_key=camera.key, **video_place(number))
+        target = path / VIDEO_PATH_PATTERN.format(video_key=camera.key, **video_place(number))
         first_s = episode.start_s - camera.starts_s[number]
         written.append(write_episode_video(camera.videos[number], target, first_s, episode.frames, fps))
         sizes = [f"{one.width} x {one.height}" for one in (written[0], written[-1])]
@@ -156,7 +158,7 @@ def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps:
 def _video_statistics(videos: Sequence[EpisodeVideo]) -> dict[str, list[Any]]:
     """Return the statistics over all images of the given videos."""
     histogram = np.sum([video.histogram for video in videos], axis=0)
-    return histogram_statistics(histogram, sum(video.frames for video in videos), QUANTILES)
+    return histogram_statistics(histogram, sum(video.frames for video in videos), STATISTICS_PERCENTILES)
 
 
 def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
@@ -208,7 +210,7 @@ def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
     return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
 
 
-def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
+def _vector_features(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
     """Return the element names and the values (frames, n) of each vector feature."""
     header = log.header
     q = _without_nan(log, "q", rows)
@@ -257,7 +259,7 @@ def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     return np.nan_to_num(values)
 
 
-def _scalars(episodes: Sequence[_Episode], number: int, tasks: list[str], fps: int) -> dict[str, NDArray[Any]]:
+def _scalar_features(episodes: Sequence[_Episode], number: int, tasks: list[str], fps: int) -> dict[str, NDArray[Any]]:
     """Return the scalar features that LeRobot requires in every frame of an episode."""
     before = sum(episode.frames for episode in episodes[:number])
     frames = episodes[number].frames
@@ -272,7 +274,7 @@ def _scalars(episodes: Sequence[_Episode], number: int, tasks: list[str], fps: i
     }
 
 
-def _task(log: RunLog) -> str:
+def _task_description(log: RunLog) -> str:
     """Return the description of the task that a log shows."""
     try:
         task = parse_toml(log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log")
@@ -293,7 +295,7 @@ def _frame_table(names: dict[str, list[str]], values: dict[str, NDArray[Any]]) -
 
 
 def _episode_table(
-    episodes: Sequence[_Episode], statistics: Sequence[Statistics], video_keys: Iterable[str], fps: int
+    episodes: Sequence[_Episode], statistics: Sequence[FeatureStatistics], video_keys: Iterable[str], fps: int
 ) -> pa.Table:  # fmt: skip
     """Return the table of the episodes: places of frames, and a column `stats/FEATURE/NAME` for each statistic."""
     count = len(episodes)
@@ -371,13 +373,13 @@ def _info_content(
         "video_files_size_in_mb": 200,
         "fps": fps,
         "splits": {"train": f"0:{len(episodes)}"},
-        "data_path": DATA,
+        "data_path": DATA_PATH_PATTERN,
         "video_path": None,
         "features": features,
     }
 
 
-def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
+def _feature_statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
     """Return the statistics of a feature over all given frames.
 
     LeRobot normalises features with them.
@@ -389,7 +391,7 @@ def _statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
         "mean": table.mean(axis=0),
         "std": table.std(axis=0),
     }
-    statistics |= {f"q{percent:02d}": np.percentile(table, percent, axis=0) for percent in QUANTILES}
+    statistics |= {f"q{percent:02d}": np.percentile(table, percent, axis=0) for percent in STATISTICS_PERCENTILES}
     return {name: array.tolist() for name, array in statistics.items()} | {"count": [len(table)]}
 
 

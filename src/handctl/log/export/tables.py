@@ -25,7 +25,7 @@ TEXT_COLUMNS = ("mode", "phase", "action")
 INTEGER_COLUMNS = {"k": "1", "t_ns": "ns", "late_ns": "ns"}
 """Unit of each column that holds integers, by name of the column. 1 stands for a plain number."""
 
-UNITS = {
+FIELD_UNITS = {
     "q": "rad", "dq": "rad/s", "joint_torque": "N m", "joint_encoder": "rad",
     "excursion": "m", "excursion_rate": "m/s", "tension": "N", "stretch_offset": "m", "innovation": "N", "nis": "1",
     "external_tension": "N",
@@ -67,7 +67,7 @@ def column_names(log: RunLog) -> tuple[str, ...]:
 
 def column_unit(column: str) -> str:
     """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a plain number."""
-    return INTEGER_COLUMNS.get(column) or UNITS[VARIANT_SUFFIX.sub("", column.partition("/")[0])]
+    return INTEGER_COLUMNS.get(column) or FIELD_UNITS[VARIANT_SUFFIX.sub("", column.partition("/")[0])]
 
 
 def column_title(column: str) -> str:

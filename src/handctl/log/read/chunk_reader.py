@@ -23,14 +23,14 @@ LINEAR_SEARCH_LIMIT = 4
 
 The end of a longer block is found with numpy.
 """
-_RECORD = struct.Struct("<BQ")
+_RECORD_STRUCT = struct.Struct("<BQ")
 """Layout of the start of every record: opcode, length."""
-_CHANNEL = struct.Struct("<H")
-MESSAGE = int(Opcode.MESSAGE)
-_HEADER = 11
+_CHANNEL_STRUCT = struct.Struct("<H")
+MESSAGE_OPCODE = int(Opcode.MESSAGE)
+_MESSAGE_HEAD_BYTES = 11
 """Number of bytes that are equal in all messages of a block: opcode, length and channel."""
-_RECORD_HEADERS = np.dtype(f"V{_HEADER}")
-_BODY = 31
+_RECORD_HEADERS = np.dtype(f"V{_MESSAGE_HEAD_BYTES}")
+_MESSAGE_DATA_OFFSET = 31
 """Offset of the data in a Message record [bytes]."""
 
 
@@ -51,11 +51,11 @@ class MessageRows(NamedTuple):
         """Return the data of each message as bytes, in order."""
         size = self.records.shape[1]
         content = self.records.tobytes()
-        return [content[at + _BODY : at + size] for at in range(0, len(content), size)]
+        return [content[at + _MESSAGE_DATA_OFFSET : at + size] for at in range(0, len(content), size)]
 
     def data(self) -> NDArray[np.uint8]:
         """Return the data of the messages as an array (n, size of a message)."""
-        return self.records[:, _BODY:]
+        return self.records[:, _MESSAGE_DATA_OFFSET:]
 
     def sequence(self) -> NDArray[np.uint32]:
         """Return the sequence numbers of the messages (n,)."""
@@ -66,7 +66,7 @@ class MessageRows(NamedTuple):
         return np.ascontiguousarray(self.records[:, 15:23]).view("<u8")[:, 0]
 
 
-class Definitions(NamedTuple):
+class ChunkDefinitions(NamedTuple):
     """Schemas and channels that a chunk defines.
 
     Attributes:
@@ -99,16 +99,16 @@ def iter_messages(content: bytes, packed: int, channels: frozenset[int] | None =
         remaining -= 1
         if remaining < 0:
             raise ValueError("more messages than a chunk of this size may contain")
-        code, length = _RECORD.unpack_from(content, at)
-        size = _RECORD.size + length
+        code, length = _RECORD_STRUCT.unpack_from(content, at)
+        size = _RECORD_STRUCT.size + length
         if at + size > len(content):
             raise ValueError("a record extends beyond the end of its chunk")
         count = 1
-        if code == MESSAGE:
-            if size < _BODY:
+        if code == MESSAGE_OPCODE:
+            if size < _MESSAGE_DATA_OFFSET:
                 raise ValueError("a message that is too short")
             count = _count_equal(content, at, size)
-            (channel,) = _CHANNEL.unpack_from(content, at + 9)
+            (channel,) = _CHANNEL_STRUCT.unpack_from(content, at + 9)
             if channels is None or channel in channels:
                 yield MessageRows(channel, at, raw[at : at + count * size].reshape(count, size))
         elif code in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -131,10 +131,10 @@ def _count_equal(content: bytes, at: int, size: int) -> int:
     max_count = (len(content) - at) // size
     count = 1
     step = 16
-    head = content[at : at + _HEADER]
+    head = content[at : at + _MESSAGE_HEAD_BYTES]
     after = at + size
     while count < min(LINEAR_SEARCH_LIMIT, max_count):
-        if content[after : after + _HEADER] != head:
+        if content[after : after + _MESSAGE_HEAD_BYTES] != head:
             return count
         count += 1
         after += size
@@ -159,23 +159,23 @@ def _count_equal_heads(heads: bytes, head: bytes, number: int) -> int:
     low = 0
     while number - low > 1:
         middle = (low + number) // 2
-        if heads[: middle * _HEADER] == head * middle:
+        if heads[: middle * _MESSAGE_HEAD_BYTES] == head * middle:
             low = middle
         else:
             number = middle
     return low
 
 
-def schemas_and_channels(content: bytes) -> Definitions:
+def schemas_and_channels(content: bytes) -> ChunkDefinitions:
     """Return the schemas and channels that are defined at the start of a chunk.
 
     The errors are those of `iter_messages`.
     """
-    result = Definitions([], [])
+    result = ChunkDefinitions([], [])
     at = 0
     while at < len(content):
-        code, length = _RECORD.unpack_from(content, at)
-        body = content[at + _RECORD.size : at + _RECORD.size + length]
+        code, length = _RECORD_STRUCT.unpack_from(content, at)
+        body = content[at + _RECORD_STRUCT.size : at + _RECORD_STRUCT.size + length]
         if code == Opcode.SCHEMA:
             result.schemas.append(_decode_schema(body))
         elif code == Opcode.CHANNEL:
@@ -184,7 +184,7 @@ def schemas_and_channels(content: bytes) -> Definitions:
             break
         if max(len(result.schemas), len(result.channels)) > MAX_CHANNELS:
             raise ValueError(f"more than {MAX_CHANNELS} channels")
-        at += _RECORD.size + length
+        at += _RECORD_STRUCT.size + length
     return result
 
 

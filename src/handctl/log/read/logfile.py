@@ -19,7 +19,7 @@ import zstandard
 from handctl.errors import LogError
 from handctl.printing import printable_text
 
-MAX_CHUNK = 32 << 20
+MAX_CHUNK_BYTES = 32 << 20
 """Largest accepted uncompressed size of a chunk [bytes]. The recorder writes chunks below 8 MiB."""
 
 
@@ -155,7 +155,7 @@ class LogFile:
             return self._latest[1]
         with LogErrorContext(self.at(chunk.offset)):
             packed = self.read(chunk.data, chunk.end - chunk.data)
-            content = _decompress(packed, chunk)
+            content = _decompress_chunk(packed, chunk)
             if len(content) != chunk.size:
                 raise ValueError(f"chunk of {len(content)} bytes or more; declared are {chunk.size}")
             if checked and chunk.crc and zlib.crc32(content) != chunk.crc:
@@ -165,13 +165,13 @@ class LogFile:
         return content
 
 
-def _decompress(packed: bytes, chunk: ChunkLocation) -> bytes:
+def _decompress_chunk(packed: bytes, chunk: ChunkLocation) -> bytes:
     """Return the decompressed bytes of a chunk, at most one byte more than the declared size."""
     # If a chunk is longer than declared, the extra byte reveals it, without decompressing all of
     # the chunk.
     if chunk.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size + 1))
     if chunk.compression == "zstd":
-        reader = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).stream_reader(packed)
+        reader = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).stream_reader(packed)
         return reader.read(chunk.size + 1)
     return packed

@@ -17,31 +17,31 @@ from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
 from handctl.log.header import RunHeader
-from handctl.log.read.chunk_reader import Definitions, MessageRows, iter_messages, schemas_and_channels
+from handctl.log.read.chunk_reader import ChunkDefinitions, MessageRows, iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
-from handctl.log.read.timeline import Gap, LoggedEvent, PhaseChange
+from handctl.log.read.timeline import LoggedEvent, PhaseChange, TickGap
 from handctl.log.record import TickRecord, message_layout, unpack_tick, unpack_ticks
+from handctl.log.topics.chain import CHAIN_TOPIC as CHAIN_TOPIC
 from handctl.log.topics.chain import HASH_SIZE
-from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
-from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
+from handctl.log.topics.clock_pairs import CLOCK_PAIRS_TOPIC as CLOCK_TOPIC
 from handctl.log.topics.clock_pairs import ClockPair, decode_clock_pair
-from handctl.log.topics.snapshots import TOPIC as SNAPSHOT_TOPIC
+from handctl.log.topics.snapshots import SNAPSHOT_TOPIC as SNAPSHOT_TOPIC
 from handctl.log.topics.snapshots import decode_snapshot
 from handctl.log.topics.topic_set import TICK_TOPIC, VALUES_TOPIC
-from handctl.log.write.writer import SCHEMA
+from handctl.log.write.writer import LOG_SCHEMA_VERSION
 from handctl.printing import printable_text
 
 Array = NDArray[np.float64]
 
 _MAX_CACHED_TAILS = 1000
 """Largest number of message ends without events in the cache."""
-VALUES_START = 4 + 8 + 8 + 8
+VALUES_START_OFFSET = 4 + 8 + 8 + 8
 """Offset of the values in a StatisticsValues message [bytes].
 
 Encapsulation, stamp, empty frame_id and length precede the values.
 """
-VALUES_END = -4
+VALUES_END_OFFSET = -4
 """End of the values in a StatisticsValues message, counted from the end of the message [bytes].
 
 The field names_version follows the values.
@@ -53,17 +53,17 @@ _CACHE_BYTES = 64 << 20
 def _read_header(scan: RecordScan) -> RunHeader:
     """Return the header of the run in a scanned file."""
     record = scan.metadata["handctl.run"]
-    if (schema := json.loads(record["schema"])) != SCHEMA:
-        raise ValueError(f"log of version {schema}; this reader reads version {SCHEMA}")
+    if (schema := json.loads(record["schema"])) != LOG_SCHEMA_VERSION:
+        raise ValueError(f"log of version {schema}; this reader reads version {LOG_SCHEMA_VERSION}")
     attachments = {name: data for name, (_, _, data) in scan.attachments.items()}
     return RunHeader.of_record(record, scan.metadata, attachments)
 
 
-_SEQUENCE = 0xFFFF_FFFF
+_SEQUENCE_MASK = 0xFFFF_FFFF
 """Mask of the low 32 bits of a tick number. A message has these bits as sequence number."""
 
 
-class _Index(NamedTuple):
+class _ChunkIndex(NamedTuple):
     """Index of the chunks of a log.
 
     Attributes:
@@ -78,7 +78,7 @@ class _Index(NamedTuple):
     snapshots: dict[int, int]
 
 
-class _Snapshots(Mapping[int, bytes]):
+class _SnapshotMapping(Mapping[int, bytes]):
     """Mapping from tick number to the snapshot of the controller's state after this tick.
 
     A snapshot is read from the file on request, because the snapshots of one day do not fit into
@@ -167,7 +167,7 @@ class RunLog:
     def _channels(self) -> tuple[int, int, dict[str, int]]:
         """Return the channel ids of the ticks and of the telemetry, and those of all topics by name."""
         with LogErrorContext(self._file.at(self._chunks[0].offset)):
-            definitions_of_log: Definitions = schemas_and_channels(self._file.content(self._chunks[0]))
+            definitions_of_log: ChunkDefinitions = schemas_and_channels(self._file.content(self._chunks[0]))
             topics = {topic: number for number, _, topic, _, _ in definitions_of_log.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 
@@ -191,7 +191,7 @@ class RunLog:
         return self._latest[1].get(channel, [])
 
     @functools.cached_property
-    def _index(self) -> _Index:
+    def _index(self) -> _ChunkIndex:
         """Return the index of all chunks, built in one pass over the file."""
         parts = [np.empty(0, FIXED_DTYPE)]
         counts = [0]
@@ -209,7 +209,7 @@ class RunLog:
             counts.append(sum(map(len, parts[before:])))
             for rows in self._rows_of(chunk, self._others.get(SNAPSHOT_TOPIC, -1)):
                 snapshots |= dict.fromkeys(rows.sequence().tolist(), i)
-        return _Index(np.concatenate(parts), np.cumsum(counts), snapshots)
+        return _ChunkIndex(np.concatenate(parts), np.cumsum(counts), snapshots)
 
     @property
     def _fixed(self) -> NDArray[np.void]:
@@ -256,10 +256,10 @@ class RunLog:
         return self._fixed["action"]
 
     @property
-    def gaps(self) -> list[Gap]:
+    def gaps(self) -> list[TickGap]:
         """Return the places of the log where ticks are missing."""
         at = np.flatnonzero(np.diff(self.k) != 1)
-        return [Gap(int(self.k[i]), int(self.k[i + 1])) for i in at]
+        return [TickGap(int(self.k[i]), int(self.k[i + 1])) for i in at]
 
     def field(self, name: str) -> Array:
         """Return a telemetry field (ticks, n).
@@ -294,7 +294,7 @@ class RunLog:
         """
         for chunk, rows in self._rows(self._values):
             with LogErrorContext(self._file.at(chunk.offset)):
-                return row_fields(self.header, (rows.data().shape[1] - VALUES_START + VALUES_END) // 8)
+                return row_fields(self.header, (rows.data().shape[1] - VALUES_START_OFFSET + VALUES_END_OFFSET) // 8)
         return TELEMETRY_FIELDS
 
     @property
@@ -326,13 +326,13 @@ class RunLog:
 
     def _values_parts(self, chunks: slice = slice(None)) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
         """Yield blocks of telemetry: the bytes of each row (rows, bytes), and the sequence number of each row."""
-        size = VALUES_START + 8 * self._width + 4
+        size = VALUES_START_OFFSET + 8 * self._width + 4
         for chunk, rows in self._rows(self._values, chunks):
             data = rows.data()
             with LogErrorContext(self._file.at(chunk.offset)):
                 if data.shape[1] != size:
                     raise ValueError("telemetry of another shape than in the header")
-            yield data[:, VALUES_START:VALUES_END], rows.sequence()
+            yield data[:, VALUES_START_OFFSET:VALUES_END_OFFSET], rows.sequence()
 
     def packed(self, chunks: slice = slice(None)) -> Iterator[bytes]:
         """Yield the telemetry of each tick in the layout of `Telemetry.packed`.
@@ -349,7 +349,7 @@ class RunLog:
         """Yield the Tick message of each tick as the bytes in the file."""
         yield from (message for _, message in self._messages())
 
-    def digests(self) -> Iterator[bytes]:
+    def tick_digests(self) -> Iterator[bytes]:
         """Yield the chain hash of each tick. Logs of earlier versions have no chain hashes."""
         if CHAIN_TOPIC in self._others:
             for _, rows in self._rows(self._others[CHAIN_TOPIC]):
@@ -377,8 +377,8 @@ class RunLog:
         Logs of earlier versions have no snapshots.
         """
         chunks = self._index.snapshots
-        ticks = self.k[np.isin(self.k & _SEQUENCE, list(chunks))].tolist()
-        return _Snapshots({k: chunks[k & _SEQUENCE] for k in ticks}, self._snapshot)
+        ticks = self.k[np.isin(self.k & _SEQUENCE_MASK, list(chunks))].tolist()
+        return _SnapshotMapping({k: chunks[k & _SEQUENCE_MASK] for k in ticks}, self._snapshot)
 
     def _snapshot(self, k: int, chunk: int) -> bytes:
         """Read the snapshot of the state after a tick from a chunk.

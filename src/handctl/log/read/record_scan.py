@@ -20,29 +20,29 @@ from mcap.opcode import Opcode
 
 from handctl.errors import LogError
 from handctl.log.container import MAGIC
-from handctl.log.read.logfile import MAX_CHUNK, ChunkLocation, LogErrorContext, LogFile
+from handctl.log.read.logfile import MAX_CHUNK_BYTES, ChunkLocation, LogErrorContext, LogFile
 
-MAX_ATTACHMENT = 16 << 20
+MAX_ATTACHMENT_BYTES = 16 << 20
 """Largest accepted size of one attachment [bytes]."""
-MAX_ATTACHMENTS = 64 << 20
+MAX_ALL_ATTACHMENTS_BYTES = 64 << 20
 """Largest accepted total size of the attachments of a file [bytes]."""
-MAX_METADATA = 1 << 20
+MAX_METADATA_BYTES = 1 << 20
 """Largest accepted size of a metadata record [bytes]."""
 MAX_RECORDS = 1000
 """Largest accepted number of attachments.
 
 Metadata, unknown and damaged records have the same limit each.
 """
-MAX_RATIO = 64
+MAX_COMPRESSION_RATIO = 64
 """Largest accepted ratio of the uncompressed size of all chunks to the size of the file.
 
 The log of a hand at rest is compressed to a fifteenth, well within this limit.
 """
 
-_RECORD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQII")
+_RECORD_STRUCT = struct.Struct("<BQ")
+_CHUNK_STRUCT = struct.Struct("<QQQII")
 """Layout of a Chunk's start: first and last time [ns], uncompressed size, CRC-32, length of the compression's name."""
-_INDEX = int(Opcode.MESSAGE_INDEX)
+_MESSAGE_INDEX_OPCODE = int(Opcode.MESSAGE_INDEX)
 _LENGTHS: dict[int, int] = {
     Opcode.HEADER: 8,
     Opcode.MESSAGE_INDEX: 6,
@@ -77,7 +77,7 @@ class RecordScan:
     skipped: list[tuple[int, int]] = field(default_factory=list)
 
 
-class _Fields:
+class _FieldReader:
     """Reader for the fields of one record, in order."""
 
     def __init__(self, data: bytes) -> None:
@@ -128,16 +128,16 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
     scan.end = len(MAGIC)
     unpacked = 0
     unknown = 0
-    while scan.end + _RECORD.size <= file.size:
+    while scan.end + _RECORD_STRUCT.size <= file.size:
         at = scan.end
-        code, length = _RECORD.unpack(file.read(at, _RECORD.size))
-        end = at + _RECORD.size + length
+        code, length = _RECORD_STRUCT.unpack(file.read(at, _RECORD_STRUCT.size))
+        end = at + _RECORD_STRUCT.size + length
         # Opcode 0 is invalid. After a power failure a file may end in zeros.
         if code == 0 or end > file.size:
             if finished:
                 raise LogError("damaged log: no record here", file.at(at), "an intact file")
             break
-        if code == _INDEX and length >= _LENGTHS[_INDEX]:
+        if code == _MESSAGE_INDEX_OPCODE and length >= _LENGTHS[_MESSAGE_INDEX_OPCODE]:
             scan.end = end  # Most records are message indexes. The scan does not use their content.
             continue
         if code == Opcode.DATA_END:
@@ -174,12 +174,12 @@ def scan_path(path: Path) -> RecordScan:
 
 def _check_limits(scan: RecordScan, unpacked: int, unknown: int) -> None:
     """Raise an error if a file has too many records or too much uncompressed data."""
-    if unpacked > MAX_RATIO * scan.size + MAX_CHUNK:
+    if unpacked > MAX_COMPRESSION_RATIO * scan.size + MAX_CHUNK_BYTES:
         raise ValueError(f"chunks of more than {unpacked} bytes")
     if max(unknown, len(scan.attachments), len(scan.metadata), len(scan.skipped)) > MAX_RECORDS:
         raise ValueError(f"more than {MAX_RECORDS} records of a kind")
-    if sum(len(data) for _, _, data in scan.attachments.values()) > MAX_ATTACHMENTS:
-        raise ValueError(f"more than {MAX_ATTACHMENTS} bytes of attachments")
+    if sum(len(data) for _, _, data in scan.attachments.values()) > MAX_ALL_ATTACHMENTS_BYTES:
+        raise ValueError(f"more than {MAX_ALL_ATTACHMENTS_BYTES} bytes of attachments")
 
 
 def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -> int:
@@ -187,17 +187,17 @@ def _add_record(file: LogFile, scan: RecordScan, code: int, at: int, end: int) -
 
     Return the uncompressed size of a chunk, and 0 for other records.
     """
-    start = at + _RECORD.size
-    length = end - at - _RECORD.size
+    start = at + _RECORD_STRUCT.size
+    length = end - at - _RECORD_STRUCT.size
     if length < _LENGTHS.get(code, 0):
         raise ValueError("a record that is too short")
     if code == Opcode.CHUNK:
         scan.chunks.append(_decode_chunk_head(file, at, end))
         return scan.chunks[-1].size
     if code == Opcode.ATTACHMENT:
-        _decode_attachment(scan, file.read(start, _checked_size(length, MAX_ATTACHMENT)))
+        _decode_attachment(scan, file.read(start, _checked_size(length, MAX_ATTACHMENT_BYTES)))
     elif code == Opcode.METADATA:
-        fields = _Fields(file.read(start, _checked_size(length, MAX_METADATA)))
+        fields = _FieldReader(file.read(start, _checked_size(length, MAX_METADATA_BYTES)))
         name = fields.text()
         scan.metadata[name] = _text_map(fields)
     elif code == Opcode.MESSAGE:
@@ -217,22 +217,22 @@ def _decode_chunk_head(file: LogFile, at: int, end: int) -> ChunkLocation:
     # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the
     # compressed size of the records (8).
     head = file.read(at, min(end - at, 80))
-    first, last, size, crc, name = _CHUNK.unpack_from(head, _RECORD.size)
-    _checked_size(size, MAX_CHUNK)
-    start = _RECORD.size + _CHUNK.size
+    first, last, size, crc, name = _CHUNK_STRUCT.unpack_from(head, _RECORD_STRUCT.size)
+    _checked_size(size, MAX_CHUNK_BYTES)
+    start = _RECORD_STRUCT.size + _CHUNK_STRUCT.size
     compression = head[start : start + _checked_size(name, 8)].decode()
     if compression not in ("", "lz4", "zstd"):
         raise ValueError(f"unknown compression {compression!r}")
     (packed,) = struct.unpack_from("<Q", head, start + name)
     data = at + start + name + 8
-    if data + _checked_size(packed, MAX_CHUNK) != end:
+    if data + _checked_size(packed, MAX_CHUNK_BYTES) != end:
         raise ValueError("the length of a chunk contradicts itself")
     return ChunkLocation(at, end, data, first, last, size, crc, compression)
 
 
 def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     """Decode an attachment, and compare the checksum."""
-    fields = _Fields(data)
+    fields = _FieldReader(data)
     time_ns = fields.number("Q")
     fields.number("Q")  # creation time
     name = fields.text()
@@ -245,9 +245,9 @@ def _decode_attachment(scan: RecordScan, data: bytes) -> None:
     scan.attachments[name] = (media, time_ns, content)
 
 
-def _text_map(fields: _Fields) -> dict[str, str]:
+def _text_map(fields: _FieldReader) -> dict[str, str]:
     """Decode a map of keys and values, both texts, in a record."""
-    inner = _Fields(fields.take(fields.number("I")))
+    inner = _FieldReader(fields.take(fields.number("I")))
     values = {}
     while inner.rest():
         key = inner.text()
@@ -257,8 +257,8 @@ def _text_map(fields: _Fields) -> dict[str, str]:
 
 def _check_end(file: LogFile, scan: RecordScan, at: int, end: int, checked: bool) -> None:
     """Compare the checksums of the data section and of the summary with the content of the file."""
-    (crc,) = struct.unpack("<I", file.read(at + _RECORD.size, 4))
-    if end != at + _RECORD.size + 4 or (checked and crc and crc != file.crc(0, at)):
+    (crc,) = struct.unpack("<I", file.read(at + _RECORD_STRUCT.size, 4))
+    if end != at + _RECORD_STRUCT.size + 4 or (checked and crc and crc != file.crc(0, at)):
         raise LogError("damaged log: checksum of the data does not match", file.at(at), "an intact file")
     scan.complete = True
     footer = file.size - len(MAGIC) - 29

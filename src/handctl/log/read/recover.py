@@ -9,7 +9,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from handctl.errors import LogError
-from handctl.log.container import Container, MessageBlock
+from handctl.log.container import McapContainer, MessageBlock
 from handctl.log.read.chunk_reader import iter_messages, schemas_and_channels
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
@@ -28,7 +28,7 @@ class RecoveryStatus(enum.IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Recovery:
+class RecoveryReport:
     """Report about a recovery.
 
     Attributes:
@@ -45,7 +45,7 @@ class Recovery:
     problem: str = ""
 
 
-def recover_log(path: Path, out: Path) -> Recovery:
+def recover_log(path: Path, out: Path) -> RecoveryReport:
     """Copy all intact chunks, attachments and metadata of a log into a new file.
 
     Args:
@@ -62,11 +62,11 @@ def recover_log(path: Path, out: Path) -> Recovery:
     try:
         problem = scan_damaged(file, scan)
         if not scan.chunks:
-            return Recovery(RecoveryStatus.NOTHING, lost=((0, file.size),), problem=problem)
+            return RecoveryReport(RecoveryStatus.NOTHING, lost=((0, file.size),), problem=problem)
         with atomic_path(out, new=True) as part:
             descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
             try:
-                recovery = _copy_intact_parts(file, scan, problem, Container(descriptor))
+                recovery = _copy_intact_parts(file, scan, problem, McapContainer(descriptor))
             finally:
                 os.close(descriptor)
             if recovery.status == RecoveryStatus.NOTHING:
@@ -90,7 +90,7 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
     return scan.problem
 
 
-def _copy_intact_parts(file: LogFile, scan: RecordScan, problem: str, new: Container) -> Recovery:
+def _copy_intact_parts(file: LogFile, scan: RecordScan, problem: str, new: McapContainer) -> RecoveryReport:
     """Copy the intact parts of a file into the new file, and write the end of the new file."""
     for name, (media, time_ns, data) in scan.attachments.items():
         new.attach(name, media, data, time_ns)
@@ -118,7 +118,7 @@ def _copy_intact_parts(file: LogFile, scan: RecordScan, problem: str, new: Conta
         if lost or not scan.complete
         else RecoveryStatus.WHOLE
     )
-    return Recovery(status, copied, new.messages, tuple(sorted(lost)), problem)
+    return RecoveryReport(status, copied, new.messages, tuple(sorted(lost)), problem)
 
 
 def _end_record(scan: RecordScan, problem: str) -> dict[str, str]:
@@ -127,7 +127,7 @@ def _end_record(scan: RecordScan, problem: str) -> dict[str, str]:
     return end | {"recovered": problem} if problem else end
 
 
-def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: Container) -> None:
+def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None:
     """Copy the messages of one chunk without change.
 
     Raises:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import Event
+from handctl.core.types import TickEvent
 from handctl.errors import LogError
 
 MAX_PERIODS = 1_000_000
@@ -20,10 +20,10 @@ class LoggedEvent(NamedTuple):
 
     k: int
     t_ns: int
-    event: Event
+    event: TickEvent
 
 
-class Gap(NamedTuple):
+class TickGap(NamedTuple):
     """Gap in a log where ticks are missing: numbers of the last tick before and of the first tick after the gap."""
 
     before: int

@@ -4,17 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE
-from handctl.log.batch import Batch, FrameBatch
-from handctl.log.cdr import CdrWriter, Template, TemplateWriter
-from handctl.log.container import MESSAGE, MessageBlock
+from handctl.log.batch import FrameBatch, TickBatch
+from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
+from handctl.log.container import MESSAGE_STRUCT, MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.message_streams import Registry, Stamps, Stream, Times
+from handctl.log.topics.message_streams import MessageStamps, MessageStream, TimeArray, TopicRegistry
 
 _ID_MASK = 0x1FFF_FFFF
 """The 29 identifier bits of can_id. The three bits above them are flags, as in SocketCAN."""
 
 
-def can_frame_template(bus: str) -> Template:
+def can_frame_template(bus: str) -> MessageTemplate:
     """Return the template of can_msgs/Frame messages for one bus."""
     out = TemplateWriter()
     out.header(bus)
@@ -41,13 +41,13 @@ def encode_fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
 class _DirectionTopics:
     """Topics for the frames of one direction, rx (received) or tx (sent)."""
 
-    def __init__(self, buses: tuple[str, ...], registry: Registry, direction: str) -> None:
+    def __init__(self, buses: tuple[str, ...], registry: TopicRegistry, direction: str) -> None:
         self._buses = (*buses, "unknown")
         self._channel = registry.add(f"/can/{direction}", "can_msgs/Frame")
         self._fd_channel = registry.add(f"/can/{direction}_fd", "ros2_socketcan_msgs/FdFrame")
-        self._streams = [Stream(self._channel, can_frame_template(bus)) for bus in self._buses]
+        self._streams = [MessageStream(self._channel, can_frame_template(bus)) for bus in self._buses]
 
-    def blocks(self, frames: FrameBatch, stamps: Stamps, measured: Times) -> list[MessageBlock]:
+    def blocks(self, frames: FrameBatch, stamps: MessageStamps, measured: TimeArray) -> list[MessageBlock]:
         """Return messages with the given frames as blocks.
 
         Args:
@@ -67,7 +67,7 @@ class _DirectionTopics:
         return blocks
 
     def _classical_messages(
-        self, frames: NDArray[np.void], bus: NDArray[np.intp], stamps: Stamps, measured: Times
+        self, frames: NDArray[np.void], bus: NDArray[np.intp], stamps: MessageStamps, measured: TimeArray
     ) -> MessageBlock:
         """Return messages with the given classical CAN frames, in the order of the frames."""
         used = np.unique(bus)
@@ -91,8 +91,8 @@ class _DirectionTopics:
         frames: FrameBatch,
         bus: NDArray[np.intp],
         fd: NDArray[np.bool_],
-        stamps: Stamps,
-        measured: Times,
+        stamps: MessageStamps,
+        measured: TimeArray,
     ) -> MessageBlock:
         """Return messages with those of the given frames that are CAN FD frames."""
         records = []
@@ -112,11 +112,13 @@ class _DirectionTopics:
                 message = encode_fd_frame(self._buses[bus[index]], times[index], can_id, payload)
                 size = 22 + len(message)
                 channel = self._fd_channel
-                records.append(MESSAGE.pack(5, size, channel, sequence[index], log[index], times[index]) + message)
+                records.append(
+                    MESSAGE_STRUCT.pack(5, size, channel, sequence[index], log[index], times[index]) + message
+                )
         return _join_records(self._fd_channel, stamps.log[fd], records)
 
 
-def _join_records(channel: int, log_times: Times, records: list[bytes]) -> MessageBlock:
+def _join_records(channel: int, log_times: TimeArray, records: list[bytes]) -> MessageBlock:
     """Join Message records to one block, and return the block."""
     ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(records), log_times, ends[:-1])
@@ -142,12 +144,12 @@ class CanTopics:
     the frame.
     """
 
-    def __init__(self, header: RunHeader, registry: Registry) -> None:
+    def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics for received and sent frames."""
         self._rx, self._tx = (_DirectionTopics(header.buses, registry, direction) for direction in ("rx", "tx"))
         self._offset = header.offset_ns
 
-    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return messages with all frames of a batch of ticks.
 
         The time of a sent frame is the start of the tick.

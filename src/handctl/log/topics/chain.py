@@ -11,13 +11,13 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.log.batch import Batch
-from handctl.log.cdr import Template, TemplateWriter
+from handctl.log.batch import TickBatch
+from handctl.log.cdr import MessageTemplate, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.message_streams import Registry, Stamps, Stream
+from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
-TOPIC = "/tick/chain"
+CHAIN_TOPIC = "/tick/chain"
 HASH_SIZE = 8
 """Size of a chain hash [bytes]."""
 
@@ -74,7 +74,7 @@ def tick_hashes(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator
         yield before
 
 
-def chain_message() -> Template:
+def chain_message() -> MessageTemplate:
     """Return the template of a handctl_msgs/Chain message."""
     out = TemplateWriter()
     out.header()
@@ -89,12 +89,12 @@ class ChainTopic:
         last: chain hash of the latest tick.
     """
 
-    def __init__(self, header: RunHeader, registry: Registry) -> None:
+    def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topic, and start the chain with the hash of the header."""
-        self._stream = Stream(registry.add(TOPIC, "handctl_msgs/Chain"), chain_message())
+        self._stream = MessageStream(registry.add(CHAIN_TOPIC, "handctl_msgs/Chain"), chain_message())
         self.last = first_hash_of_run(header)
 
-    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return messages with the chain hashes of all ticks of a batch."""
         numbers = (row.tobytes() for row in batch.numbers)
         hashes = list(tick_hashes(self.last, zip(batch.messages, numbers, strict=True)))

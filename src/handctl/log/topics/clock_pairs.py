@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
-from handctl.log.topics.message_streams import Registry, Stamps, variable_length_block
+from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 
-TOPIC = "/clock_pairs"
+CLOCK_PAIRS_TOPIC = "/clock_pairs"
 PAIR_PERIOD_NS = 10_000_000_000
 """Interval between pairs of clock readings [ns]."""
 MIN_STEP_NS = 50_000_000
@@ -22,7 +22,7 @@ MIN_STEP_NS = 50_000_000
 A gradual adjustment (slewing) shifts the wall clock by at most 5 ms in ten seconds (adjtimex: 500
 ppm), and is not reported.
 """
-_BODY = struct.Struct("<4xII8xqq")
+_CLOCK_PAIR_STRUCT = struct.Struct("<4xII8xqq")
 """Layout of a message: encapsulation, stamp, empty frame_id with padding, readings of both clocks."""
 
 
@@ -55,11 +55,11 @@ class ClockStep(NamedTuple):
 class ClockTopic:
     """Topic with the pairs of clock readings of a run."""
 
-    def __init__(self, registry: Registry) -> None:
+    def __init__(self, registry: TopicRegistry) -> None:
         """Register the topic."""
-        self._channel = registry.add(TOPIC, "handctl_msgs/ClockPair")
+        self._channel = registry.add(CLOCK_PAIRS_TOPIC, "handctl_msgs/ClockPair")
 
-    def block(self, stamps: Stamps, wall_ns: int, monotonic_ns: int) -> MessageBlock:
+    def block(self, stamps: MessageStamps, wall_ns: int, monotonic_ns: int) -> MessageBlock:
         """Return the message with one pair of clock readings."""
         out = CdrWriter()
         t_ns = int(stamps.log[0])
@@ -77,7 +77,7 @@ def decode_clock_pair(message: bytes, offset_ns: int) -> ClockPair:
     Raises:
         struct.error: the message is too short.
     """
-    seconds, nanoseconds, wall, monotonic = _BODY.unpack_from(message)
+    seconds, nanoseconds, wall, monotonic = _CLOCK_PAIR_STRUCT.unpack_from(message)
     return ClockPair(seconds * 10**9 + nanoseconds - offset_ns, wall, monotonic)
 
 

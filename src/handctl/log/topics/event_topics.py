@@ -7,20 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.types import GAIN_EVENT, Mode
-from handctl.log.batch import Batch
+from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.message_types import OTHER_PHASE, PHASES
+from handctl.log.message_types import OTHER_PHASE_NUMBER, PHASE_NUMBERS
 from handctl.log.record import TickRecord
-from handctl.log.topics.message_streams import Registry, Stamps, variable_length_block
+from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
 from handctl.programs.requests import is_routine
 from handctl.safety.action import Action
 
 LOG_LEVEL_NUMBERS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Number of each level of a log line in rcl_interfaces/Log."""
-_DOUBLE = 3
-_STRING = 4
+_DOUBLE_PARAMETER_TYPE = 3
+_STRING_PARAMETER_TYPE = 4
 """Values of rcl_interfaces/ParameterType that the gains use."""
 
 
@@ -52,7 +52,7 @@ def _append_parameter(out: CdrWriter, name: str, value: str) -> None:
         number = math.nan
     out.text(name)
     is_number = not math.isnan(number)
-    out.put("B", _DOUBLE if is_number else _STRING)
+    out.put("B", _DOUBLE_PARAMETER_TYPE if is_number else _STRING_PARAMETER_TYPE)
     out.put("B", 0)
     out.put("q", 0)
     out.put("d", number if is_number else 0.0)
@@ -95,7 +95,7 @@ def _changed_indexes(values: list[tuple[int, str]], last: tuple[int, str] | None
 class EventTopics:
     """Topics for events as log lines, and for changes of grasp phase, mode, safety action and gains."""
 
-    def __init__(self, header: RunHeader, registry: Registry) -> None:
+    def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics."""
         self._gains = header.gains
         self._rosout = registry.add("/rosout", "rcl_interfaces/Log")
@@ -105,17 +105,17 @@ class EventTopics:
         self._action = registry.add("/safety/action", "handctl_msgs/Action")
         self._last: dict[int, tuple[int, str]] = {}
 
-    def latched(self, stamps: Stamps) -> list[MessageBlock]:
+    def latched(self, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages with the gains at the start of the run."""
         message = encode_parameter_event(int(stamps.log[0]), self._gains, {})
         return [variable_length_block(self._parameters, stamps, [message])] if self._gains else []
 
-    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages for the events and changes in a batch of ticks."""
         modes = [Mode(number) for number in batch.mode.tolist()]
         actions = [Action(number) for number in batch.action.tolist()]
         lanes: list[tuple[int, list[tuple[int, str]]]] = [
-            (self._phase, [(PHASES.get(phase, OTHER_PHASE), phase) for phase in batch.phases]),
+            (self._phase, [(PHASE_NUMBERS.get(phase, OTHER_PHASE_NUMBER), phase) for phase in batch.phases]),
             (self._mode, [(mode.value, mode.name.lower()) for mode in modes]),
             (self._action, [(action.value, action.name.lower()) for action in actions]),
         ]
@@ -127,7 +127,7 @@ class EventTopics:
             self._last[channel] = states[-1]
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
 
-    def _line_messages(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def _line_messages(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages with the log lines and with the changes of gains in a batch of ticks."""
         at: list[int] = []
         lines: list[bytes] = []

@@ -6,25 +6,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.types import Mode
-from handctl.drives.contract import Phase
-from handctl.log.batch import Batch, columns_of_fields
-from handctl.log.cdr import CdrWriter, Template, TemplateWriter
+from handctl.drives.contract import DrivePhase
+from handctl.log.batch import TickBatch, columns_of_fields
+from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.message_streams import Registry, Stamps, Stream, variable_length_block
-from handctl.log.topics.transforms import ROOT
+from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry, variable_length_block
+from handctl.log.topics.transforms import ROOT_FRAME
 from handctl.safety.action import Action
 
 TEMPERATURE_PERIOD_NS = 200_000_000
 """Interval between the temperature messages of a motor [ns]."""
 DIAGNOSTICS_PERIOD_NS = 1_000_000_000
 """Interval between diagnostics messages [ns]."""
-OK = 0
-WARN = 1
-ERROR = 2
+OK_LEVEL = 0
+WARN_LEVEL = 1
+ERROR_LEVEL = 2
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 
-_DRIVE_LEVEL = {Phase.READY: OK, Phase.ENABLED: OK, Phase.FAULT: ERROR}
+_DRIVE_LEVEL = {DrivePhase.READY: OK_LEVEL, DrivePhase.ENABLED: OK_LEVEL, DrivePhase.FAULT: ERROR_LEVEL}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +57,14 @@ def encode_diagnostic_array(t_ns: int, statuses: list[DiagnosticStatus]) -> byte
     return out.message()
 
 
-def temperature_template() -> Template:
+def temperature_template() -> MessageTemplate:
     """Return the template of a sensor_msgs/Temperature message with unknown variance.
 
     The frame_id is that of the palm, because the motors are mounted behind the palm. With a frame
     that is not in /tf, the viewer Rerun would find several root frames and show no hand.
     """
     out = TemplateWriter()
-    out.header(ROOT)
+    out.header(ROOT_FRAME)
     out.place("temperature", "<f8")
     out.place("variance", "<f8")
     return out.template()
@@ -77,13 +77,13 @@ class HealthTopics:
     or of a drive's state.
     """
 
-    def __init__(self, header: RunHeader, registry: Registry) -> None:
+    def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics."""
         self._header = header
         self._columns = columns_of_fields(header)
         self._diagnostics = registry.add("/diagnostics", "diagnostic_msgs/DiagnosticArray")
         self._temperatures = [
-            Stream(
+            MessageStream(
                 registry.add(f"/actuator/{motor}/temperature", "sensor_msgs/Temperature"),
                 temperature_template(),
             )
@@ -94,7 +94,7 @@ class HealthTopics:
         self._frames = np.zeros((len(header.buses), 2), np.int64)
         self._io_events: dict[str, int] = {}
 
-    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the status and temperature messages of a batch of ticks."""
         blocks = self._temperature_runs(batch, stamps)
         selected = self._status_ticks(batch)
@@ -109,7 +109,7 @@ class HealthTopics:
             blocks.append(variable_length_block(self._diagnostics, stamps.at(selected), messages))
         return blocks
 
-    def _temperature_runs(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def _temperature_runs(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the temperature messages, made from the first tick in each interval."""
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
@@ -122,7 +122,7 @@ class HealthTopics:
             stream.block(at, {"temperature": values[:, [index]]}) for index, stream in enumerate(self._temperatures)
         ]
 
-    def _status_ticks(self, batch: Batch) -> NDArray[np.intp]:
+    def _status_ticks(self, batch: TickBatch) -> NDArray[np.intp]:
         """Return the indexes of the ticks that get a status message."""
         # NaN differs from itself. An unknown state of a drive would therefore count as a change in
         # every tick.
@@ -135,7 +135,7 @@ class HealthTopics:
         self._last = state[-1], int(periods[-1])
         return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
 
-    def _count_frames(self, batch: Batch, start: int, end: int) -> None:
+    def _count_frames(self, batch: TickBatch, start: int, end: int) -> None:
         """Count the frames and io events of the ticks with index `start` up to, but not including, `end`."""
         for direction, frames in enumerate((batch.received, batch.sent)):
             first, last = np.searchsorted(frames.tick, (start, end))
@@ -147,10 +147,10 @@ class HealthTopics:
                 key = " ".join(filter(None, (event.kind, event.where)))
                 self._io_events[key] = self._io_events.get(key, 0) + event.number
 
-    def _statuses(self, batch: Batch, index: int) -> list[DiagnosticStatus]:
+    def _statuses(self, batch: TickBatch, index: int) -> list[DiagnosticStatus]:
         """Return the status of controller, buses and motors at a tick."""
         action = Action(int(batch.action[index]))
-        level = OK if action == Action.PASS else WARN if action < Action.RELAX else ERROR
+        level = OK_LEVEL if action == Action.PASS else WARN_LEVEL if action < Action.RELAX else ERROR_LEVEL
         mode = Mode(int(batch.mode[index])).name.lower()
         values = {
             "action": action.name.lower(),
@@ -168,7 +168,7 @@ class HealthTopics:
         """Return the diagnostic status of each bus."""
         return [
             DiagnosticStatus(
-                OK,
+                OK_LEVEL,
                 f"handctl: bus {bus}",
                 "frames",
                 bus,
@@ -190,9 +190,9 @@ class HealthTopics:
         part = {name: numbers[self._columns[name]] for name in (*fields, "drive_phase")}
         for index, motor in enumerate(self._header.motors):
             number = part["drive_phase"][index]
-            is_valid = number in set(Phase)
-            phase = Phase(int(number)) if is_valid else Phase.SILENT
+            is_valid = number in set(DrivePhase)
+            phase = DrivePhase(int(number)) if is_valid else DrivePhase.SILENT
             values = {name.removeprefix("motor_"): f"{part[name][index]:.6g}" for name in fields}
-            level = _DRIVE_LEVEL.get(phase, WARN)
+            level = _DRIVE_LEVEL.get(phase, WARN_LEVEL)
             statuses.append(DiagnosticStatus(level, f"handctl: motor {motor}", phase.name.lower(), motor, values))
         return statuses

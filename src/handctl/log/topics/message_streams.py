@@ -6,13 +6,13 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from handctl.log.cdr import Template
-from handctl.log.container import MESSAGE, MessageBlock
+from handctl.log.cdr import MessageTemplate
+from handctl.log.container import MESSAGE_STRUCT, MessageBlock
 from handctl.log.message_types import schema_name, schema_text
 
-Times = NDArray[np.uint64]
+TimeArray = NDArray[np.uint64]
 
-_QOS = (
+_QOS_PROFILE = (
     "- history: 1\n  depth: 1\n  reliability: 1\n  durability: {durability}\n"
     "  deadline: {{sec: 9223372036, nsec: 854775807}}\n  lifespan: {{sec: 9223372036, nsec: 854775807}}\n"
     "  liveliness: 1\n  liveliness_lease_duration: {{sec: 9223372036, nsec: 854775807}}\n"
@@ -25,7 +25,7 @@ Durability 1 is transient_local, 2 is volatile.
 
 
 @dataclass(slots=True)
-class Registry:
+class TopicRegistry:
     """Registry of schemas and channels. Both are numbered in the order of registration."""
 
     schemas: dict[str, Schema] = field(default_factory=dict)
@@ -46,7 +46,7 @@ class Registry:
             self.schemas[message_type] = Schema(
                 id=number, data=data, encoding="ros2msg", name=schema_name(message_type)
             )
-        metadata = {"offered_qos_profiles": _QOS.format(durability=1 if latched else 2)}
+        metadata = {"offered_qos_profiles": _QOS_PROFILE.format(durability=1 if latched else 2)}
         if note:
             metadata["note"] = note
         channel = len(self.channels) + 1
@@ -55,7 +55,7 @@ class Registry:
 
 
 @dataclass(frozen=True, slots=True)
-class Stamps:
+class MessageStamps:
     """Log times and sequence numbers of n messages.
 
     Attributes:
@@ -63,39 +63,39 @@ class Stamps:
         sequence: (n,) uint32, low 32 bits of the tick numbers.
     """
 
-    log: Times
+    log: TimeArray
     sequence: NDArray[np.uint32]
 
-    def at(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Stamps":
+    def at(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "MessageStamps":
         """Return the log times and sequence numbers of the selected messages."""
-        return Stamps(self.log[index], self.sequence[index])
+        return MessageStamps(self.log[index], self.sequence[index])
 
 
-def stamps_at(log_ns: int, k: int) -> Stamps:
+def stamps_at(log_ns: int, k: int) -> MessageStamps:
     """Return the log time and sequence number of a single message.
 
     Args:
         log_ns: log time of the message [ns].
         k: number of the message's tick.
     """
-    return Stamps(np.array([log_ns], np.uint64), np.array([k & 0xFFFF_FFFF], np.uint32))
+    return MessageStamps(np.array([log_ns], np.uint64), np.array([k & 0xFFFF_FFFF], np.uint32))
 
 
-def ros_time(t_ns: Times) -> NDArray[np.uint32]:
+def ros_time(t_ns: TimeArray) -> NDArray[np.uint32]:
     """Convert times (n,) [ns] to seconds and nanoseconds (n, 2)."""
     return np.stack([t_ns // np.uint64(10**9), t_ns % np.uint64(10**9)], axis=1).astype("<u4")
 
 
-class Stream:
+class MessageStream:
     """Channel whose messages have a constant layout."""
 
-    def __init__(self, channel: int, template: Template) -> None:
+    def __init__(self, channel: int, template: MessageTemplate) -> None:
         """Build the layout of a Message record: 31 bytes of header, and the template."""
         self._channel = channel
         self._stamps = len(template.stamps)
         # Opcode 5 marks a Message record. The length field counts the bytes that follow it: 22
         # bytes of header and the data.
-        self._record = MESSAGE.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
+        self._record = MESSAGE_STRUCT.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
         fields: list[tuple[str, object, int]] = [
             ("sequence", "<u4", 11), ("log", "<u8", 15), ("publish", "<u8", 23),
             *((f"stamp{i}", ("<u4", (2,)), 31 + at) for i, at in enumerate(template.stamps)),
@@ -105,7 +105,7 @@ class Stream:
         self._dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(self._record)})
 
     def block(
-        self, stamps: Stamps, values: dict[str, NDArray[np.generic]], measured: Times | None = None
+        self, stamps: MessageStamps, values: dict[str, NDArray[np.generic]], measured: TimeArray | None = None
     ) -> MessageBlock:
         """Encode messages of the channel, and return them as a block.
 
@@ -131,10 +131,10 @@ class Stream:
         return MessageBlock(self._channel, rows.tobytes(), stamps.log, offsets)
 
 
-def variable_length_block(channel: int, stamps: Stamps, messages: list[bytes]) -> MessageBlock:
+def variable_length_block(channel: int, stamps: MessageStamps, messages: list[bytes]) -> MessageBlock:
     """Join messages of variable length to a block, and return the block."""
     parts = []
     for sequence, t_ns, message in zip(stamps.sequence.tolist(), stamps.log.tolist(), messages, strict=True):
-        parts.append(MESSAGE.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message)
+        parts.append(MESSAGE_STRUCT.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message)
     ends = np.cumsum([0, *map(len, parts)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(parts), stamps.log, ends[:-1])

@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
-from handctl.log.topics.message_streams import Registry, stamps_at, variable_length_block
+from handctl.log.topics.message_streams import TopicRegistry, stamps_at, variable_length_block
 
-TOPIC = "/controller/snapshot"
+SNAPSHOT_TOPIC = "/controller/snapshot"
 SNAPSHOT_PERIOD_NS = 1_000_000_000
 """Interval between snapshots [ns]."""
-_BODY = struct.Struct("<4xII8xqI")
+_SNAPSHOT_HEAD_STRUCT = struct.Struct("<4xII8xqI")
 """Layout of a message's start: encapsulation, stamp, empty frame_id with padding, tick number, length of the data."""
 
 
-class Snapshot(NamedTuple):
+class ControllerSnapshot(NamedTuple):
     """State of the controller after a tick.
 
     Attributes:
@@ -32,11 +32,11 @@ class Snapshot(NamedTuple):
 class SnapshotTopic:
     """Topic with the snapshots of the controller's state."""
 
-    def __init__(self, registry: Registry) -> None:
+    def __init__(self, registry: TopicRegistry) -> None:
         """Register the topic."""
-        self._channel = registry.add(TOPIC, "handctl_msgs/Snapshot")
+        self._channel = registry.add(SNAPSHOT_TOPIC, "handctl_msgs/Snapshot")
 
-    def block(self, t_ns: int, snapshot: Snapshot) -> MessageBlock:
+    def block(self, t_ns: int, snapshot: ControllerSnapshot) -> MessageBlock:
         """Return the message with one snapshot.
 
         Args:
@@ -52,15 +52,15 @@ class SnapshotTopic:
         return variable_length_block(self._channel, stamps_at(t_ns, snapshot.k), [out.message() + snapshot.data])
 
 
-def decode_snapshot(message: bytes) -> Snapshot:
+def decode_snapshot(message: bytes) -> ControllerSnapshot:
     """Decode a message with a snapshot.
 
     Raises:
         struct.error: the message is too short.
         ValueError: the snapshot's data end early.
     """
-    _, _, k, length = _BODY.unpack_from(message)
-    data = message[_BODY.size : _BODY.size + length]
+    _, _, k, length = _SNAPSHOT_HEAD_STRUCT.unpack_from(message)
+    data = message[_SNAPSHOT_HEAD_STRUCT.size : _SNAPSHOT_HEAD_STRUCT.size + length]
     if len(data) != length:
         raise ValueError("a snapshot that ends early")
-    return Snapshot(k, data)
+    return ControllerSnapshot(k, data)

@@ -9,15 +9,15 @@ from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, parse_toml
 from handctl.hand.moment_arms import arms_at
-from handctl.log.batch import Batch, columns_of_fields
-from handctl.log.cdr import CdrWriter, Template, TemplateWriter
+from handctl.log.batch import TickBatch, columns_of_fields
+from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.message_streams import Registry, Stamps, Stream
+from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
-Numbers = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 
-JOINT_STATES = {
+JOINT_STATE_TOPICS = {
     "/joint_states": ("joint", "q", "dq", "tendon_torque"),
     "/joint_commands": ("joint", "q_goal", "dq_goal", "joint_torque"),
     "/tendon_states": ("tendon", "excursion", "excursion_rate", "tension"),
@@ -30,7 +30,7 @@ JOINT_STATES = {
 If the field for an array is empty, so is the array in the message, as ROS 2 permits.
 """
 
-ESTIMATES = {
+ESTIMATE_TOPICS = {
     "/force_estimate": ("tension", "N"),
     "/joint_estimate": ("q", "rad"),
     "/tip_force_estimate": ("tip_force", "N"),
@@ -40,25 +40,26 @@ ESTIMATES = {
 Each of these fields has a standard deviation.
 """
 
-SPOOL_PAIRS = "/spool_pairs"
+SPOOL_PAIRS_TOPIC = "/spool_pairs"
 """Topic with the estimated tension of both tendons of each spool pair.
 
 Only hands with spool pairs have this topic.
 """
 
-_NOTES = {
+_TOPIC_NOTES = {
     "/joint_estimate": "joint angles and their variance, large where a digit in contact has fewer tendons than joints",
     "/tip_force_estimate": "tip-equivalent force and its variance",
     "/joint_states": "effort: torque of the tendons at the estimated tension, R^T f without friction [N m]",
     "/tendon_states": "position: excursion [m]; effort: estimated tension at the load cell, net of a spool pair [N]",
     "/tendon_commands": "effort: commanded tension at the load cell [N]",
     "/actuator_states": "at the spool, positive winds",
-    SPOOL_PAIRS: "effort: estimated tension of the first tendon, which a positive torque winds, and of the second [N]",
+    SPOOL_PAIRS_TOPIC: "effort: estimated tension of the first tendon, which a positive torque winds, "
+    "and of the second [N]",
 }
 """Notes for the metadata of the channels, by topic."""
 
 
-def moment_arms(header: RunHeader) -> Numbers:
+def moment_arms(header: RunHeader) -> FloatArray:
     """Return the moment arms R (N, J) of the tendons of the hand that a header describes [m].
 
     A moment arm that depends on the joint angle is replaced by the mean over the joint's range.
@@ -71,13 +72,13 @@ def _hand_of(header: RunHeader) -> Hand:
     return hand_from_content(parse_toml(header.hand_toml, "hand"), "hand")
 
 
-def pretensions(header: RunHeader) -> dict[str, float]:
+def spool_pair_pretensions(header: RunHeader) -> dict[str, float]:
     """Return the pretension of each spool pair of the hand, by name of the pair [N]."""
     tendons = tomllib.loads(header.hand_toml)["tendon"]
     return {tendon["name"]: tendon["pretension_N"] for tendon in tendons if "pretension_N" in tendon}
 
 
-def joint_state_template(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> Template:
+def joint_state_template(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> MessageTemplate:
     """Return the template of a sensor_msgs/JointState message."""
     out = TemplateWriter()
     out.header()
@@ -87,7 +88,7 @@ def joint_state_template(names: tuple[str, ...], position: bool, velocity: bool,
     return out.template()
 
 
-def wrench_template(frame_id: str) -> Template:
+def wrench_template(frame_id: str) -> MessageTemplate:
     """Return the template of a geometry_msgs/WrenchStamped message."""
     out = TemplateWriter()
     out.header(frame_id)
@@ -96,7 +97,7 @@ def wrench_template(frame_id: str) -> Template:
     return out.template()
 
 
-def statistics_values(number: int) -> Template:
+def statistics_values(number: int) -> MessageTemplate:
     """Return the template of a pal_statistics_msgs/StatisticsValues with `number` values and names_version 1."""
     out = TemplateWriter()
     out.header()
@@ -105,7 +106,7 @@ def statistics_values(number: int) -> Template:
     return out.template()
 
 
-def cycle_stats_template(motors: int) -> Template:
+def cycle_stats_template(motors: int) -> MessageTemplate:
     """Return the template of a handctl_msgs/CycleStats message."""
     out = TemplateWriter()
     out.header()
@@ -117,7 +118,7 @@ def cycle_stats_template(motors: int) -> Template:
     return out.template()
 
 
-def estimate_template(names: tuple[str, ...], unit: str) -> Template:
+def estimate_template(names: tuple[str, ...], unit: str) -> MessageTemplate:
     """Return the template of a handctl_msgs/Estimate message."""
     out = TemplateWriter()
     out.header()
@@ -142,7 +143,7 @@ def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
 class StateTopics:
     """Topics of joints, tendons, actuators, contacts and loop timing."""
 
-    def __init__(self, header: RunHeader, registry: Registry) -> None:
+    def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics for the hand that a header describes."""
         self._header = header
         self._columns = columns_of_fields(header)
@@ -152,35 +153,37 @@ class StateTopics:
         self._polynomials = hand.arm_polynomials if hand.has_varying_arm.any() else None
         self._last: tuple[int, int] | None = None
         self._joint_states = {}
-        for topic, (axis, *parts) in JOINT_STATES.items():
+        for topic, (axis, *parts) in JOINT_STATE_TOPICS.items():
             template = joint_state_template(header.axis(axis), *map(bool, parts))
-            channel = registry.add(topic, "sensor_msgs/JointState", note=_NOTES.get(topic, ""))
-            self._joint_states[topic] = Stream(channel, template)
-        self._pretension = pretensions(header)
+            channel = registry.add(topic, "sensor_msgs/JointState", note=_TOPIC_NOTES.get(topic, ""))
+            self._joint_states[topic] = MessageStream(channel, template)
+        self._pretension = spool_pair_pretensions(header)
         self._pairs = None
         if self._pretension:
             names = tuple(f"{name}/{part}" for name in self._pretension for part in ("first", "second"))
-            channel = registry.add(SPOOL_PAIRS, "sensor_msgs/JointState", note=_NOTES[SPOOL_PAIRS])
-            self._pairs = Stream(channel, joint_state_template(names, position=False, velocity=False, effort=True))
+            channel = registry.add(SPOOL_PAIRS_TOPIC, "sensor_msgs/JointState", note=_TOPIC_NOTES[SPOOL_PAIRS_TOPIC])
+            self._pairs = MessageStream(
+                channel, joint_state_template(names, position=False, velocity=False, effort=True)
+            )
         self._wrenches = [self._add_wrench_topic(registry, digit) for digit in header.digits]
         width = sum(part.stop - part.start for part in self._columns.values())
         channel = registry.add("/controller/values", "pal_statistics_msgs/StatisticsValues")
-        self._values = Stream(channel, statistics_values(width))
-        self._cycle = Stream(
+        self._values = MessageStream(channel, statistics_values(width))
+        self._cycle = MessageStream(
             registry.add("/cycle", "handctl_msgs/CycleStats"), cycle_stats_template(len(header.motors))
         )
         self._estimates = {}
-        for topic, (field, unit) in ESTIMATES.items():
-            channel = registry.add(topic, "handctl_msgs/Estimate", note=_NOTES.get(topic, ""))
-            self._estimates[field] = Stream(channel, estimate_template(header.axis(TELEMETRY_AXES[field]), unit))
+        for topic, (field, unit) in ESTIMATE_TOPICS.items():
+            channel = registry.add(topic, "handctl_msgs/Estimate", note=_TOPIC_NOTES.get(topic, ""))
+            self._estimates[field] = MessageStream(channel, estimate_template(header.axis(TELEMETRY_AXES[field]), unit))
 
-    def _add_wrench_topic(self, registry: Registry, digit: str) -> Stream:
+    def _add_wrench_topic(self, registry: TopicRegistry, digit: str) -> MessageStream:
         """Register the wrench topic of a digit."""
         note = "force of the object on the digit; the tip closes towards +y of its frame"
         channel = registry.add(f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note)
-        return Stream(channel, wrench_template(f"{digit}_tip"))
+        return MessageStream(channel, wrench_template(f"{digit}_tip"))
 
-    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages of all ticks of a batch."""
         part = {name: batch.numbers[:, columns_of_field] for name, columns_of_field in self._columns.items()}
         part["tendon_torque"] = self._tendon_torque(part["tension"], part["q"])
@@ -202,7 +205,7 @@ class StateTopics:
             blocks.append(stream.block(stamps, {"value": part[field], "variance": variance}))
         return blocks
 
-    def _tendon_torque(self, tension: Numbers, q: Numbers) -> Numbers:
+    def _tendon_torque(self, tension: FloatArray, q: FloatArray) -> FloatArray:
         """Return the joint torques R^T f (n, J) from the tensions f at joint angles q [N m].
 
         The sum is computed in a fixed order. The order of additions in a matrix product may depend
@@ -214,7 +217,7 @@ class StateTopics:
             torque[:, joint] += arms[..., tendon, joint] * tension[:, tendon]
         return torque
 
-    def _pair_tensions(self, tension: Numbers) -> Numbers:
+    def _pair_tensions(self, tension: FloatArray) -> FloatArray:
         """Return the tensions of both tendons of all P spool pairs (n, 2 P) [N], see ``estimation.spool_pair``."""
         names = list(self._header.tendons)
         net = tension[:, [names.index(name) for name in self._pretension]]
@@ -222,16 +225,16 @@ class StateTopics:
         taut = np.array(list(self._pretension.values()))[:, None] + 0.5 * both
         return np.maximum(np.maximum(taut, both), 0.0).reshape(len(net), -1)
 
-    def _joint_state_values(self, topic: str, part: dict[str, Numbers]) -> dict[str, NDArray[np.generic]]:
+    def _joint_state_values(self, topic: str, part: dict[str, FloatArray]) -> dict[str, NDArray[np.generic]]:
         """Return the values of position, velocity and effort for a JointState topic."""
-        _, *fields = JOINT_STATES[topic]
+        _, *fields = JOINT_STATE_TOPICS[topic]
         return {
             part_name: part[name]
             for part_name, name in zip(("position", "velocity", "effort"), fields, strict=True)
             if name
         }
 
-    def _cycle_values(self, batch: Batch) -> dict[str, NDArray[np.generic]]:
+    def _cycle_values(self, batch: TickBatch) -> dict[str, NDArray[np.generic]]:
         """Return the timing of each tick [s]: period, lateness, and time from the previous tick to the last reply."""
         start = batch.t_ns + batch.late_ns
         first_k, first_start = self._last or (int(batch.k[0]) - 1, -1)

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from handctl.log.batch import Batch
+from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.message_streams import Registry, Stamps, variable_length_block
-from handctl.programs.requests import OpenStream, Target, is_target, parse_request, parse_target
+from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
+from handctl.programs.requests import OpenStream, StreamTarget, is_target, parse_request, parse_target
 
 
 class TargetTopic:
@@ -18,13 +18,13 @@ class TargetTopic:
     Malformed targets appear only in the topic `/tick`.
     """
 
-    def __init__(self, header: RunHeader, registry: Registry) -> None:
+    def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topic."""
         self._offset_ns = header.offset_ns
         self._channel = registry.add("/stream/target", "handctl_msgs/StreamTarget")
         self._names: dict[str, tuple[str, ...]] = {}
 
-    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return messages with the streamed targets in a batch of ticks."""
         at = list[int]()
         messages = list[bytes]()
@@ -36,7 +36,7 @@ class TargetTopic:
             return []
         return [variable_length_block(self._channel, stamps.at(np.array(at, np.intp)), messages)]
 
-    def _targets_among(self, requests: tuple[str, ...]) -> Iterator[Target]:
+    def _targets_among(self, requests: tuple[str, ...]) -> Iterator[StreamTarget]:
         """Yield the streamed targets among some requests.
 
         A request that opens a stream names the values of all later targets of this stream.
@@ -49,7 +49,7 @@ class TargetTopic:
             elif (target := parse_target(text)) is not None:
                 yield target
 
-    def _target_message(self, log_ns: int, target: Target) -> bytes:
+    def _target_message(self, log_ns: int, target: StreamTarget) -> bytes:
         """Encode a streamed target as a handctl_msgs/StreamTarget message."""
         names = self._names.get(target.stream, ())
         age_s = (log_ns - self._offset_ns - target.sent_ns) / 1e9

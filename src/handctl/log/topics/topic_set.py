@@ -3,7 +3,7 @@
 import numpy as np
 from mcap.records import Channel, Schema
 
-from handctl.log.batch import Batch
+from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
@@ -12,8 +12,8 @@ from handctl.log.topics.chain import ChainTopic
 from handctl.log.topics.clock_pairs import ClockTopic
 from handctl.log.topics.event_topics import EventTopics
 from handctl.log.topics.health import HealthTopics
-from handctl.log.topics.message_streams import Registry, Stamps, stamps_at, variable_length_block
-from handctl.log.topics.snapshots import Snapshot, SnapshotTopic
+from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, stamps_at, variable_length_block
+from handctl.log.topics.snapshots import ControllerSnapshot, SnapshotTopic
 from handctl.log.topics.state_topics import StateTopics, names_message
 from handctl.log.topics.targets import TargetTopic
 from handctl.log.topics.transforms import TfTopics
@@ -26,7 +26,7 @@ The messages of nearly all other topics are derived from these two and from the 
 """
 
 
-class Topics:
+class TopicSet:
     """Converter from ticks to the messages of all topics.
 
     The messages do not depend on how the ticks are divided into batches.
@@ -35,7 +35,7 @@ class Topics:
     def __init__(self, header: RunHeader) -> None:
         """Register all topics of a run."""
         self._header = header
-        self._registry = Registry()
+        self._registry = TopicRegistry()
         self._description = self._registry.add("/robot_description", "std_msgs/String", latched=True)
         self._names = self._registry.add("/controller/names", "pal_statistics_msgs/StatisticsNames", latched=True)
         self._tick = self._registry.add(TICK_TOPIC, "handctl_msgs/Tick")
@@ -61,7 +61,7 @@ class Topics:
 
     def latched(self) -> list[MessageBlock]:
         """Return the messages that are written once, at t = 0 of the run."""
-        stamps = Stamps(np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32))
+        stamps = MessageStamps(np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32))
         names = names_message(self._header, *divmod(self._header.offset_ns, 10**9))
         blocks = [
             variable_length_block(self._names, stamps, [names]),
@@ -91,7 +91,7 @@ class Topics:
         """
         return self._clocks.block(stamps_at(self._log_ns(t_ns), k), wall_ns, monotonic_ns)
 
-    def snapshot(self, t_ns: int, snapshot: Snapshot) -> MessageBlock:
+    def snapshot(self, t_ns: int, snapshot: ControllerSnapshot) -> MessageBlock:
         """Return a message with the controller's state after the tick at time `t_ns`."""
         return self._snapshots.block(self._log_ns(t_ns), snapshot)
 
@@ -99,10 +99,10 @@ class Topics:
         """Return a time since the start of the run as a log time [ns]."""
         return max(t_ns + self._header.offset_ns, 0)
 
-    def blocks(self, batch: Batch) -> list[MessageBlock]:
+    def blocks(self, batch: TickBatch) -> list[MessageBlock]:
         """Return the messages of all topics for a batch of ticks."""
         log = np.maximum(batch.t_ns + self._header.offset_ns, 0).astype(np.uint64)
-        stamps = Stamps(log, (batch.k & 0xFFFF_FFFF).astype(np.uint32))
+        stamps = MessageStamps(log, (batch.k & 0xFFFF_FFFF).astype(np.uint32))
         blocks = [
             variable_length_block(self._tick, stamps, batch.messages),
             *self._chain.blocks(batch, stamps),

@@ -10,15 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.log.batch import Batch, columns_of_fields
+from handctl.log.batch import TickBatch, columns_of_fields
 from handctl.log.cdr import TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.message_streams import Registry, Stamps, Stream
+from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry
 
 TRANSFORM_PERIOD_NS = 20_000_000
 """Interval between messages with transforms [ns]. 50 Hz is enough for a viewer."""
-ROOT = "palm"
+ROOT_FRAME = "palm"
 """Name of the frame that is the root of all link frames."""
 Z_AXIS = (0.0, 0.0, 1.0)
 """Axis of a hinge for which the hand file gives no ``joint_axis``."""
@@ -65,7 +65,7 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
     for digit in tomllib.loads(hand_toml)["digit"]:
         name = digit["name"]
         lengths = digit["link_length_m"]
-        parent = tips[digit["mount_on"]] if "mount_on" in digit else ROOT
+        parent = tips[digit["mount_on"]] if "mount_on" in digit else ROOT_FRAME
         position = tuple(map(float, digit["mount_position_m"]))
         rotation = quaternion_of_rpy(*map(math.radians, digit["mount_rpy_deg"]))
         turns = digit.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * len(lengths))
@@ -104,7 +104,7 @@ def link_quaternions(link: LinkFrame, q: NDArray[np.float64]) -> NDArray[np.floa
     return np.stack(multiply_quaternions(link.rotation, turn), axis=1)
 
 
-def _stream(channel: int, some: list[LinkFrame]) -> Stream:
+def _transform_stream(channel: int, some: list[LinkFrame]) -> MessageStream:
     """Return the stream of a tf2_msgs/TFMessage for some links."""
     out = TemplateWriter()
     out.count(len(some))
@@ -113,7 +113,7 @@ def _stream(channel: int, some: list[LinkFrame]) -> Stream:
         out.text(link.child)
         out.place(f"position{index}", "<f8", 3)
         out.place(f"rotation{index}", "<f8", 4)
-    return Stream(channel, out.template())
+    return MessageStream(channel, out.template())
 
 
 class TfTopics:
@@ -122,16 +122,16 @@ class TfTopics:
     An unknown joint angle gives a rotation of NaN.
     """
 
-    def __init__(self, header: RunHeader, registry: Registry) -> None:
+    def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics."""
         tree = link_frames(header.hand_toml)
         self._moving, self._fixed = ([link for link in tree if (link.joint >= 0) == moves] for moves in (True, False))
-        self._static = _stream(registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed)
-        self._stream = _stream(registry.add("/tf", "tf2_msgs/TFMessage"), self._moving)
+        self._static = _transform_stream(registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed)
+        self._stream = _transform_stream(registry.add("/tf", "tf2_msgs/TFMessage"), self._moving)
         self._q = columns_of_fields(header)["q"]
         self._last = -1
 
-    def latched(self, stamps: Stamps) -> MessageBlock:
+    def latched(self, stamps: MessageStamps) -> MessageBlock:
         """Return the single message of /tf_static."""
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._fixed):
@@ -139,7 +139,7 @@ class TfTopics:
             values[f"rotation{index}"] = np.array([link.rotation])
         return self._static.block(stamps, values)
 
-    def blocks(self, batch: Batch, stamps: Stamps) -> list[MessageBlock]:
+    def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the /tf messages, one for the first tick in each 50 Hz period."""
         periods = batch.t_ns // TRANSFORM_PERIOD_NS
         selected = np.flatnonzero(np.diff(periods, prepend=self._last))

@@ -1,7 +1,7 @@
 """Start of the recorder process. The process can start before the run to be recorded is known.
 
 The recorder process needs half a second for imports. A command with a recording starts the recorder
-process before importing other modules (`process_ahead`). Then both processes import at the same
+process before importing other modules (`recorder_process_ahead`). Then both processes import at the same
 time on two cores. This module therefore imports only a few modules.
 """
 
@@ -33,14 +33,14 @@ class RecorderProcess(NamedTuple):
         self.child.stdout.close()
 
 
-_ahead: list[RecorderProcess] = []
-"""Recorder process that `process_ahead` has started and that no recorder has taken yet.
+_started_ahead: list[RecorderProcess] = []
+"""Recorder process that `recorder_process_ahead` has started and that no recorder has taken yet.
 
 The list is empty without one.
 """
 
 
-def start_process() -> RecorderProcess:
+def start_recorder_process() -> RecorderProcess:
     """Start a recorder process. The process ends when the pipe for the records is closed."""
     reading, writing = os.pipe()
     # The option `-P` keeps the working directory out of Python's import path.
@@ -56,22 +56,22 @@ def start_process() -> RecorderProcess:
 
 
 @contextmanager
-def process_ahead() -> Iterator[None]:
+def recorder_process_ahead() -> Iterator[None]:
     """Start a recorder process for the first recorder in this block.
 
     A process that no recorder has taken is ended at the end of the block.
     """
-    _ahead.append(start_process())
+    _started_ahead.append(start_recorder_process())
     try:
         yield
     finally:
-        while _ahead:
-            _ahead.pop().end()
+        while _started_ahead:
+            _started_ahead.pop().end()
 
 
-def take_process() -> RecorderProcess:
-    """Return the recorder process that `process_ahead` has started.
+def take_recorder_process() -> RecorderProcess:
+    """Return the recorder process that `recorder_process_ahead` has started.
 
     If there is none, start a recorder process.
     """
-    return _ahead.pop() if _ahead else start_process()
+    return _started_ahead.pop() if _started_ahead else start_recorder_process()

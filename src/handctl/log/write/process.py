@@ -19,13 +19,20 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.log.header import RunHeader
-from handctl.log.record import END, FILE, FRAMING, HEADER, SNAPSHOT, TICK
-from handctl.log.write.syncer import Syncer
+from handctl.log.record import (
+    END_RECORD_KIND,
+    FILE_RECORD_KIND,
+    HEADER_RECORD_KIND,
+    RECORD_FRAMING_STRUCT,
+    SNAPSHOT_RECORD_KIND,
+    TICK_RECORD_KIND,
+)
+from handctl.log.write.syncer import DiskSyncer
 from handctl.log.write.writer import LogWriter
 
 READ_BYTES = 1 << 20
 """Largest size of one read from the pipe [bytes]."""
-PAUSE_S = 0.01
+WRITE_PAUSE_S = 0.01
 """Pause after a read that returned few bytes [s].
 
 After the pause, one read gets the records of several ticks. The pipe is still far from full then.
@@ -40,7 +47,7 @@ than 0.25 s of ticks.
 """
 SYNC_PERIOD_S = 1.0
 """Interval between requests to sync the file to disk [s]."""
-NICE = -10
+RECORDER_NICE_VALUE = -10
 """Nice value of the recorder process, for a higher priority than other programs if the system permits it.
 
 The control loop has real-time priority, which is higher still.
@@ -61,7 +68,7 @@ def report_event(event: str, number: int) -> None:
     send_note({"event": event, "number": number})
 
 
-class Splitter:
+class RecordSplitter:
     """Splitter that divides a byte stream into records.
 
     The splitter keeps an incomplete record until the rest of the record arrives.
@@ -75,12 +82,12 @@ class Splitter:
         """Add bytes of the stream, and yield kind and body of each record that is complete now."""
         data = self._rest + data
         at = 0
-        while at + FRAMING.size <= len(data):
-            length, kind = FRAMING.unpack_from(data, at)
-            end = at + FRAMING.size + length
+        while at + RECORD_FRAMING_STRUCT.size <= len(data):
+            length, kind = RECORD_FRAMING_STRUCT.unpack_from(data, at)
+            end = at + RECORD_FRAMING_STRUCT.size + length
             if end > len(data):
                 break
-            yield kind, data[at + FRAMING.size : end]
+            yield kind, data[at + RECORD_FRAMING_STRUCT.size : end]
             at = end
         self._rest = data[at:]
 
@@ -96,7 +103,7 @@ class RecorderSession:
         """Start without a log file. The first records name and open the file."""
         self.path = Path()
         self._floor = 0
-        self._splitter = Splitter()
+        self._splitter = RecordSplitter()
         self._writer: LogWriter | None = None
         self._wall_flush = True
         self._reason = "controller died"
@@ -114,7 +121,7 @@ class RecorderSession:
                 for kind, body in self._splitter.split(data):
                     self._take_record(kind, body)
                 if len(data) < PAUSE_BELOW_BYTES:
-                    time.sleep(PAUSE_S)
+                    time.sleep(WRITE_PAUSE_S)
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= clean + MAX_UNWRITTEN_S:
                 self._writer.flush()
@@ -130,20 +137,20 @@ class RecorderSession:
 
     def _take_record(self, kind: int, body: bytes) -> None:
         """Process one record from the controller."""
-        if kind == TICK and self._writer:
+        if kind == TICK_RECORD_KIND and self._writer:
             self._writer.add(body)
-        elif kind == SNAPSHOT and self._writer:
+        elif kind == SNAPSHOT_RECORD_KIND and self._writer:
             self._writer.add_snapshot(body)
-        elif kind == FILE:
+        elif kind == FILE_RECORD_KIND:
             file = json.loads(body)
             self.path = Path(file["path"])
             self._floor = int(file["floor_bytes"])
-        elif kind == HEADER:
+        elif kind == HEADER_RECORD_KIND:
             header = RunHeader.load(body)
             self._wall_flush = not header.deterministic
-            self._writer = LogWriter(self.path, header, report_event, self._floor, to_disk=Syncer())
+            self._writer = LogWriter(self.path, header, report_event, self._floor, to_disk=DiskSyncer())
             send_note({"ready": True})
-        elif kind == END:
+        elif kind == END_RECORD_KIND:
             end = json.loads(body)
             self._reason = str(end["reason"])
             self._dropped = int(end["dropped"])
@@ -160,7 +167,7 @@ def main() -> int:
     # Writing a note must never make the recorder wait.
     os.set_blocking(1, False)
     with suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, NICE)
+        os.setpriority(os.PRIO_PROCESS, 0, RECORDER_NICE_VALUE)
     session = RecorderSession()
     try:
         session.run()

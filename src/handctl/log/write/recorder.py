@@ -19,8 +19,8 @@ from typing import Self
 from handctl.core.types import IoEvent
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
-from handctl.log.record import END, FILE, HEADER, record_bytes
-from handctl.log.write.child import RecorderProcess, take_process
+from handctl.log.record import END_RECORD_KIND, FILE_RECORD_KIND, HEADER_RECORD_KIND, record_bytes
+from handctl.log.write.child import RecorderProcess, take_recorder_process
 
 PIPE_BYTES = (8 << 20, 1 << 20)
 """Sizes to request for the pipe to the recorder, in order of preference [bytes].
@@ -28,7 +28,7 @@ PIPE_BYTES = (8 << 20, 1 << 20)
 Linux grants the second size without privileges. A pipe of this size holds more than 250 ticks of
 the largest hand.
 """
-FLOOR_BYTES = 64 << 20
+MIN_FREE_DISK_BYTES = 64 << 20
 """Free disk space below which a log is finished early [bytes].
 
 Below four times this value, the recorder gives a warning.
@@ -82,7 +82,7 @@ class Recorder:
         self._poll.register(self._notes, select.POLLIN)
 
     @classmethod
-    def start(cls, path: Path, header: RunHeader, floor_bytes: int = FLOOR_BYTES) -> Self:
+    def start(cls, path: Path, header: RunHeader, floor_bytes: int = MIN_FREE_DISK_BYTES) -> Self:
         """Start recording, in a recorder process started ahead or in a new process.
 
         Wait until the header is in the log file.
@@ -95,9 +95,9 @@ class Recorder:
         Raises:
             LogError: the log file cannot be created, or the recorder process does not answer.
         """
-        recorder = cls(path, take_process(), header.deterministic)
+        recorder = cls(path, take_recorder_process(), header.deterministic)
         file = json.dumps({"path": str(path), "floor_bytes": floor_bytes}).encode()
-        recorder._send_header(record_bytes(FILE, file) + record_bytes(HEADER, header.dump()))
+        recorder._send_header(record_bytes(FILE_RECORD_KIND, file) + record_bytes(HEADER_RECORD_KIND, header.dump()))
         return recorder
 
     def _send_header(self, header: bytes) -> None:
@@ -256,7 +256,7 @@ class Recorder:
         """
         body = json.dumps({"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}).encode()
         if not self._ended and self._send(self._rest, CLOSE_TIMEOUT_S):
-            self._send(record_bytes(END, body), CLOSE_TIMEOUT_S)
+            self._send(record_bytes(END_RECORD_KIND, body), CLOSE_TIMEOUT_S)
         os.close(self._pipe)
         try:
             self._child.wait(CLOSE_TIMEOUT_S)

@@ -26,7 +26,7 @@ def sync_now(descriptor: int) -> None:
     getattr(os, "fdatasync", os.fsync)(descriptor)
 
 
-class Syncer:
+class DiskSyncer:
     """Callable that starts a sync of a file to disk.
 
     If the sync fails, a later call raises the error.
@@ -60,7 +60,7 @@ class Syncer:
         if os.fork() == 0:
             try:
                 _close_all_but(descriptor, requests, errors)
-                _serve(descriptor, requests, errors)
+                _serve_sync_requests(descriptor, requests, errors)
             finally:
                 os._exit(0)
         os.close(requests)
@@ -80,7 +80,7 @@ def _close_all_but(*descriptors: int) -> None:
         os.closerange(low + 1, high)
 
 
-def _serve(descriptor: int, requests: int, errors: int) -> None:
+def _serve_sync_requests(descriptor: int, requests: int, errors: int) -> None:
     """Serve sync requests until the recorder's end of the request pipe is closed.
 
     One sync to disk serves all waiting requests.

@@ -9,13 +9,13 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from handctl.log.batch import Batcher
-from handctl.log.container import Container, MessageBlock
+from handctl.log.batch import TickBatcher
+from handctl.log.container import McapContainer, MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.record import SNAPSHOT_HEAD
+from handctl.log.record import SNAPSHOT_HEAD_STRUCT
 from handctl.log.topics.clock_pairs import PAIR_PERIOD_NS
-from handctl.log.topics.snapshots import Snapshot
-from handctl.log.topics.topic_set import Topics
+from handctl.log.topics.snapshots import ControllerSnapshot
+from handctl.log.topics.topic_set import TopicSet
 from handctl.log.write.syncer import sync_now
 
 CHUNK_SPAN_NS = 250_000_000
@@ -27,10 +27,10 @@ CHUNK_BYTES = 1 << 20
 """Total size of collected tick records above which a chunk is written [bytes]."""
 RESERVED_BYTES = 512 << 10
 """Disk space that is reserved for the summary and footer of a log, in case the disk becomes full [bytes]."""
-SCHEMA = 1
+LOG_SCHEMA_VERSION = 1
 """Version of the topics and records of a log. The reader refuses logs of other versions."""
 
-_MEDIA = {
+_MEDIA_TYPES = {
     ".toml": "application/toml",
     ".urdf": "application/xml",
     ".txt": "text/plain",
@@ -38,10 +38,10 @@ _MEDIA = {
     ".stl": "model/stl",
     ".obj": "model/obj",
 }
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_DISK_FULL_ERRNOS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
-Report = Callable[[str, int], None]
-Clocks = Callable[[], tuple[int, int]]
+ReportFunction = Callable[[str, int], None]
+ClockFunction = Callable[[], tuple[int, int]]
 
 
 def _both_clocks() -> tuple[int, int]:
@@ -95,9 +95,9 @@ class LogWriter:
         self,
         path: Path,
         header: RunHeader,
-        report: Report,
+        report: ReportFunction,
         floor_bytes: int,
-        clocks: Clocks = _both_clocks,
+        clocks: ClockFunction = _both_clocks,
         to_disk: Callable[[int], None] = sync_now,
     ) -> None:
         """Create the file, and write the header.
@@ -123,8 +123,8 @@ class LogWriter:
         self._header = header
         self._report = report
         self._floor = floor_bytes
-        self._topics = Topics(header)
-        self._batcher = Batcher(header)
+        self._topics = TopicSet(header)
+        self._batcher = TickBatcher(header)
         self._fd = _create_file(path)
         self._reserved = _ReservedSpace(path.parent)
         self._warned = self.closed = False
@@ -133,7 +133,7 @@ class LogWriter:
         self._last_k = -1
         self._snapshots: list[MessageBlock] = []
         self.ticks = self.lost = self._missed = 0
-        self._container = Container(self._fd)
+        self._container = McapContainer(self._fd)
         self._write_header_records()
 
     def _write_header_records(self) -> None:
@@ -143,13 +143,13 @@ class LogWriter:
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
             container.attach(
                 name,
-                _MEDIA.get(Path(name).suffix, "application/octet-stream"),
+                _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream"),
                 data,
                 header.offset_ns,
             )
         container.metadata("handctl", header.metadata)
         lists = {name: list(getattr(header, name)) for name in ("joints", "tendons", "motors", "digits", "buses")}
-        numbers = {"schema": SCHEMA, "period_ns": header.period_ns, "offset_ns": header.offset_ns}
+        numbers = {"schema": LOG_SCHEMA_VERSION, "period_ns": header.period_ns, "offset_ns": header.offset_ns}
         fields = lists | numbers | {"deterministic": header.deterministic}
         container.metadata("handctl.run", {name: json.dumps(value) for name, value in fields.items()})
         container.metadata("handctl.gains", header.gains)
@@ -182,8 +182,10 @@ class LogWriter:
         The snapshot is written with the next chunk.
         """
         if not self.closed:
-            k, t_ns = SNAPSHOT_HEAD.unpack_from(body)
-            self._snapshots.append(self._topics.snapshot(t_ns, Snapshot(k, body[SNAPSHOT_HEAD.size :])))
+            k, t_ns = SNAPSHOT_HEAD_STRUCT.unpack_from(body)
+            self._snapshots.append(
+                self._topics.snapshot(t_ns, ControllerSnapshot(k, body[SNAPSHOT_HEAD_STRUCT.size :]))
+            )
 
     def _ends_chunk(self, t_ns: int, begins: bool) -> bool:
         """Return True if the current chunk must end with this tick.
@@ -252,7 +254,7 @@ class LogWriter:
     def _close_after_failure(self, error: OSError) -> None:
         """Close the file after a failed write."""
         self.closed = True
-        self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
+        self._report("disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0)
         with suppress(OSError):
             self._container.cut_back()
             self._write_end(f"write failed: {error.strerror}", 0)
@@ -298,7 +300,7 @@ class LogWriter:
             try:
                 self._write_end(reason, dropped, facts)
             except OSError as error:
-                self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
+                self._report("disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0)
         os.close(self._fd)
         numbers = {"ticks": self.ticks, "lost": self.lost, "messages": self._container.messages}
         return numbers | {"bytes": self._container.complete_size, "path": str(self._path), "reason": reason}

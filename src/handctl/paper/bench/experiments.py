@@ -11,13 +11,13 @@ from typing import Any
 from handctl.errors import ConfigError
 from handctl.paper.bench import force_displacement, payload
 
-Job = Mapping[str, Any]
-Result = Mapping[str, Any]
-Workers = Callable[[Sequence[Job]], list[Result]]
+ExperimentJob = Mapping[str, Any]
+ExperimentResult = Mapping[str, Any]
+JobRunner = Callable[[Sequence[ExperimentJob]], list[ExperimentResult]]
 """Function that runs jobs, possibly several at a time, and returns their results in the order of the jobs."""
 
 
-def run_job(job: Job, folder: Path) -> Result:
+def run_job(job: ExperimentJob, folder: Path) -> ExperimentResult:
     """Run the experiment of a job, and return its result.
 
     Args:
@@ -34,7 +34,7 @@ def run_job(job: Job, folder: Path) -> Result:
     raise ValueError(f"no such experiment: {job['do']}")
 
 
-def job_description(job: Job) -> str:
+def job_description(job: ExperimentJob) -> str:
     """Return a description of a job for progress reports."""
     match job["do"]:
         case "pull":
@@ -46,10 +46,10 @@ def job_description(job: Job) -> str:
 
 def job_count() -> int:
     """Return the number of jobs of all experiments."""
-    return 1 + len(payload.DIAMETERS_MM) * (1 + len(payload.AXES))
+    return 1 + len(payload.DIAMETERS_MM) * (1 + len(payload.LOAD_DIRECTIONS))
 
 
-def run_experiments(workers: Workers) -> dict[str, Any]:
+def run_experiments(workers: JobRunner) -> dict[str, Any]:
     """Run all experiments, and return the results.
 
     Returns:
@@ -62,19 +62,19 @@ def run_experiments(workers: Workers) -> dict[str, Any]:
     loads = [
         {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}
         for diameter, grip in zip(payload.DIAMETERS_MM, grips, strict=True)
-        for axis in payload.AXES
+        for axis in payload.LOAD_DIRECTIONS
     ]
     return {"force_displacement": pulled, "payload": workers(loads)}
 
 
-DIGITS = 6
+SIGNIFICANT_DIGITS = 6
 """Number of significant digits of the results in a file."""
 
 
 def rounded_results(results: Any) -> Any:
-    """Return results in which every float is rounded to `DIGITS` significant digits."""
+    """Return results in which every float is rounded to `SIGNIFICANT_DIGITS` significant digits."""
     if isinstance(results, float):
-        return float(f"{results:.{DIGITS}g}")
+        return float(f"{results:.{SIGNIFICANT_DIGITS}g}")
     if isinstance(results, Mapping):
         return {key: rounded_results(value) for key, value in results.items()}
     return (
@@ -90,7 +90,7 @@ def load_results(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: The file cannot be read, or does not contain all experiments.
     """
-    cases = {(diameter, axis) for diameter in payload.DIAMETERS_MM for axis in payload.AXES}
+    cases = {(diameter, axis) for diameter in payload.DIAMETERS_MM for axis in payload.LOAD_DIRECTIONS}
     try:
         results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         measured_cases = {(case["diameter_mm"], case["axis"]) for case in results["payload"]}

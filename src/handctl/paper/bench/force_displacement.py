@@ -18,11 +18,11 @@ from handctl.hand.load import hand_from_content, load_hand
 from handctl.hand.tendons import TendonElasticity
 from handctl.paper import sources as src
 from handctl.paper.bench.bench_run import run_bench_task
-from handctl.paper.item import Item
+from handctl.paper.item import ErrataItem
 from handctl.paper.verdicts import verdict_of_contradiction
 from handctl.programs.task import Task
 
-HAND = "jamia_bench"
+HAND_NAME = "jamia_bench"
 """Name of the packaged hand of the test bench."""
 BLOCKED_DEG = 0.01
 """Range of motion that a clamped joint has left [deg].
@@ -69,12 +69,12 @@ class TendonCurve:
 
 def blocked_hand(knees: tuple[float, ...]) -> Hand:
     """Return the bench hand with clamped joints, and with the given knees of the first tendons."""
-    content = copy.deepcopy(load_hand(HAND).content)
+    content = copy.deepcopy(load_hand(HAND_NAME).content)
     for digit in content["digit"]:
         digit["joint_max_deg"] = [low + BLOCKED_DEG for low in digit["joint_min_deg"]]
     for tendon, knee in zip(content["tendon"], knees, strict=False):
         tendon["knee_N"] = knee
-    return hand_from_content(content, f"{HAND}, blocked")
+    return hand_from_content(content, f"{HAND_NAME}, blocked")
 
 
 def measure_tendons(folder: Path) -> dict[str, Any]:
@@ -154,7 +154,7 @@ def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, f
 
     def law(x: Array, knee: float, ratio: float, width: float) -> Array:
         tendon = TendonElasticity(slope, ratio * slope, knee, width, 0.0)
-        return np.array([tendon.elastic(value) for value in x.tolist()])
+        return np.array([tendon.elastic_tension(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
     # Every fourth sample is enough. Further samples need time, and tell little about the knee.
@@ -164,11 +164,11 @@ def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, f
 
 def curves_of_tendons(measured: Mapping[str, Any]) -> list[TendonCurve]:
     """Return the force-displacement curves of all tendons that `measure_tendons` pulled."""
-    noise = load_hand(HAND).sensor_node.tension_noise_N
+    noise = load_hand(HAND_NAME).sensor_node.tension_noise_N
     return [curve_of_tendon(tendon, noise) for tendon in measured["ropes"]]
 
 
-def knee_items(measured: Mapping[str, Any]) -> list[Item]:
+def knee_items(measured: Mapping[str, Any]) -> list[ErrataItem]:
     """Return items that compare the measured knees with the knees that the paper states."""
     rows = []
     verdict = verdict_of_contradiction([str(knee) for knee in src.KNEES_N], None)
@@ -177,7 +177,7 @@ def knee_items(measured: Mapping[str, Any]) -> list[Item]:
         top = float(tendon.force.max())
         measured_text = f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N" if tendon.knee else f"none up to {top:.0f} N"
         rows.append(
-            Item(
+            ErrataItem(
                 f"fig5.measured{knee_nominal:g}", f"Fig. 5, {place}", f"linear up to {knee_nominal:g} N",
                 tendon.knee, "N", verdict,
                 f"Measured on the simulator's bench with a tendon whose knee is at {knee_nominal:g} N: "

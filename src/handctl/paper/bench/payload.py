@@ -13,20 +13,20 @@ import numpy as np
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
 from handctl.paper.bench.bench_run import BenchRecording, run_bench_task
-from handctl.paper.item import Item
+from handctl.paper.item import ErrataItem
 from handctl.paper.verdicts import verdict_of_lower_bound
 from handctl.programs.task import Task
 from handctl.report.truth import TruthRecord, read_truth
 
-HAND = "jamia"
+HAND_NAME = "jamia"
 """Name of the packaged hand for this measurement."""
 DIAMETERS_MM = (30.0, 35.0, 40.0)
 """Diameters of the cylinders [mm]."""
-AXES: dict[str, tuple[int, int, int]] = {"x": (1, 0, 0), "y": (0, -1, 0), "z": (0, 0, -1)}
+LOAD_DIRECTIONS: dict[str, tuple[int, int, int]] = {"x": (1, 0, 0), "y": (0, -1, 0), "z": (0, 0, -1)}
 """Direction of the load for each axis, in the palm frame."""
 AXIS_NAMES = {"x": "out of the palm", "y": "towards the thumb", "z": "down, along the cylinder"}
 """Description of the direction of the load for each axis."""
-MASS_KG = 0.05
+CYLINDER_MASS_KG = 0.05
 """Mass of the cylinder [kg]."""
 TENSION_STEPS_N = (20.0, 26.0, 32.0, 38.0, 44.0)
 """Tensions that the search tries [N].
@@ -35,11 +35,11 @@ The tension at which a finger presses with 6 N is interpolated between them.
 """
 TENSION_STEP_S = 0.5
 """Duration of each tension of the search [s]."""
-SETTLE_S = 0.8
+GRIP_SETTLING_S = 0.8
 """Time from the begin of the grip to the begin of the load [s]."""
 LOAD_RATE_N_PER_S = 4.0
 """Rate at which the load increases [N/s]."""
-LOAD_S = 5.5
+LOAD_DURATION_S = 5.5
 """Duration of the increasing load [s]."""
 SLIP_SPEED_M_PER_S = 1e-3
 """Largest speed at which the object does not count as slipping [m/s]."""
@@ -52,7 +52,7 @@ AVERAGE_ROWS = 100
 
 A row is a millisecond.
 """
-SCENE = """name = "payload"
+SCENE_TEXT = """name = "payload"
 [object]
 shape = "cylinder"
 diameter_m = {diameter}
@@ -91,7 +91,7 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normals = np.full(len(names), float(src.GRIP_FINGER_N))
     tension = _tension_for_normals(normals, target_normals)
-    recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, SETTLE_S)])
+    recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, GRIP_SETTLING_S)])
     shortfall = target_normals - _mean_normals(truth, _phase_end_ns(recording, "try"))
     return {"tension_N": _tension_for_normals(normals, target_normals + shortfall), "began_s": start_s}
 
@@ -110,24 +110,24 @@ def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, floa
 def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]) -> dict[str, Any]:
     """Grip the cylinder, load it until it slips, and return the result as plain values."""
     tension = grip["tension_N"]
-    hold = _hold_phase("load", tension, SETTLE_S + LOAD_S)
-    start = grip["began_s"] + SETTLE_S
+    hold = _hold_phase("load", tension, GRIP_SETTLING_S + LOAD_DURATION_S)
+    start = grip["began_s"] + GRIP_SETTLING_S
     recording, truth = _grip_cylinder(folder, diameter_mm, axis, start, [hold])
     first = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
     end = int(np.searchsorted(truth.t_ns, _phase_end_ns(recording, "load")))
     normals = _mean_normals(truth, int(truth.t_ns[first]))
     slip, ended = _find_slip(truth, first, end)
     # Along z, the weight of the object acts in the direction of the load.
-    weight = MASS_KG * float(src.GRAVITY) if axis == "z" else 0.0
+    weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if axis == "z" else 0.0
     load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
     # The palm carries the sum of the contact forces of the digits along x, out of the palm.
     palm = sum(float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0]) for name in tension)
     times = truth.t_ns[first:end:10]
-    moved = np.linalg.norm(_positions(truth, times) - _positions(truth, times)[0], axis=1)
+    moved = np.linalg.norm(_object_positions(truth, times) - _object_positions(truth, times)[0], axis=1)
     return {
         "diameter_mm": diameter_mm, "axis": axis, "tension_N": dict(tension),
         "normal_N": dict(zip(tension, normals, strict=True)), "palm_N": max(0.0, palm), "load_N": load, "ended": ended,
-        "payload_kg": load / float(src.GRAVITY),
+        "payload_kg": load / float(src.GRAVITY_M_PER_S2),
         "trace_N": (truth.at("load", times) + weight).tolist(), "trace_mm": (1000.0 * moved).tolist(),
     }  # fmt: skip
 
@@ -150,9 +150,9 @@ def _grip_cylinder(
     scene = folder / "payload.toml"
     truth = folder / "payload.truth"
     diameter = diameter_mm / 1000.0
-    text = SCENE.format(
-        diameter=diameter, mass=MASS_KG, friction=float(src.FRICTION), x=diameter / 2 + 0.002,
-        direction=list(AXES[axis]), start=start, rate=LOAD_RATE_N_PER_S)  # fmt: skip
+    text = SCENE_TEXT.format(
+        diameter=diameter, mass=CYLINDER_MASS_KG, friction=float(src.FRICTION_COEFFICIENT), x=diameter / 2 + 0.002,
+        direction=list(LOAD_DIRECTIONS[axis]), start=start, rate=LOAD_RATE_N_PER_S)  # fmt: skip
     scene.write_text(text, encoding="utf-8")
     open_hand = {"index": 20.0, "middle": 20.0, "ring": 20.0, "thumb": 4.0}
     phases = (
@@ -167,7 +167,7 @@ def _grip_cylinder(
         *holds,
     )
     task = Task.model_validate({"schema": 1, "name": "payload", "phase": phases})
-    return run_bench_task(HAND, str(scene), task, truth), read_truth(truth)
+    return run_bench_task(HAND_NAME, str(scene), task, truth), read_truth(truth)
 
 
 def _phase_end_ns(recording: BenchRecording, phase: str) -> int:
@@ -182,14 +182,14 @@ def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
     return [float(truth.at(f"normal/{name}", times).mean()) for name in src.paper_hand().digit_names]
 
 
-def _positions(truth: TruthRecord, times: Any) -> Array:
+def _object_positions(truth: TruthRecord, times: Any) -> Array:
     """Return the positions of the object at given times (times, 3) [m]."""
     return truth.table([f"object/{axis}" for axis in "xyz"], times)
 
 
 def _find_slip(truth: TruthRecord, first: int, end: int) -> tuple[int, str]:
     """Return the row of the ground truth at which the object slips, and the name of the criterion for the slip."""
-    positions = _positions(truth, truth.t_ns[first:end])
+    positions = _object_positions(truth, truth.t_ns[first:end])
     window = round(SPEED_WINDOW_S * 1000)
     moved = np.linalg.norm(positions - positions[0], axis=1)
     speed = np.linalg.norm(positions[window:] - positions[:-window], axis=1) / SPEED_WINDOW_S
@@ -209,10 +209,10 @@ def bound_kg(result: Mapping[str, Any]) -> float:
     It follows from the measured normal forces of digits and palm.
     """
     normal = sum(result["normal_N"].values()) + result["palm_N"]
-    return float(src.FRICTION) * float(normal) / float(src.GRAVITY)
+    return float(src.FRICTION_COEFFICIENT) * float(normal) / float(src.GRAVITY_M_PER_S2)
 
 
-def payload_items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
+def payload_items(results: Sequence[Mapping[str, Any]]) -> list[ErrataItem]:
     """Return one item for each load case, which is a diameter and an axis."""
     rows = []
     for result in results:
@@ -225,7 +225,7 @@ def payload_items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
             f"{CRITERION_TEXTS[result['ended']]}. Coulomb's bound by all normal forces is {bound_kg(result):.2f} kg."
         )
         rows.append(
-            Item(
+            ErrataItem(
                 f"payload.{axis}.d{result['diameter_mm']:g}", "Sec. 5", f"we can lift {src.PAYLOAD_KG} kg",
                 payload,
                 "kg or more" if result["ended"] == "held" else "kg",
@@ -241,7 +241,7 @@ def payload_table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...]
 
     The first row contains the titles of the columns.
     """
-    formula = float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
+    formula = float(src.payload_kg(src.FINGER_COUNT * src.GRIP_FINGER_N))
     titles = (
         "cylinder",
         "load",

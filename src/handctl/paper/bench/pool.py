@@ -9,23 +9,23 @@ from contextlib import contextmanager
 from typing import IO
 
 from handctl.errors import HandctlError
-from handctl.paper.bench.experiments import Job, Result, Workers
+from handctl.paper.bench.experiments import ExperimentJob, ExperimentResult, JobRunner
 
-WORKER = "handctl.paper.bench.worker"
-Child = subprocess.Popen[str]
-Report = Callable[[Job, bool], None]
+WORKER_MODULE = "handctl.paper.bench.worker"
+WorkerProcess = subprocess.Popen[str]
+ReportFunction = Callable[[ExperimentJob, bool], None]
 """Function that is called at the start of each job with False, and at its end with True."""
 
 
 @contextmanager
-def worker_pool(size: int, report: Report) -> Iterator[Workers]:
+def worker_pool(size: int, report: ReportFunction) -> Iterator[JobRunner]:
     """Start worker processes. The context ends them at its end, also after an error.
 
     Args:
         size: number of processes.
         report: function that is called at the start and at the end of each job.
     """
-    command = [sys.executable, "-m", WORKER]
+    command = [sys.executable, "-m", WORKER_MODULE]
     # In a separate session, workers do not receive Ctrl-C from the terminal.
     children = [
         subprocess.Popen(
@@ -38,7 +38,7 @@ def worker_pool(size: int, report: Report) -> Iterator[Workers]:
         for _ in range(size)
     ]
     try:
-        yield lambda jobs: _distribute(children, jobs, report)
+        yield lambda jobs: _distribute_jobs(children, jobs, report)
     finally:
         for child in children:
             child.terminate()
@@ -46,14 +46,16 @@ def worker_pool(size: int, report: Report) -> Iterator[Workers]:
             child.communicate()
 
 
-def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) -> list[Result]:
+def _distribute_jobs(
+    children: Sequence[WorkerProcess], jobs: Sequence[ExperimentJob], report: ReportFunction
+) -> list[ExperimentResult]:
     """Distribute jobs among workers, and return the results in the order of the jobs.
 
     Each worker gets a job, and the next job after each result.
     """
-    results: dict[int, Result] = {}
+    results: dict[int, ExperimentResult] = {}
     waiting = iter(enumerate(jobs))
-    busy: dict[Child, int] = {}
+    busy: dict[WorkerProcess, int] = {}
     with selectors.DefaultSelector() as answers:
         for child in children:
             answers.register(_checked_pipe(child.stdout), selectors.EVENT_READ, child)
@@ -69,7 +71,10 @@ def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) 
 
 
 def _send_next_job(
-    child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report
+    child: WorkerProcess,
+    waiting: Iterator[tuple[int, ExperimentJob]],
+    busy: dict[WorkerProcess, int],
+    report: ReportFunction,
 ) -> None:
     """Send the next job to a worker, if there is another job."""
     for index, job in waiting:
@@ -81,7 +86,7 @@ def _send_next_job(
         return
 
 
-def _read_result(child: Child) -> Result:
+def _read_result(child: WorkerProcess) -> ExperimentResult:
     """Return the result that a worker has sent.
 
     Raises:
@@ -90,12 +95,12 @@ def _read_result(child: Child) -> Result:
     line = _checked_pipe(child.stdout).readline()
     if not line:
         raise HandctlError(
-            "a worker ended before its experiment did", WORKER, "a result; see the lines above"
+            "a worker ended before its experiment did", WORKER_MODULE, "a result; see the lines above"
         )
     answer = json.loads(line)
     if "error" in answer:
-        raise HandctlError(answer["error"], WORKER)
-    result: Result = answer["result"]
+        raise HandctlError(answer["error"], WORKER_MODULE)
+    result: ExperimentResult = answer["result"]
     return result
 
 

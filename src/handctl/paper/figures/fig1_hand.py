@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
+from handctl.hand.formats.urdf import PALM_MARGIN_M, PALM_THICKNESS_M
 from handctl.hand.kinematics import joint_points
 from handctl.paper import sources as src
-from handctl.paper.figures.style import DIGITS
+from handctl.paper.figures.style import DIGIT_COLOURS
 
-SIZE = (7.2, 5.6)
+HAND_FIGURE_SIZE_IN = (7.2, 5.6)
 POSE_DEG = {"index": 24.0, "middle": 30.0, "ring": 36.0, "thumb": 30.0}
 """Angle that all joints of a digit have in the figure, for each digit [deg]."""
 LABEL_MM = {"index": (4, 0, 8), "middle": (4, 0, 8), "ring": (-8, -4, -14), "thumb": (0, 0, 8)}
@@ -19,9 +19,9 @@ LABEL_MM = {"index": (4, 0, 8), "middle": (4, 0, 8), "ring": (-8, -4, -14), "thu
 FACES_AROUND = 24
 FACES_ALONG = 6
 """Number of faces around a bar, and number of rings on its round end."""
-LIGHT = np.array([0.35, -0.45, 0.82])
+LIGHT_DIRECTION = np.array([0.35, -0.45, 0.82])
 """Direction from which the light comes."""
-VIEW = (24.0, -58.0)
+VIEW_DEG = (24.0, -58.0)
 """Elevation and azimuth of the view [deg]."""
 
 
@@ -42,7 +42,7 @@ def draw_hand_figure(figure: Any) -> None:
     )
     faces: list[Array] = []
     colours: list[Any] = []
-    for name, colour in DIGITS.items():
+    for name, colour in DIGIT_COLOURS.items():
         model = DigitModel.of(src.paper_hand(), name)
         nodes = 1000.0 * joint_points(model, np.radians(np.full(model.joint_count, POSE_DEG[name])))
         for start, end in pairwise(nodes):
@@ -76,11 +76,11 @@ def _set_axes(axes: Any) -> None:
     )
     axes.set(xlim=(-12, 62), ylim=(-37, 37), zlim=(-37, 37))
     axes.set_box_aspect((1, 1, 1), zoom=1.05)
-    axes.view_init(*VIEW)
+    axes.view_init(*VIEW_DEG)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
     finger, thumb = (
-        " + ".join(f"{length}" for length in src.millimetres(d.link_length_m))
+        " + ".join(f"{length}" for length in src.exact_millimetres(d.link_length_m))
         for d in _finger_and_thumb()
     )
     joints = sum(len(digit.joints) for digit in src.paper_hand().digit)
@@ -96,10 +96,10 @@ def _finger_and_thumb() -> tuple[Any, Any]:
 def _palm_faces() -> list[Array]:
     """Return the six sides of the box that represents the palm."""
     mounts = np.array([digit.mount_position_m for digit in src.paper_hand().digit])
-    low = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN)
-    high = 1000.0 * (mounts.max(axis=0) + PALM_MARGIN)
+    low = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN_M)
+    high = 1000.0 * (mounts.max(axis=0) + PALM_MARGIN_M)
     # The box lies behind the plane in which the digits are mounted.
-    low[0] = -1000.0 * PALM_THICKNESS
+    low[0] = -1000.0 * PALM_THICKNESS_M
     high[0] = 0.0
     faces = []
     for axis in range(3):
@@ -145,7 +145,7 @@ def _shaded_colour(face: Array, colour: str) -> tuple[float, float, float]:
     length = float(np.linalg.norm(normal))
     # The ambient light is 0.55. The rest depends on the angle between face and light.
     bright = (
-        0.55 + 0.45 * abs(float(normal @ LIGHT) / (length * float(np.linalg.norm(LIGHT))))
+        0.55 + 0.45 * abs(float(normal @ LIGHT_DIRECTION) / (length * float(np.linalg.norm(LIGHT_DIRECTION))))
         if length
         else 1.0
     )

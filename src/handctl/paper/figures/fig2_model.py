@@ -8,7 +8,7 @@ from handctl.paper import sources as src
 from handctl.paper.figures.style import BLUE, GREY, ORANGE
 from handctl.paper.model import kinematics
 
-SIZE = (9.6, 5.0)
+MODEL_FIGURE_SIZE_IN = (9.6, 5.0)
 POSE_DEG = (25.0, 30.0, 35.0)
 ARC_MM = (9.0, 6.0, 5.0)
 """Radius of the arc that marks the relative angle of each joint [mm]."""
@@ -20,7 +20,7 @@ def draw_model_figure(figure: Any) -> None:
     q = np.radians(POSE_DEG)
     theta = np.cumsum(q)
     nodes = 1000.0 * kinematics.points_in_plane(kinematics.paper_digit("index"), q)
-    lengths = src.millimetres(src.paper_finger().link_length_m)
+    lengths = src.exact_millimetres(src.paper_finger().link_length_m)
     axes.plot(*nodes.T, color=GREY, linewidth=7, alpha=0.4, solid_capstyle="round", zorder=1)
     axes.plot(*nodes[:-1].T, "o", color="white", markeredgecolor="black", markersize=9, zorder=5)
     for i, radius in enumerate(ARC_MM):

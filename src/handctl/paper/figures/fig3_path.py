@@ -14,12 +14,12 @@ from handctl.hand.inverse_kinematics import coordinate_limits
 from handctl.paper.figures.style import BLUE, GREY, RED
 from handctl.paper.model import kinematics
 
-SIZE = (9.6, 4.5)
+PATH_FIGURE_SIZE_IN = (9.6, 4.5)
 CELL_MM = 0.25
 """Size of the cells of which the drawn area consists [mm]."""
-SAMPLES = {"index": 161, "thumb": 900}
+SAMPLE_COUNTS = {"index": 161, "thumb": 900}
 """Number of sampled angles of each joint, by digit."""
-HEIGHT_MM = (-12.0, 60.0)
+HEIGHT_RANGE_MM = (-12.0, 60.0)
 POSES_DEG = (0.0, 30.0, 60.0, 90.0)
 
 
@@ -35,7 +35,7 @@ def draw_path_figure(figure: Any) -> None:
 def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
     """Draw a digit in some poses, its curve, and its area."""
     model = kinematics.paper_digit(name)
-    _draw_area(axes, kinematics.reachable_tips(name, SAMPLES[name]), x, HEIGHT_MM)
+    _draw_area(axes, kinematics.reachable_tips(name, SAMPLE_COUNTS[name]), x, HEIGHT_RANGE_MM)
     low, high = coordinate_limits(model)
     full_path = kinematics.fingertip_path(name, np.linspace(low, high, 400))
     axes.plot(*full_path.T, color=BLUE, linewidth=2.2, label="tip, θ₁ = θ₂ = θ₃ = θ", zorder=4)
@@ -71,7 +71,7 @@ def _draw_digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> Non
         color=RED,
         ha="center",
     )
-    axes.set(xlabel="X [mm]", title=title, xlim=x, ylim=HEIGHT_MM, aspect="equal")
+    axes.set(xlabel="X [mm]", title=title, xlim=x, ylim=HEIGHT_RANGE_MM, aspect="equal")
 
 
 def _draw_area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:

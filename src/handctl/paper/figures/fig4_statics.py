@@ -6,7 +6,7 @@ from handctl.hand.file.sections import Digit
 from handctl.paper import sources as src
 from handctl.paper.figures.style import BLUE, GREY, ORANGE, RED
 
-SIZE = (9.6, 4.2)
+STATICS_FIGURE_SIZE_IN = (9.6, 4.2)
 
 
 def draw_statics_figure(figure: Any) -> None:

@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 
 from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
-from handctl.paper.model.motion import CLOSED_DEG, DURATIONS_S, PARTS, closing_torques, first_torque
+from handctl.paper.model.motion import CLOSED_DEG, DURATIONS_S, TORQUE_PARTS, closing_torques, first_torque
 
-SIZE = (9.6, 9.0)
+TORQUES_FIGURE_SIZE_IN = (9.6, 9.0)
 SIZE_EQ10 = (9.0, 3.6)
-COLOURS = dict(zip(PARTS, (BLUE, RED, GREEN, ORANGE, PURPLE), strict=True))
-LINKS = PARTS[:3]
+PART_COLOURS = dict(zip(TORQUE_PARTS, (BLUE, RED, GREEN, ORANGE, PURPLE), strict=True))
+LINK_PARTS = TORQUE_PARTS[:3]
 """Torque components that Eq. 3 to 12 of the paper describe."""
 
 
@@ -25,9 +25,9 @@ def draw_torque_figure(figure: Any) -> None:
             motion = closing_torques(name, duration)
             total_axes = rows[2 * pair][column]
             link_axes = rows[2 * pair + 1][column]
-            for part in PARTS:
+            for part in TORQUE_PARTS:
                 total_axes.plot(
-                    1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part], label=part
+                    1e3 * motion.times, 1e3 * motion.parts[part], color=PART_COLOURS[part], label=part
                 )
             total = sum(motion.parts.values(), np.zeros(len(motion.times)))
             total_axes.plot(
@@ -38,8 +38,8 @@ def draw_torque_figure(figure: Any) -> None:
                 linestyle="--",
                 label="sum",
             )
-            for part in LINKS:
-                link_axes.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part])
+            for part in LINK_PARTS:
+                link_axes.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=PART_COLOURS[part])
             total_axes.set_title(f"{title}, {CLOSED_DEG:g}° in {duration:g} s", fontsize=9.5)
             link_axes.set_title("links alone (Eq. 3-12)", fontsize=9, weight="normal")
             for axes in (total_axes, link_axes):

@@ -15,23 +15,23 @@ from handctl.paper.figures import (
 )
 from handctl.paper.figures.style import write_figure
 
-Content = Callable[[Any], None]
+DrawFunction = Callable[[Any], None]
 """Function that draws on a figure."""
 
 
 def figure_contents(
     results: Mapping[str, Any] | None,
-) -> dict[str, tuple[tuple[float, float], Content]]:
+) -> dict[str, tuple[tuple[float, float], DrawFunction]]:
     """Return size [inch] and content of each figure.
 
     Without results of experiments, the figures of measurements are left out.
     """
-    drawn: dict[str, tuple[tuple[float, float], Content]] = {
-        "fig1-hand": (fig1_hand.SIZE, fig1_hand.draw_hand_figure),
-        "fig2-model": (fig2_model.SIZE, fig2_model.draw_model_figure),
-        "fig3-path": (fig3_path.SIZE, fig3_path.draw_path_figure),
-        "fig4-statics": (fig4_statics.SIZE, fig4_statics.draw_statics_figure),
-        "fig7-torques": (fig7_torques.SIZE, fig7_torques.draw_torque_figure),
+    drawn: dict[str, tuple[tuple[float, float], DrawFunction]] = {
+        "fig1-hand": (fig1_hand.HAND_FIGURE_SIZE_IN, fig1_hand.draw_hand_figure),
+        "fig2-model": (fig2_model.MODEL_FIGURE_SIZE_IN, fig2_model.draw_model_figure),
+        "fig3-path": (fig3_path.PATH_FIGURE_SIZE_IN, fig3_path.draw_path_figure),
+        "fig4-statics": (fig4_statics.STATICS_FIGURE_SIZE_IN, fig4_statics.draw_statics_figure),
+        "fig7-torques": (fig7_torques.TORQUES_FIGURE_SIZE_IN, fig7_torques.draw_torque_figure),
         "fig7-eq10": (fig7_torques.SIZE_EQ10, fig7_torques.draw_eq10_figure),
     }
     if results is not None:

@@ -12,7 +12,7 @@ from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 
 SIZE_FORCE = (7.6, 5.0)
 SIZE_PAYLOAD = (9.6, 6.4)
-SHADES = (BLUE, ORANGE, GREEN)
+AXIS_COLOURS = (BLUE, ORANGE, GREEN)
 
 
 def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
@@ -87,10 +87,10 @@ def draw_force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
 
 def draw_payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
     """Draw the payload for each axis and diameter as a bar, and the motion of the object as the load increases."""
-    grid = figure.add_gridspec(2, len(payload.AXES), height_ratios=(1.25, 1.0))
+    grid = figure.add_gridspec(2, len(payload.LOAD_DIRECTIONS), height_ratios=(1.25, 1.0))
     _draw_bars(figure.add_subplot(grid[0, :]), results)
     first = None
-    for column, axis in enumerate(payload.AXES):
+    for column, axis in enumerate(payload.LOAD_DIRECTIONS):
         axes = figure.add_subplot(grid[1, column], sharey=first)
         first = first or axes
         _draw_traces(axes, axis, [result for result in results if result["axis"] == axis])
@@ -103,37 +103,37 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
     width = 0.26
     for k, diameter in enumerate(payload.DIAMETERS_MM):
         rows = {result["axis"]: result for result in results if result["diameter_mm"] == diameter}
-        positions = np.arange(len(payload.AXES)) + (k - 1) * width
-        heights = [rows[axis]["payload_kg"] for axis in payload.AXES]
+        positions = np.arange(len(payload.LOAD_DIRECTIONS)) + (k - 1) * width
+        heights = [rows[axis]["payload_kg"] for axis in payload.LOAD_DIRECTIONS]
         bars = axes.bar(
-            positions, heights, 0.9 * width, color=SHADES[k], label=f"⌀ {diameter:g} mm", zorder=3
+            positions, heights, 0.9 * width, color=AXIS_COLOURS[k], label=f"⌀ {diameter:g} mm", zorder=3
         )
-        more = ["≥ " if rows[axis]["ended"] == "held" else "" for axis in payload.AXES]
+        more = ["≥ " if rows[axis]["ended"] == "held" else "" for axis in payload.LOAD_DIRECTIONS]
         axes.bar_label(
             bars,
             [f"{sign}{height:.2f}" for sign, height in zip(more, heights, strict=True)],
             fontsize=8.5,
         )
-        bounds = [payload.bound_kg(rows[axis]) for axis in payload.AXES]
+        bounds = [payload.bound_kg(rows[axis]) for axis in payload.LOAD_DIRECTIONS]
         axes.plot(
             positions, bounds, "_", color="black", markersize=20, markeredgewidth=1.6, zorder=4,
             label="Coulomb's bound, all normal forces before loading" if k == 2 else None)  # fmt: skip
     _draw_lines(axes)
-    labels = [f"{axis}: {payload.AXIS_NAMES[axis]}" for axis in payload.AXES]
-    axes.set_xticks(range(len(payload.AXES)), labels)
+    labels = [f"{axis}: {payload.AXIS_NAMES[axis]}" for axis in payload.LOAD_DIRECTIONS]
+    axes.set_xticks(range(len(payload.LOAD_DIRECTIONS)), labels)
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="x", visible=False)
     axes.set(
         ylabel="payload [kg]", title="Load at which the object slips, 6 N a finger, friction 0.5"
     )
-    axes.set(xlim=(-0.55, len(payload.AXES) - 0.1), ylim=(0, 2.95))
+    axes.set(xlim=(-0.55, len(payload.LOAD_DIRECTIONS) - 0.1), ylim=(0, 2.95))
     axes.legend(loc="upper left", ncols=4, fontsize=8.5)
 
 
 def _draw_lines(axes: Any) -> None:
     """Draw lines at the payload of the paper, and at the payload with friction on both sides of the object."""
-    both = 2.0 * float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
-    edge = len(payload.AXES) - 0.6
+    both = 2.0 * float(src.payload_kg(src.FINGER_COUNT * src.GRIP_FINGER_N))
+    edge = len(payload.LOAD_DIRECTIONS) - 0.6
     for value, colour, text in (
         (float(src.PAYLOAD_KG), RED, f"paper:\n{src.PAYLOAD_KG} kg"),
         (both, PURPLE, f"friction on\nboth sides:\n{both:.3f} kg"),
@@ -144,8 +144,8 @@ def _draw_lines(axes: Any) -> None:
 
 def _draw_traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
     """Draw the motion of the object over the load along an axis."""
-    gravity = float(src.GRAVITY)
-    for result, colour in zip(results, SHADES, strict=True):
+    gravity = float(src.GRAVITY_M_PER_S2)
+    for result, colour in zip(results, AXIS_COLOURS, strict=True):
         axes.plot(
             result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3
         )

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.output import save_figure
-from handctl.paper.page import PREFIX
+from handctl.paper.page import FIGURE_FILE_PREFIX
 
 BLUE = "#3b6fb6"
 ORANGE = "#d9822b"
@@ -14,9 +14,9 @@ RED = "#d01c1c"
 PURPLE = "#7a5fb5"
 GREY = "#6b6b6b"
 """The colours above are those of all figures of the paper, and also of the figures of a run."""
-DIGITS = {"index": BLUE, "middle": ORANGE, "ring": GREEN, "thumb": "#b8436f"}
+DIGIT_COLOURS = {"index": BLUE, "middle": ORANGE, "ring": GREEN, "thumb": "#b8436f"}
 """Colour of each digit."""
-SETTINGS: Any = {
+PLOT_SETTINGS: Any = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
     "axes.titleweight": "bold",
@@ -30,7 +30,7 @@ SETTINGS: Any = {
     "legend.frameon": False,
     "svg.hashsalt": "handctl",
 }
-DPI = 160
+FIGURE_DPI = 160
 
 
 def write_figure(
@@ -40,7 +40,7 @@ def write_figure(
 
     Args:
         folder: folder to write to.
-        name: name of the figure, as in `page.CAPTIONS`.
+        name: name of the figure, as in `page.FIGURE_CAPTIONS`.
         size: width and height [inch].
         content: function that draws on the figure.
 
@@ -51,11 +51,11 @@ def write_figure(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context(SETTINGS):
+    with matplotlib.rc_context(PLOT_SETTINGS):
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         content(figure)
-        save_figure(figure, folder / f"{PREFIX}{name}.png", DPI)
-        path = folder / f"{PREFIX}{name}.svg"
+        save_figure(figure, folder / f"{FIGURE_FILE_PREFIX}{name}.png", FIGURE_DPI)
+        path = folder / f"{FIGURE_FILE_PREFIX}{name}.svg"
         save_figure(figure, path)
     return path

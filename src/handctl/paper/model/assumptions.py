@@ -6,11 +6,11 @@ import numpy as np
 
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
-from handctl.paper.item import Item
+from handctl.paper.item import ErrataItem
 from handctl.paper.model.kinematics import paper_digit
 from handctl.paper.verdicts import verdict_of_number, verdict_of_statement
 
-STATICS = ("statics",)
+STATICS_TAG = ("statics",)
 BEND_RATIO = 18.0
 """Smallest ratio of pulley diameter to wire diameter in engineering practice.
 
@@ -23,7 +23,7 @@ Source: Birglen, Laliberte & Gosselin (2008).
 """
 
 
-def assumption_items() -> list[Item]:
+def assumption_items() -> list[ErrataItem]:
     """Return the items about the assumptions of the paper."""
     return [
         *_check_one_tendon(),
@@ -35,7 +35,7 @@ def assumption_items() -> list[Item]:
     ]
 
 
-def _check_one_tendon() -> list[Item]:
+def _check_one_tendon() -> list[ErrataItem]:
     """Check whether T r_p = M can be true at every joint of the straight finger."""
     levers = src.levers_mm(src.paper_finger())
     given = src.tension_per_newton(src.paper_finger()) * src.PULLEY_MM
@@ -43,20 +43,20 @@ def _check_one_tendon() -> list[Item]:
     for i, required in enumerate(levers):
         radius = required / src.tension_per_newton(src.paper_finger())
         rows.append(
-            Item(
+            ErrataItem(
                 f"tendon.joint{i + 1}", "Sec. 5", f"M = T r_p with T = 18.33F, M{'₁₂₃'[i]} = {required}F",
                 float(given), "N mm per N",
                 verdict_of_statement(given == required),
                 f"One tendon on equal pulleys gives {given}F at every joint. This joint requires {required}F. The "
                 f"surplus of {given - required}F goes to stops or other contacts. Balance requires a pulley of "
                 f"{float(radius):.4g} mm.",
-                STATICS,
+                STATICS_TAG,
             )
         )  # fmt: skip
     return rows
 
 
-def _check_coupling() -> list[Item]:
+def _check_coupling() -> list[ErrataItem]:
     """Check section 5 against the equal joint angles of section 4.
 
     With equal angles, the work of the tendon must equal the work of the tip force.
@@ -72,12 +72,12 @@ def _check_coupling() -> list[Item]:
     # `free` is the number of joint motions that no tendon controls.
     free = len(levers) - int(np.linalg.matrix_rank(arms))
     return [
-        Item(
+        ErrataItem(
             "coupling.tension", "Sec. 4 against Sec. 5", "18.33 F", float(tension), "N per N",
             verdict_of_number("18.33", tension),
             "If θ₁ = θ₂ = θ₃ is enforced, as section 4 says, virtual work gives T = (55 + 25 + 10)F/(3 × 3) = 10F: "
             f"{float(force):g} N and {float(torque):g} N m at 6 N instead of 110 N and 0.55 N m.", ("virtual work",)),
-        Item(
+        ErrataItem(
             "coupling.freedom", "Sec. 4", "the rotation angle of first to third link are always equal", float(free), "",
             verdict_of_statement(free == 0),
             f"One tendon sets one sum of three angles, and {free} motions remain free. Without contact, the angles are "
@@ -85,45 +85,46 @@ def _check_coupling() -> list[Item]:
     ]  # fmt: skip
 
 
-def _check_balance() -> list[Item]:
+def _check_balance() -> list[ErrataItem]:
     """Check whether three fingers with 6 N each and the thumb with 10 N are in balance."""
-    fingers = src.FINGERS * src.GRIP_FINGER_N
+    fingers = src.FINGER_COUNT * src.GRIP_FINGER_N
     tension = fingers * src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_MM / 1000
     return [
-        Item(
+        ErrataItem(
             "grip.balance", "Sec. 5 against Sec. 6", f"{src.GRIP_THUMB_N} N thumb, {src.GRIP_FINGER_N} N each finger",
             float(fingers), "N", verdict_of_statement(fingers == src.GRIP_THUMB_N),
             f"Three fingers press with {fingers} N, the thumb with {src.GRIP_THUMB_N} N: the object would be pushed "
             f"out. For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
-            STATICS),
+            STATICS_TAG),
     ]  # fmt: skip
 
 
-def _payload_of_both_sides() -> list[Item]:
+def _payload_of_both_sides() -> list[ErrataItem]:
     """Calculate the payload with friction on both sides of the object, and compare it with the printed payload."""
-    fingers = src.FINGERS * src.GRIP_FINGER_N
+    fingers = src.FINGER_COUNT * src.GRIP_FINGER_N
     both = 2 * src.payload_kg(fingers)
     limited = 2 * src.payload_kg(src.GRIP_THUMB_N)
     return [
-        Item(
+        ErrataItem(
             "payload.both_sides", "Sec. 5", f"m = {src.PAYLOAD_KG} kg", float(both), "kg",
             verdict_of_number(src.PAYLOAD_KG, both),
             "The paper counts friction on the finger side only. A thumb that balances 18 N carries "
             "the same load again.",
-            STATICS),
-        Item(
+            STATICS_TAG),
+        ErrataItem(
             "payload.thumb_limit", "Sec. 5 against Sec. 6", f"m = {src.PAYLOAD_KG} kg", float(limited), "kg",
             verdict_of_number(src.PAYLOAD_KG, limited),
-            "Payload with friction on both sides, if the thumb presses with 10 N and the fingers balance it.", STATICS),
+            "Payload with friction on both sides, if the thumb presses with 10 N and the fingers balance it.",
+            STATICS_TAG),
     ]  # fmt: skip
 
 
-def _check_bending() -> Item:
+def _check_bending() -> ErrataItem:
     """Check the ratio of pulley diameter to wire diameter, which determines how much the wire is bent."""
     diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
     ratio = float(2 * src.PULLEY_MM) / diameter
-    return Item(
+    return ErrataItem(
         "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", verdict_of_statement(ratio >= BEND_RATIO),
         f"Ratio of pulley diameter to rope diameter. Engineering practice requires at least {BEND_RATIO:g}. The paper "
         "does not consider bending stress, fatigue, friction, return springs and a safety factor. A stress of 190 MPa "
@@ -144,12 +145,12 @@ def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> 
     return np.linalg.solve(levers, np.full(3, tension * float(src.PULLEY_MM) / 1000.0))
 
 
-def _check_lift_off() -> Item:
+def _check_lift_off() -> ErrataItem:
     """Check whether all links of a finger press on the object around which the finger wraps."""
     forces = contact_forces(110.0)
-    return Item(
+    return ErrataItem(
         "grip.middle_link", "Sec. 5", "one tendon, equal pulleys, three phalanges on the object", float(forces[1]), "N",
         verdict_of_statement(bool((forces >= 0.0).all())),
         f"At joint angles of 15, 30 and 45° and 110 N the links would press with {forces[0]:.1f}, {forces[1]:.1f} and "
         f"{forces[2]:.1f} N. The middle link cannot pull and lifts off, and the finger closes until its stop.",
-        STATICS)  # fmt: skip
+        STATICS_TAG)  # fmt: skip

@@ -11,7 +11,7 @@ from handctl.paper.model.expression import Expression
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class EquationTerm:
     """Term of an equation, or a group of terms that belong together.
 
     Attributes:
@@ -42,12 +42,12 @@ def _term(
     right: str,
     why: str = "",
     mirror: str = "",
-) -> Term:
+) -> EquationTerm:
     """Return a term. The number of its equation is taken from the identifier."""
     texts = (readings,) if isinstance(readings, str) else readings
     number = id.removeprefix("eq").partition(".")[0]
     reason = why or "As derived."
-    return Term(
+    return EquationTerm(
         id,
         f"Eq. {number}",
         printed,
@@ -121,7 +121,7 @@ KINETIC_3 = (
         "The term is outside of the bracket 2[ ], so it has half the correct value.",
     ),
 )
-POTENTIAL = (
+POTENTIAL_TERMS = (
     _term("eq6.link1", "m₁ g d₁ sin θ₁", "m1*g*d1*sin(th1)", "m1*g*d1*sin(th1)"),
     _term(
         "eq6.link2",
@@ -274,5 +274,5 @@ TORQUE_3 = (
         "−[ ] its sign is wrong, and the torque would pull the finger down.",
     ),
 )
-KINETIC = KINETIC_1 + KINETIC_2 + KINETIC_3
-TORQUES = (TORQUE_1, TORQUE_2, TORQUE_3)
+KINETIC_TERMS = KINETIC_1 + KINETIC_2 + KINETIC_3
+TORQUE_TERMS = (TORQUE_1, TORQUE_2, TORQUE_3)

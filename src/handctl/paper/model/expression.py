@@ -15,7 +15,7 @@ import numpy as np
 
 Dimension = tuple[int, int, int]
 """Exponents of kilogram, metre and second in the unit of a quantity."""
-NONE: Dimension = (0, 0, 0)
+DIMENSIONLESS: Dimension = (0, 0, 0)
 
 
 class DimensionError(Exception):
@@ -42,7 +42,7 @@ class Expression:
     def names(self) -> frozenset[str]:
         """Return the names in the formula, without those of functions."""
         names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
-        return frozenset(names - FUNCTIONS.keys() - {"pi"})
+        return frozenset(names - FUNCTION_BY_NAME.keys() - {"pi"})
 
     def value(self, values: Mapping[str, Any]) -> Any:
         """Return the value of the formula. For arrays, it is calculated element by element.
@@ -65,7 +65,7 @@ class Expression:
         return _pretty_text(self.tree)[0]
 
 
-FUNCTIONS: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.cos}
+FUNCTION_BY_NAME: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.cos}
 """Functions that a formula may use."""
 
 
@@ -81,13 +81,13 @@ def _value_of(node: ast.expr, values: Mapping[str, Any]) -> Any:
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return -_value_of(inner, values)
         case ast.BinOp(left=left, op=op, right=right):
-            return _OPERATIONS[type(op)](_value_of(left, values), _value_of(right, values))
+            return _OPERATION_BY_NODE[type(op)](_value_of(left, values), _value_of(right, values))
         case ast.Call(func=ast.Name(id=name), args=[inner]):
-            return FUNCTIONS[name](_value_of(inner, values))
+            return FUNCTION_BY_NAME[name](_value_of(inner, values))
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 
-_OPERATIONS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+_OPERATION_BY_NODE: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: lambda a, b: a + b,
     ast.Sub: lambda a, b: a - b,
     ast.Mult: lambda a, b: a * b,
@@ -100,15 +100,15 @@ def _dimension_of(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimens
     """Return the dimension of a node."""
     match node:
         case ast.Constant() | ast.Name(id="pi"):
-            return NONE
+            return DIMENSIONLESS
         case ast.Name(id=name):
             return dimensions[name]
         case ast.UnaryOp(operand=inner):
             return _dimension_of(inner, dimensions)
         case ast.Call(args=[inner]):
-            if _dimension_of(inner, dimensions) != NONE:
+            if _dimension_of(inner, dimensions) != DIMENSIONLESS:
                 raise DimensionError(f"{ast.unparse(node)}: not an angle")
-            return NONE
+            return DIMENSIONLESS
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
             # A power multiplies the exponents of the units by its exponent.
             kg, m, s = _dimension_of(left, dimensions)
@@ -139,47 +139,51 @@ def dimension_text(dimension: Dimension) -> str:
     """Return a dimension as text, e.g. kg m² s⁻²."""
     units = zip(("kg", "m", "s"), dimension, strict=True)
     parts = [
-        unit + ("" if power == 1 else str(power).translate(_SUPERSCRIPTS))
+        unit + ("" if power == 1 else str(power).translate(_SUPERSCRIPT_TABLE))
         for unit, power in units
         if power
     ]
     return " ".join(parts) or "1"
 
 
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-_SUM = 1
-_PRODUCT = 2
-_POWER = 3
+_SUPERSCRIPT_TABLE = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_SUBSCRIPT_TABLE = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_SUM_PRECEDENCE = 1
+_PRODUCT_PRECEDENCE = 2
+_POWER_PRECEDENCE = 3
 
 
 def _pretty_text(node: ast.expr) -> tuple[str, int]:
     """Return a node of the syntax tree as text, and the precedence of its operator."""
     match node:
         case ast.Constant(value=value):
-            return f"{value:g}" if isinstance(value, int | float) else str(value), _POWER
+            return f"{value:g}" if isinstance(value, int | float) else str(value), _POWER_PRECEDENCE
         case ast.Name(id=name):
-            return pretty_name(name), _POWER
+            return pretty_name(name), _POWER_PRECEDENCE
         case ast.UnaryOp(operand=inner):
-            return "−" + _in_brackets(inner, _PRODUCT), _SUM
+            return "−" + _in_brackets(inner, _PRODUCT_PRECEDENCE), _SUM_PRECEDENCE
         case ast.Call(func=ast.Name(id=name), args=[inner]):
             text, strength = _pretty_text(inner)
-            return (f"{name} {text}" if strength == _POWER else f"{name}({text})"), _PRODUCT
+            return (f"{name} {text}" if strength == _POWER_PRECEDENCE else f"{name}({text})"), _PRODUCT_PRECEDENCE
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=power)):
-            return _in_brackets(left, _POWER) + str(power).translate(_SUPERSCRIPTS), _POWER
+            return _in_brackets(left, _POWER_PRECEDENCE) + str(power).translate(_SUPERSCRIPT_TABLE), _POWER_PRECEDENCE
         # A minus sign of the first factor moves to the front of the whole product.
         case ast.BinOp(op=ast.Mult() | ast.Div()) if (positive := _without_minus(node)) is not node:
-            return "−" + _pretty_text(positive)[0], _SUM
+            return "−" + _pretty_text(positive)[0], _SUM_PRECEDENCE
         case ast.BinOp(left=left, op=ast.Div(), right=right):
-            return f"{_in_brackets(left, _PRODUCT)}/{_in_brackets(right, _POWER)}", _PRODUCT
+            return (
+                f"{_in_brackets(left, _PRODUCT_PRECEDENCE)}/{_in_brackets(right, _POWER_PRECEDENCE)}",
+                _PRODUCT_PRECEDENCE,
+            )
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            return f"{_in_brackets(left, _PRODUCT)} {_in_brackets(right, _PRODUCT)}", _PRODUCT
+            return (
+                f"{_in_brackets(left, _PRODUCT_PRECEDENCE)} {_in_brackets(right, _PRODUCT_PRECEDENCE)}",
+                _PRODUCT_PRECEDENCE,
+            )
         case ast.BinOp(left=left, op=op, right=right):
             sign = "+" if isinstance(op, ast.Add) else "−"
-            return (
-                f"{_in_brackets(left, _SUM)} {sign} {_in_brackets(right, _SUM if sign == '+' else _PRODUCT)}",
-                _SUM,
-            )
+            precedence = _SUM_PRECEDENCE if sign == "+" else _PRODUCT_PRECEDENCE
+            return f"{_in_brackets(left, _SUM_PRECEDENCE)} {sign} {_in_brackets(right, precedence)}", _SUM_PRECEDENCE
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 
@@ -208,6 +212,6 @@ def pretty_name(name: str) -> str:
     match = re.fullmatch(r"(d{0,2})th(\d)", name)
     if match:
         dots = ("θ", "θ̇", "θ̈")[len(match[1])]
-        return dots + match[2].translate(_LOWERED)
+        return dots + match[2].translate(_SUBSCRIPT_TABLE)
     greek = {"pi": "π", "theta": "θ", "L_L": "L_L", "mu": "μ", "sigma": "σ"}
-    return greek.get(name) or re.sub(r"\d+$", lambda number: number[0].translate(_LOWERED), name)
+    return greek.get(name) or re.sub(r"\d+$", lambda number: number[0].translate(_SUBSCRIPT_TABLE), name)

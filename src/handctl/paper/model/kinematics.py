@@ -6,16 +6,16 @@ import numpy as np
 
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.inverse_kinematics import inverse_kinematics
-from handctl.hand.kinematics import from_palm, joint_points
+from handctl.hand.kinematics import from_palm_frame, joint_points
 from handctl.paper import sources as src
-from handctl.paper.item import Item
+from handctl.paper.item import ErrataItem
 from handctl.paper.model.expression import Expression
-from handctl.paper.model.lagrange import TOLERANCE, relative_deviation
+from handctl.paper.model.lagrange import RELATIVE_TOLERANCE, relative_deviation
 from handctl.paper.verdicts import verdict_of_statement
 
-EQ1 = Expression("30*cos(theta) + 15*cos(2*theta) + 10*cos(3*theta)")
-EQ2 = Expression("30*sin(theta) + 15*sin(2*theta) + 10*sin(3*theta)")
-ANGLES = np.linspace(-1.0, 2.0, 61)
+EQUATION_1 = Expression("30*cos(theta) + 15*cos(2*theta) + 10*cos(3*theta)")
+EQUATION_2 = Expression("30*sin(theta) + 15*sin(2*theta) + 10*sin(3*theta)")
+SAMPLED_ANGLES_RAD = np.linspace(-1.0, 2.0, 61)
 """Angles at which Eq. 1 and 2 are compared [rad]."""
 
 
@@ -26,10 +26,10 @@ def paper_digit(name: str) -> DigitModel:
 
 def points_in_plane(model: DigitModel, q: Array) -> Array:
     """Return the positions of joints and tip in the plane of the digit, (n + 1, 2) [m]."""
-    return from_palm(model, joint_points(model, q))[:, :2]
+    return from_palm_frame(model, joint_points(model, q))[:, :2]
 
 
-def kinematics_items() -> list[Item]:
+def kinematics_items() -> list[ErrataItem]:
     """Return the items about kinematics: Eq. 1-2, the meaning of their angles, and inverse kinematics."""
     return [
         _check_hinges(),
@@ -64,9 +64,9 @@ def reachable_tips(name: str, per_joint: int) -> Array:
     return np.column_stack((np.cos(absolute) @ lengths, np.sin(absolute) @ lengths))
 
 
-def _check_paths() -> list[Item]:
+def _check_paths() -> list[ErrataItem]:
     """Check whether Eq. 1 and 2 give the path of the tip."""
-    tips = fingertip_path("index", ANGLES)
+    tips = fingertip_path("index", SAMPLED_ANGLES_RAD)
     thumb = " + ".join(
         f"{length} cos {'' if i == 0 else i + 1}θ"
         for i, length in enumerate(_lengths_text("thumb"))
@@ -75,19 +75,19 @@ def _check_paths() -> list[Item]:
         f"With equal joint angles q₁ = q₂ = q₃ = θ. The equations of the thumb are not printed. They are "
         f"X = {thumb}, and the same with sines."
     )
-    rows = (("eq1.x", "Eq. 1", "X", EQ1, tips[:, 0]), ("eq2.y", "Eq. 2", "Y", EQ2, tips[:, 1]))
+    rows = (("eq1.x", "Eq. 1", "X", EQUATION_1, tips[:, 0]), ("eq2.y", "Eq. 2", "Y", EQUATION_2, tips[:, 1]))
     items_of_path = []
     for id, where, axis, printed, right in rows:
-        off = relative_deviation(printed.value({"theta": ANGLES}), right)
+        off = relative_deviation(printed.value({"theta": SAMPLED_ANGLES_RAD}), right)
         shown = f"{axis} = {printed.pretty()}"
         items_of_path.append(
-            Item(
+            ErrataItem(
                 id,
                 where,
                 shown,
                 shown,
                 "mm",
-                verdict_of_statement(off < TOLERANCE),
+                verdict_of_statement(off < RELATIVE_TOLERANCE),
                 reason,
                 ("forward kinematics",),
                 off,
@@ -99,11 +99,11 @@ def _check_paths() -> list[Item]:
 def _lengths_text(name: str) -> list[str]:
     """Return the link lengths of a digit as text [mm]."""
     return [
-        str(length) for length in src.millimetres(src.paper_hand().digit_named(name).link_length_m)
+        str(length) for length in src.exact_millimetres(src.paper_hand().digit_named(name).link_length_m)
     ]
 
 
-def _check_general_position() -> list[Item]:
+def _check_general_position() -> list[ErrataItem]:
     """Check the tip position that section 4 states, at random angles.
 
     It is L1 cos q1 + L2 cos(q1 + q2) + .., and the same with sines.
@@ -120,16 +120,16 @@ def _check_general_position() -> list[Item]:
         printed = Expression(f"L1*{wave}(q1) + L2*{wave}(q1 + q2) + L3*{wave}(q1 + q2 + q3)")
         off = relative_deviation(printed.value({**lengths, **angles}), right)
         items_of_components.append(
-            Item(
+            ErrataItem(
                 id, "Sec. 4", f"L₁ {wave} θ₁, L₂ {wave}(θ₁ + θ₂), L₃ {wave}(θ₁ + θ₂ + θ₃)",
-                f"{axis} = {printed.pretty()}", "mm", verdict_of_statement(off < TOLERANCE),
+                f"{axis} = {printed.pretty()}", "mm", verdict_of_statement(off < RELATIVE_TOLERANCE),
                 "The angles are relative to the link before, as q in this project.", ("forward kinematics",), off,
             )
         )  # fmt: skip
     return items_of_components
 
 
-def _check_hinges() -> Item:
+def _check_hinges() -> ErrataItem:
     """Check whether the chain of hinges in Fig. 2 stays in a plane and keeps the lengths of its links."""
     model = paper_digit("index")
     random = np.random.default_rng(3)
@@ -138,14 +138,14 @@ def _check_hinges() -> Item:
         nodes = joint_points(model, q)
         steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         worst = max(worst, float(np.ptp(nodes[:, 2])), float(np.abs(steps - model.lengths).max()))
-    return Item(
+    return ErrataItem(
         "fig2.chain", "Fig. 2, Sec. 4", "each joint turns about z, x and y are locked; links L₁, L₂, L₃ in series",
-        "three parallel hinges", "", verdict_of_statement(worst < TOLERANCE),
+        "three parallel hinges", "", verdict_of_statement(worst < RELATIVE_TOLERANCE),
         "At 100 random poses all joints and the tip stay in the finger's plane, at the links' lengths from each other. "
         "The figure below is drawn from the hand's description.", ("forward kinematics",))  # fmt: skip
 
 
-def _check_kind_of_angle() -> Item:
+def _check_kind_of_angle() -> ErrataItem:
     """Check whether angles of one kind fit both Eq. 6 and Eq. 1-2.
 
     Eq. 6 gives the potential energy only with absolute angles, but Eq. 1-2 are true only with
@@ -156,8 +156,8 @@ def _check_kind_of_angle() -> Item:
     absolute = np.cumsum(q)
     height: Callable[[Array], float] = lambda theta: float(np.array(model.lengths) @ np.sin(theta))  # noqa: E731
     tip = float(points_in_plane(model, q)[-1][1])
-    same = abs(height(q) - tip) < TOLERANCE
-    return Item(
+    same = abs(height(q) - tip) < RELATIVE_TOLERANCE
+    return ErrataItem(
         "sec4-7.angles", "Sec. 4 against Sec. 7", "θ₁, θ₂, θ₃ in both", "θ = S q, S lower triangular of ones", "",
         verdict_of_statement(same),
         "One letter stands for two kinds of angle. In section 4 it is the angle between neighbouring links (q here), "
@@ -168,20 +168,20 @@ def _check_kind_of_angle() -> Item:
         ("forward kinematics",))  # fmt: skip
 
 
-def _check_absolute_angles() -> Item:
+def _check_absolute_angles() -> ErrataItem:
     """Check whether the heights in Eq. 6 are correct with absolute angles, as section 7 states."""
     model = paper_digit("index")
     q = np.array([0.3, 0.5, 0.7])
     height = 1000.0 * float(np.array(model.lengths) @ np.sin(np.cumsum(q)))
     tip = 1000.0 * float(points_in_plane(model, q)[-1][1])
-    return Item(
+    return ErrataItem(
         "sec7.absolute", "Sec. 7", "θ₁, θ₂ and θ₃ absolute angles with the x-axis", "the angles of Eq. 3 to 12", "",
-        verdict_of_statement(abs(height - tip) < TOLERANCE),
+        verdict_of_statement(abs(height - tip) < RELATIVE_TOLERANCE),
         f"With absolute angles, the sines of Eq. 6 give a tip height of {height:.2f} mm at q = 0.3, 0.5, 0.7 rad, as "
         "forward kinematics does.", ("forward kinematics",))  # fmt: skip
 
 
-def _check_inverse() -> Item:
+def _check_inverse() -> ErrataItem:
     """Check the inverse kinematics that the paper does not print.
 
     Forward kinematics of each solution must return the position of the tip.
@@ -200,7 +200,7 @@ def _check_inverse() -> Item:
                 for one in solutions
             ),
         )
-    return Item(
+    return ErrataItem(
         "sec4.inverse", "Sec. 4", "(not printed)", "forward(inverse(X, Y, θ)) = (X, Y, θ)", "",
         verdict_of_statement(worst < 1e-12),
         "Forward kinematics of every solution of the inverse kinematics (closed form) returns the tip, at 200 random "

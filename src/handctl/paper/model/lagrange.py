@@ -17,15 +17,15 @@ from handctl.hand import rigid_body
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.hand.load import load_hand
-from handctl.paper.item import ErrataVerdict, Item
+from handctl.paper.item import ErrataItem, ErrataVerdict
 from handctl.paper.model import equations
-from handctl.paper.model.equations import Term
+from handctl.paper.model.equations import EquationTerm
 from handctl.paper.model.expression import Dimension, DimensionError
 from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
 
-STATES = 200
+STATE_COUNT = 200
 """Number of random states."""
-TOLERANCE = 1e-9
+RELATIVE_TOLERANCE = 1e-9
 """Largest relative difference that counts as a rounding error.
 
 The smallest effect of a misprint is about 0.1.
@@ -36,9 +36,9 @@ COMPLEX_STEP = 1e-30
 The step may be as small as desired, because the method subtracts nothing. Source: Squire & Trapp
 (1998).
 """
-JOULE: Dimension = (1, 2, -2)
+ENERGY_DIMENSION: Dimension = (1, 2, -2)
 """Dimension of energy, and of torque."""
-DIMENSIONS: dict[str, Dimension] = {
+SYMBOL_DIMENSIONS: dict[str, Dimension] = {
     **{f"I{i}": (1, 2, 0) for i in (1, 2, 3)},
     **{f"m{i}": (1, 0, 0) for i in (1, 2, 3)},
     **{f"{name}{i}": (0, 1, 0) for name in "Ld" for i in (1, 2, 3)},
@@ -46,24 +46,24 @@ DIMENSIONS: dict[str, Dimension] = {
     "g": (0, 1, -2),
 }
 """Dimension of each symbol in Eq. 3 to 12."""
-States = Mapping[str, Any]
+StateSamples = Mapping[str, Any]
 
 
 @cache
-def random_states() -> States:
+def random_states() -> StateSamples:
     """Return random values of order 1 of all parameters, angles, rates, and accelerations, (STATES,) each.
 
     The values are the same in every run.
     """
     random = np.random.default_rng(7)
     values: dict[str, Array] = {}
-    for name in sorted(DIMENSIONS):
+    for name in sorted(SYMBOL_DIMENSIONS):
         moves = "th" in name
-        values[name] = random.normal(scale=1.5, size=STATES) if moves else random.uniform(0.5, 2.0, STATES)
+        values[name] = random.normal(scale=1.5, size=STATE_COUNT) if moves else random.uniform(0.5, 2.0, STATE_COUNT)
     return values
 
 
-def finger_states(digit: DigitModel) -> States:
+def finger_states(digit: DigitModel) -> StateSamples:
     """Return random motions, with the lengths, masses and inertias of the given digit."""
     states = dict(random_states())
     for i in range(3):
@@ -77,7 +77,7 @@ def relative_deviation(value: Any, correct: Any) -> float:
     return float(np.max(np.abs(value - correct)) / np.max(np.abs(correct)))
 
 
-def lagrange_torques(states: States) -> list[Array]:
+def lagrange_torques(states: StateSamples) -> list[Array]:
     """Return the torques T_i that follow from the correct energies by Eq. 7 to 9, (3, STATES) [N m].
 
     T_i = d/dt(∂L/∂θ̇_i) − ∂L/∂θ_i.
@@ -85,12 +85,12 @@ def lagrange_torques(states: States) -> list[Array]:
     return [_momentum_rate(states, i) - _lagrangian_slope(states, i) for i in (1, 2, 3)]
 
 
-def _energy(terms: Sequence[Term], states: States) -> Any:
+def _energy_of_terms(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
     """Return the energy as the sum of its correct terms."""
     return sum(term.right.value(states) for term in terms)
 
 
-def _momentum_rate(states: States, i: int) -> Array:
+def _momentum_rate(states: StateSamples, i: int) -> Array:
     """Return the derivative by time of ∂K/∂θ̇_i.
 
     K is quadratic in the rates. Therefore a difference over a whole unit is exact.
@@ -103,58 +103,66 @@ def _momentum_rate(states: States, i: int) -> Array:
         moved[f"dth{j}"] = states[f"dth{j}"] + 1j * COMPLEX_STEP * states[f"ddth{j}"]
     # Because K is quadratic in the rates, (K(r + 1) - K(r - 1)) / 2 is exactly its derivative by r.
     rate = f"dth{i}"
-    above, below = (_energy(equations.KINETIC, {**moved, rate: moved[rate] + unit}) for unit in (1.0, -1.0))
+    above, below = (
+        _energy_of_terms(equations.KINETIC_TERMS, {**moved, rate: moved[rate] + unit}) for unit in (1.0, -1.0)
+    )
     return np.asarray(np.imag((above - below) / 2.0) / COMPLEX_STEP)
 
 
-def _lagrangian_slope(states: States, i: int) -> Array:
+def _lagrangian_slope(states: StateSamples, i: int) -> Array:
     """Return ∂L/∂θ_i, where L is the Lagrangian of the correct energies."""
     moved = {**states, f"th{i}": states[f"th{i}"] + 1j * COMPLEX_STEP}
-    lagrangian = _energy(equations.KINETIC, moved) - _energy(equations.POTENTIAL, moved)
+    lagrangian = _energy_of_terms(equations.KINETIC_TERMS, moved) - _energy_of_terms(equations.POTENTIAL_TERMS, moved)
     return np.asarray(np.imag(lagrangian) / COMPLEX_STEP)
 
 
-def term_items() -> list[Item]:
+def term_items() -> list[ErrataItem]:
     """Return one item for each term of Eq. 3 to 6 and 10 to 12."""
-    return [_term_item(term) for term in (*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ()))]
+    return [
+        _term_item(term)
+        for term in (*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ()))
+    ]
 
 
-def _term_item(term: Term) -> Item:
+def _term_item(term: EquationTerm) -> ErrataItem:
     """Return the item that compares a term with the correct one."""
     states = random_states()
     correct = term.right.value(random_states())
     deviations = [relative_deviation(reading.value(states), correct) for reading in term.readings]
-    verdict = verdict_of_readings([value < TOLERANCE for value in deviations])
+    verdict = verdict_of_readings([value < RELATIVE_TOLERANCE for value in deviations])
     # Wrong dimensions and missing symmetry are evidence that a reader can check by hand.
     faults = [] if verdict == ErrataVerdict.EQUAL else [_dimension_evidence(term), _symmetry_evidence(term)]
-    return Item(
+    return ErrataItem(
         term.id, term.where, term.printed, term.right.pretty(), "", verdict, term.why,
         (*filter(None, faults), "Lagrange"), min(deviations),
     )  # fmt: skip
 
 
-def _dimension_evidence(term: Term) -> str:
+def _dimension_evidence(term: EquationTerm) -> str:
     """Return the text "dimensions" if a reading of a term has wrong dimensions, else an empty text."""
     for reading in term.readings:
         try:
-            if reading.dimension(DIMENSIONS) != JOULE:
+            if reading.dimension(SYMBOL_DIMENSIONS) != ENERGY_DIMENSION:
                 return "dimensions"
         except DimensionError:
             return "dimensions"
     return ""
 
 
-def _symmetry_evidence(term: Term) -> str:
+def _symmetry_evidence(term: EquationTerm) -> str:
     """Return a text if the printed coefficient of a term differs from that of its mirror term, else an empty text."""
     if not term.mirror:
         return ""
-    mirror = next(other for terms in equations.TORQUES for other in terms if other.id == term.mirror)
+    mirror = next(other for terms in equations.TORQUE_TERMS for other in terms if other.id == term.mirror)
     unit_states = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
-    differs = relative_deviation(term.readings[0].value(unit_states), mirror.readings[0].value(unit_states)) > TOLERANCE
+    differs = (
+        relative_deviation(term.readings[0].value(unit_states), mirror.readings[0].value(unit_states))
+        > RELATIVE_TOLERANCE
+    )
     return f"symmetry with {mirror.where}" if differs else ""
 
 
-def equation_items() -> list[Item]:
+def equation_items() -> list[ErrataItem]:
     """Return the items for Eq. 7 to 9, and for Eq. 10 to 12 as a whole.
 
     The equations are compared with the equations of motion of handctl.
@@ -166,40 +174,40 @@ def equation_items() -> list[Item]:
         relative_deviation(mine, theirs) for mine, theirs in zip(model, lagrange_torques(states), strict=True)
     )
     items = [
-        Item(
+        ErrataItem(
             "eq7-9.lagrange", "Eq. 7-9", "d/dt(∂L/∂θ̇ᵢ) − ∂L/∂θᵢ = Tᵢ", "the same", "",
-            verdict_of_statement(by_lagrange < TOLERANCE),
+            verdict_of_statement(by_lagrange < RELATIVE_TOLERANCE),
             "Lagrange's equations in absolute angles. The corrected energies, derived numerically, give the torques "
             "that the control loop of this project computes.", ("Lagrange", "this project's dynamics"), by_lagrange,
         ),
         _check_joint_torque(digit, states, model),
     ]  # fmt: skip
-    for i, terms in enumerate(equations.TORQUES):
+    for i, terms in enumerate(equations.TORQUE_TERMS):
         off = relative_deviation(printed_sum(terms, states), model[i])
         rest = relative_deviation(sum(term.right.value(states) for term in terms), model[i])
         wrong = [item.id for item in map(_term_item, terms) if item.verdict != ErrataVerdict.EQUAL]
         items.append(
-            Item(
+            ErrataItem(
                 f"eq{10 + i}.sum", f"Eq. {10 + i}", f"T{'₁₂₃'[i]} = sum of {len(terms)} terms",
                 " + ".join(term.right.pretty() for term in terms).replace("+ −", "− "), "",
-                verdict_of_statement(off < TOLERANCE),
+                verdict_of_statement(off < RELATIVE_TOLERANCE),
                 f"These terms are wrong as printed: {', '.join(wrong)}. The corrected equation gives the torque that "
-                f"the control loop of this project computes, {_agreement_text(rest)} at {STATES} random states.",
+                f"the control loop of this project computes, {_agreement_text(rest)} at {STATE_COUNT} random states.",
                 ("Lagrange", "this project's dynamics"), off,
             )
         )  # fmt: skip
     return items
 
 
-def _check_joint_torque(digit: DigitModel, states: States, model: Sequence[Array]) -> Item:
+def _check_joint_torque(digit: DigitModel, states: StateSamples, model: Sequence[Array]) -> ErrataItem:
     """Check whether T_i is the torque at a joint.
 
     In fact, a motor at the joint must make tau = S^T T.
     """
     joints = joint_torques(digit, states)
-    is_equal = relative_deviation(model[0], joints[:, 0]) < TOLERANCE
+    is_equal = relative_deviation(model[0], joints[:, 0]) < RELATIVE_TOLERANCE
     summed = relative_deviation(model[0] + model[1] + model[2], joints[:, 0])
-    return Item(
+    return ErrataItem(
         "eq7-9.joint_torque", "Sec. 7", "T₁, T₂ and T₃ at each joint E₁, E₂ and E₃",
         "τ₁ = T₁ + T₂ + T₃, τ₂ = T₂ + T₃, τ₃ = T₃", "", verdict_of_statement(is_equal),
         "Tᵢ belongs to an absolute link angle. The torque at a joint follows by virtual work from θ = S q with S lower "
@@ -213,7 +221,7 @@ def _agreement_text(off: float) -> str:
 
     It contains no digits that differ from machine to machine.
     """
-    return "to rounding" if off < TOLERANCE else f"to {off:.1g}"
+    return "to rounding" if off < RELATIVE_TOLERANCE else f"to {off:.1g}"
 
 
 def paper_finger() -> DigitModel:
@@ -222,28 +230,28 @@ def paper_finger() -> DigitModel:
     digit = DigitModel.of(load_hand("jamia"), "index")
     digit = digit.with_gravity(digit.mount_rotation @ np.array([0.0, -9.81, 0.0]))
     table = digit.table.copy()
-    table[rigid_body.ARMATURE] = 0.0
+    table[rigid_body.ARMATURE_ROW] = 0.0
     return replace(digit, table=table)
 
 
-def joint_torques(digit: DigitModel, states: States) -> Array:
+def joint_torques(digit: DigitModel, states: StateSamples) -> Array:
     """Return the joint torques that the inverse dynamics of handctl gives, (STATES, 3) [N m]."""
     q, dq, ddq = (_relative_from_absolute(states, "d" * order + "th") for order in (0, 1, 2))
     rows = zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
     return np.array([inverse_dynamics(digit, *row) for row in rows])
 
 
-def model_torques(digit: DigitModel, states: States) -> list[Array]:
+def model_torques(digit: DigitModel, states: StateSamples) -> list[Array]:
     """Return the torques T of these joint torques tau, for absolute angles: T = S^-T tau, (STATES,) each [N m]."""
     tau = joint_torques(digit, states)
     return [tau[:, 0] - tau[:, 1], tau[:, 1] - tau[:, 2], tau[:, 2]]
 
 
-def _relative_from_absolute(states: States, name: str) -> Array:
+def _relative_from_absolute(states: StateSamples, name: str) -> Array:
     """Return relative joint angles or their derivatives, (STATES, 3), calculated from absolute ones."""
     return np.diff(np.column_stack([states[f"{name}{i}"] for i in (1, 2, 3)]), axis=1, prepend=0.0)
 
 
-def printed_sum(terms: Sequence[Term], states: States) -> Any:
+def printed_sum(terms: Sequence[EquationTerm], states: StateSamples) -> Any:
     """Return the value of a printed equation, with the first reading of each term."""
     return sum(term.readings[0].value(states) for term in terms)

@@ -9,7 +9,7 @@ from handctl.hand import dynamics
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.tendons import reflected_inertia
 from handctl.paper import sources as src
-from handctl.paper.item import Item
+from handctl.paper.item import ErrataItem
 from handctl.paper.model import equations
 from handctl.paper.model.lagrange import finger_states, printed_sum
 from handctl.paper.verdicts import verdict_of_readings, verdict_of_statement
@@ -18,14 +18,14 @@ CLOSED_DEG = 60.0
 """Angle of each joint at the end of the motion [deg]."""
 DURATIONS_S = (0.6, 0.3, 0.15)
 """Durations of the motion for which the torques are drawn [s]."""
-SAMPLES = 301
+SAMPLE_COUNT = 301
 """Number of samples of a motion."""
-PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
+TORQUE_PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
 """Causes of the torque. The first three are effects of the links alone."""
 
 
 @dataclass(frozen=True, slots=True)
-class Closing:
+class ClosingTorques:
     """Torques that close a digit along a minimum-jerk path, with equal joint angles.
 
     Attributes:
@@ -51,10 +51,10 @@ class Closing:
 def upright_digit(name: str) -> DigitModel:
     """Return a digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
     model = DigitModel.of(src.paper_hand(), name)
-    return model.with_gravity(model.mount_rotation @ np.array([0.0, -float(src.GRAVITY), 0.0]))
+    return model.with_gravity(model.mount_rotation @ np.array([0.0, -float(src.GRAVITY_M_PER_S2), 0.0]))
 
 
-def closing_torques(name: str, duration: float) -> Closing:
+def closing_torques(name: str, duration: float) -> ClosingTorques:
     """Return the torques for closing a digit from straight to 60 degrees per joint.
 
     Args:
@@ -62,7 +62,7 @@ def closing_torques(name: str, duration: float) -> Closing:
         duration: duration of the motion [s].
     """
     digit = upright_digit(name)
-    times = np.linspace(0.0, duration, SAMPLES)
+    times = np.linspace(0.0, duration, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
     # The digit has one coordinate. Therefore every torque is projected on the coupling.
     rotor = float(reflected_inertia(digit)[0, 0])
@@ -79,13 +79,13 @@ def closing_torques(name: str, duration: float) -> Closing:
         ))  # fmt: skip
     columns = np.array(rows).T
     lever = float(digit.reduced_moment_arms[0, 0])
-    return Closing(name, duration, times, dict(zip(PARTS, columns, strict=True)), lever)
+    return ClosingTorques(name, duration, times, dict(zip(TORQUE_PARTS, columns, strict=True)), lever)
 
 
 def first_torque(duration: float) -> tuple[Array, Array, Array]:
     """Return times [s], and T_1 of a closing finger by Eq. 10 as printed and as corrected [N m]."""
     digit = upright_digit("index")
-    times = np.linspace(0.0, duration, SAMPLES)
+    times = np.linspace(0.0, duration, SAMPLE_COUNT)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
     moves = np.array([[value[0] for value in path.at(float(t))] for t in times])
     states = dict(finger_states(digit))
@@ -96,7 +96,7 @@ def first_torque(duration: float) -> tuple[Array, Array, Array]:
     return times, np.asarray(printed_sum(equations.TORQUE_1, states)), np.asarray(right)
 
 
-def motion_items() -> list[Item]:
+def motion_items() -> list[ErrataItem]:
     """Return the items about the torque in a motion.
 
     They are about Eq. 10 for a straight finger, the scope of Eq. 3 to 12, and the torque that
@@ -105,7 +105,7 @@ def motion_items() -> list[Item]:
     return [_check_static_torque(), _check_completeness(), _check_torque_value()]
 
 
-def _check_static_torque() -> Item:
+def _check_static_torque() -> ErrataItem:
     """Check whether T_1 of Eq. 10 is the torque at joint 1 that holds the straight finger.
 
     This torque is the sum of T_1 to T_3 of Eq. 10 to 12, and not T_1 alone.
@@ -113,7 +113,7 @@ def _check_static_torque() -> Item:
     _, printed, right = first_torque(DURATIONS_S[1])
     digit = upright_digit("index")
     joint = float(dynamics.gravity_torque(digit, np.zeros(digit.joint_count))[0])
-    return Item(
+    return ErrataItem(
         "eq10.static", "Eq. 10", f"T₁ = {printed[0]:.3g} N m", joint, "N m",
         verdict_of_statement(bool(abs(printed[0] - joint) < 1e-9 * abs(joint))),
         "Torque at joint 1 that holds the straight finger up against its weight. With Eq. 10 the finger would fall. "
@@ -121,18 +121,18 @@ def _check_static_torque() -> Item:
         f"hold τ₁ = T₁ + T₂ + T₃ = {1000 * joint:.4g} mN m.", ("statics", "virtual work"))  # fmt: skip
 
 
-def _check_completeness() -> Item:
+def _check_completeness() -> ErrataItem:
     """Check whether Eq. 3 to 12 give the complete torque of a motion.
 
     The paper does not mention springs or the inertia of the actuator.
     """
     fast = closing_torques("index", DURATIONS_S[-1])
-    links = sum(fast.parts[part] for part in PARTS[:3])
+    links = sum(fast.parts[part] for part in TORQUE_PARTS[:3])
     driven = links + fast.parts["motor inertia"]
     links_peak, driven_peak = (
         float(np.abs(torque).max()) / fast.lever for torque in (links, driven)
     )
-    return Item(
+    return ErrataItem(
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",
         verdict_of_readings([True, links_peak > 0.5 * driven_peak]),
         f"Peak tension for closing a finger by {CLOSED_DEG:g}° in {fast.duration:g} s with the dynamics of the links "
@@ -142,18 +142,18 @@ def _check_completeness() -> Item:
         "of the paper's hand.", ("this project's dynamics",))  # fmt: skip
 
 
-def _check_torque_value() -> Item:
+def _check_torque_value() -> ErrataItem:
     """Check whether the paper states a value of the torque, as section 8 says.
 
     Eq. 10 to 12 contain only symbols.
     """
     fast = closing_torques("index", DURATIONS_S[-1])
-    peak = 1000.0 * float(np.abs(sum(fast.parts[part] for part in PARTS[:3])).max())
+    peak = 1000.0 * float(np.abs(sum(fast.parts[part] for part in TORQUE_PARTS[:3])).max())
     terms = [
-        term for terms in equations.TORQUES for term in terms if not term.printed.startswith("(")
+        term for terms in equations.TORQUE_TERMS for term in terms if not term.printed.startswith("(")
     ]
     numbers = [term.id for term in terms if not any(reading.names for reading in term.readings)]
-    return Item(
+    return ErrataItem(
         "sec8.torque", "Sec. 8", "dynamic modeling suggested the approximate value of the torque", peak, "mN m",
         verdict_of_statement(bool(numbers)),
         f"No value is printed: each of the {len(terms)} terms of Eq. 10 to 12 has symbols, whose values "

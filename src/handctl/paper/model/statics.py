@@ -4,8 +4,8 @@ import math
 from fractions import Fraction
 
 from handctl.paper import sources as src
-from handctl.paper.item import Item
-from handctl.paper.model.expression import NONE, Dimension, DimensionError, Expression
+from handctl.paper.item import ErrataItem
+from handctl.paper.model.expression import DIMENSIONLESS, Dimension, DimensionError, Expression
 from handctl.paper.verdicts import (
     rounding_interval,
     verdict_of_contradiction,
@@ -14,11 +14,11 @@ from handctl.paper.verdicts import (
     verdict_of_statement,
 )
 
-ARITHMETIC = ("arithmetic",)
-STATICS = ("statics",)
+ARITHMETIC_TAG = ("arithmetic",)
+STATICS_TAG = ("statics",)
 
 
-def statics_items() -> list[Item]:
+def statics_items() -> list[ErrataItem]:
     """Return the items about all numbers and formulas of the statics."""
     return [
         *_check_moments(),
@@ -40,16 +40,16 @@ def number_item(
     unit: str,
     reason: str,
     symbol: str = "",
-) -> Item:
+) -> ErrataItem:
     """Return an item about a printed number. The verdict follows from its digits.
 
     `symbol` is printed behind the number.
     """
     verdict = verdict_of_number(printed, exact)
-    return Item(id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC)
+    return ErrataItem(id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC_TAG)
 
 
-def _check_moments() -> list[Item]:
+def _check_moments() -> list[ErrataItem]:
     """Check the printed moments in sections 5 and 6."""
     rows = [
         ("sec5.M", "Sec. 5", src.paper_finger(), ("55", "25", "10"), "F"),
@@ -63,7 +63,7 @@ def _check_moments() -> list[Item]:
     ]  # fmt: skip
 
 
-LABELS = (
+FIGURE_LABELS = (
     ("sec5.M1_label", "Sec. 5", "M₁: moment at first three joint", src.paper_finger, 0, (0, 1, 2)),
     (
         "sec5.M2_label",
@@ -97,38 +97,39 @@ Joints are counted from the palm, beginning with 0.
 """
 
 
-def _check_labels() -> list[Item]:
+def _check_labels() -> list[ErrataItem]:
     """Check the labels that the paper gives to the moments.
 
     If a label names several joints, it states that the moments at these joints are equal.
     """
     rows = []
-    for id, where, printed, digit, joint, named in LABELS:
+    for id, where, printed, digit, joint, named in FIGURE_LABELS:
         levers = src.levers_mm(digit())
         there = ", ".join(f"{levers[i]}F" for i in named)
         rows.append(
-            Item(
+            ErrataItem(
                 id, where, printed, f"moment at joint {joint + 1}", "",
                 verdict_of_statement(all(levers[i] == levers[joint] for i in named)),
                 f"{levers[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
-                f"At the joints that the label names it is {there}.", STATICS,
+                f"At the joints that the label names it is {there}.", STATICS_TAG,
             )
         )  # fmt: skip
     return rows
 
 
-FORCE = (1, 1, -2)
-LENGTH = (0, 1, 0)
-MASS = (1, 0, 0)
-STRESS = (1, -1, -2)
-DIMENSIONS: dict[str, Dimension] = {
-    "M": (1, 2, -2), "T": FORCE, "F": FORCE, "r_p": LENGTH, "r_a": LENGTH, "g": (0, 1, -2), "mu": NONE, "A": (0, 2, 0),
-    "sigma": STRESS,
+FORCE_DIMENSION = (1, 1, -2)
+LENGTH_DIMENSION = (0, 1, 0)
+MASS_DIMENSION = (1, 0, 0)
+STRESS_DIMENSION = (1, -1, -2)
+SYMBOL_DIMENSIONS: dict[str, Dimension] = {
+    "M": (1, 2, -2), "T": FORCE_DIMENSION, "F": FORCE_DIMENSION, "r_p": LENGTH_DIMENSION, "r_a": LENGTH_DIMENSION,
+    "g": (0, 1, -2), "mu": DIMENSIONLESS, "A": (0, 2, 0),
+    "sigma": STRESS_DIMENSION,
 }  # fmt: skip
 """Dimension of each symbol in the formulas of section 5."""
 
 
-def _check_formulas() -> list[Item]:
+def _check_formulas() -> list[ErrataItem]:
     """Check the formulas in section 5 by their dimensions, and by comparison with the statics of the hand."""
     hand = src.paper_hand()
     tendons = src.paper_hand().digit_tendons["index"]
@@ -138,7 +139,7 @@ def _check_formulas() -> list[Item]:
     newtons = float(src.GRIP_FINGER_N)
     values = {
         "T": tension, "F": newtons, "r_p": float(src.PULLEY_MM) / 1000, "r_a": float(src.SPOOL_MM) / 1000,
-        "g": float(src.GRAVITY), "mu": float(src.FRICTION), "sigma": 1e6 * float(src.STRESS_MPA),
+        "g": float(src.GRAVITY_M_PER_S2), "mu": float(src.FRICTION_COEFFICIENT), "sigma": 1e6 * float(src.STRESS_MPA),
     }  # fmt: skip
     diameter = src.wire_diameter_mm(tension) / 1000
     values["A"] = math.pi * diameter**2 / 4
@@ -148,9 +149,9 @@ def _check_formulas() -> list[Item]:
          "By virtual work: the tendon's moment arm at each joint is its pulley's radius."),
         ("torque", "T_orque = T r_a", "T*r_a", (1, 2, -2), spool * tension,
          "By virtual work at the spool. The letter T is the tension, T_orque a torque."),
-        ("payload", "m = F μ/g", "F*mu/g", MASS, float(src.payload_kg(src.GRIP_FINGER_N)),
+        ("payload", "m = F μ/g", "F*mu/g", MASS_DIMENSION, float(src.payload_kg(src.GRIP_FINGER_N)),
          "Coulomb's friction at one contact with normal force F, along its tangent."),
-        ("stress", "σ = T/A", "T/A", STRESS, 1e6 * src.wire_stress_mpa(tension, 1000 * diameter),
+        ("stress", "σ = T/A", "T/A", STRESS_DIMENSION, 1e6 * src.wire_stress_mpa(tension, 1000 * diameter),
          "Mean stress of the wire in tension."),
         ("wire", "D_min = √(4T/(π σ_a))", "4*T/(pi*sigma)", (0, 2, 0), diameter**2,
          "Solves σ_a = T/A with A = π d²/4. Judged by its square."),
@@ -158,13 +159,13 @@ def _check_formulas() -> list[Item]:
     formula_items = []
     for name, printed, text, dimension, right, reason in rows:
         expression = Expression(text)
-        holds = expression.dimension(DIMENSIONS) == dimension and math.isclose(
+        holds = expression.dimension(SYMBOL_DIMENSIONS) == dimension and math.isclose(
             expression.value(values), right, rel_tol=1e-9
         )
         where = "Sec. 5, Sec. 6" if name in ("moment", "torque") else "Sec. 5"
         evidence = ("dimensions", "statics")
         formula_items.append(
-            Item(
+            ErrataItem(
                 f"sec5.{name}_formula",
                 where,
                 printed,
@@ -178,7 +179,7 @@ def _check_formulas() -> list[Item]:
     return formula_items
 
 
-def _check_finger() -> list[Item]:
+def _check_finger() -> list[ErrataItem]:
     """Check the printed tension and torque of the finger."""
     tension = src.tension_per_newton(src.paper_finger())
     torque = tension * src.SPOOL_MM / 1000
@@ -189,16 +190,16 @@ def _check_finger() -> list[Item]:
     # rounding error.
     carried = Fraction("18.33") * src.SPOOL_MM / 1000
     verdict = verdict_of_derived_number("0.09165", torque, carried, tension_item.verdict)
-    torque_item = Item(
+    torque_item = ErrataItem(
         "sec5.torque", "Sec. 5", "0.09165 F", float(torque), "N m per N", verdict,
-        f"Computed from the rounded 18.33. At 6 N: {float(6 * torque):g} N m.", ARITHMETIC)  # fmt: skip
+        f"Computed from the rounded 18.33. At 6 N: {float(6 * torque):g} N m.", ARITHMETIC_TAG)  # fmt: skip
     return [tension_item, torque_item]
 
 
-def _check_payload() -> list[Item]:
+def _check_payload() -> list[ErrataItem]:
     """Check the printed payloads."""
     one = src.payload_kg(src.GRIP_FINGER_N)
-    three = src.payload_kg(src.FINGERS * src.GRIP_FINGER_N)
+    three = src.payload_kg(src.FINGER_COUNT * src.GRIP_FINGER_N)
     first = number_item(
         "sec5.payload",
         "Sec. 5",
@@ -208,11 +209,12 @@ def _check_payload() -> list[Item]:
         "μ F/g = 0.5 × 6/9.81, truncated instead of rounded.",
     )
     verdict = verdict_of_derived_number("0.915", three, 3 * Fraction("0.305"), first.verdict)
-    force = src.GRAVITY / (src.FINGERS * src.FRICTION)
+    force = src.GRAVITY_M_PER_S2 / (src.FINGER_COUNT * src.FRICTION_COEFFICIENT)
     tension = src.tension_of_payload_kg(1)
     return [
         first,
-        Item("sec5.payload3", "Sec. 5", "0.915", float(three), "kg", verdict, "3 × the truncated 0.305.", ARITHMETIC),
+        ErrataItem("sec5.payload3", "Sec. 5", "0.915", float(three), "kg", verdict, "3 × the truncated 0.305.",
+            ARITHMETIC_TAG),
         number_item(
             "abstract.payload", "Abstract", "1", three, "kg",
             "The maximum load of the abstract is the load of section 5 to one digit, 0.917 kg at 6 N per finger. A "
@@ -220,7 +222,7 @@ def _check_payload() -> list[Item]:
     ]  # fmt: skip
 
 
-def _check_wire() -> list[Item]:
+def _check_wire() -> list[ErrataItem]:
     """Check the printed diameters of the wire."""
     tension = src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
@@ -237,7 +239,7 @@ def _check_wire() -> list[Item]:
     ]  # fmt: skip
 
 
-def _check_area() -> Item:
+def _check_area() -> ErrataItem:
     """Check the printed formula for the area of the wire, A = pi d2/4.
 
     The result is an area only if the 2 is an exponent.
@@ -249,12 +251,12 @@ def _check_area() -> Item:
         holds = printed.dimension(lengths) == right.dimension(lengths)
     except DimensionError:
         holds = False
-    return Item(
+    return ErrataItem(
         "sec5.area", "Sec. 5", "A = π d2/4", right.pretty(), "", verdict_of_statement(holds),
         "The exponent is printed on the base line. As printed, the result is a length.", ("dimensions",))  # fmt: skip
 
 
-def _check_knee() -> list[Item]:
+def _check_knee() -> list[ErrataItem]:
     """Check the statements about the knee of the force-displacement curve."""
     diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger()))
     knee, knee_abstract = src.KNEES_N
@@ -265,19 +267,19 @@ def _check_knee() -> list[Item]:
         "Section 5 states 200 N, the abstract 250 N. The paper prints no data and no law that give the knee."
     )
     return [
-        Item(
+        ErrataItem(
             "fig5.knee", "Abstract, Sec. 5", f"linear up to {knee_abstract} N / {knee} N", None, "N", verdict, reason,
             ("contradiction",)),
-        Item(
+        ErrataItem(
             "fig5.stress", "Sec. 5", f"σ = 190 MPa allowed, wire used up to {knee} N and beyond", stress, "MPa",
             verdict_of_statement(stress <= src.STRESS_MPA),
             f"In the 0.8586 mm wire 190 MPa are reached at 110 N. 200 N are {stress:.0f} MPa and 250 N "
             f"{src.wire_stress_mpa(knee_abstract, diameter):.0f} MPa: the knee lies far beyond what section 5 allows.",
-            ARITHMETIC),
+            ARITHMETIC_TAG),
     ]  # fmt: skip
 
 
-def _check_thumb() -> list[Item]:
+def _check_thumb() -> list[ErrataItem]:
     """Check the printed tension and torque of the thumb."""
     tension = src.tension_per_newton(src.paper_thumb())
     torque = tension * src.SPOOL_MM / 1000
@@ -296,23 +298,23 @@ def _check_thumb() -> list[Item]:
     return [
         _missing_radius(),
         first,
-        Item(
+        ErrataItem(
             "sec6.torque", "Sec. 6", "0.04165 Fₜ", float(torque), "N m per N", verdict,
-            "Computed from the rounded 8.33.", ARITHMETIC),
+            "Computed from the rounded 8.33.", ARITHMETIC_TAG),
         number_item(
             "sec6.torque10", "Sec. 6", "0.4166", src.GRIP_THUMB_N * torque, "N m",
             f"5/12, truncated (rounded it is 0.4167). The thumb's wire, not printed, needs {wire:.4f} mm."),
     ]  # fmt: skip
 
 
-def _missing_radius() -> Item:
+def _missing_radius() -> ErrataItem:
     """Calculate the pulley radius that is missing in print, from the printed tension 8.33 F."""
     printed = "r_p = mm"
     # The numbers that round to 8.33 give an interval of radii. It contains one whole number of
     # millimetres.
     low, high = sorted(src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33"))
     whole = [radius for radius in range(1, 10) if low <= radius <= high]
-    return Item(
+    return ErrataItem(
         "sec6.pulley", "Sec. 6", printed, float(whole[0]), "mm", verdict_of_statement(f"= {whole[0]} mm" in printed),
         f"The number is missing. 8.33 F implies {float(low):.4f} to {float(high):.4f} mm, which is the 3 mm of the "
         "fingers.",

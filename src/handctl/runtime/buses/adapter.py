@@ -6,16 +6,16 @@ Source: Linux ABI documentation, ``sysfs-bus-usb`` (speed in Mbit/s) and ``sysfs
 from pathlib import Path
 from typing import NamedTuple
 
-NETWORK = Path("/sys/class/net")
+NETWORK_FOLDER = Path("/sys/class/net")
 """Folder in which Linux lists the network interfaces."""
-FULL_SPEED = 12
+FULL_SPEED_MBIT_S = 12
 """USB full speed [Mbit/s], with one USB frame per millisecond.
 
 USB high speed has one micro-frame per 125 us.
 """
 
 
-class Adapter(NamedTuple):
+class UsbAdapter(NamedTuple):
     """CAN adapter of a network interface.
 
     Attributes:
@@ -34,10 +34,10 @@ class Adapter(NamedTuple):
 
         It then exchanges CAN frames only once per millisecond.
         """
-        return 0.0 < self.usb_speed <= FULL_SPEED
+        return 0.0 < self.usb_speed <= FULL_SPEED_MBIT_S
 
 
-def read_adapter(name: str, network: Path = NETWORK) -> Adapter | None:
+def read_adapter(name: str, network: Path = NETWORK_FOLDER) -> UsbAdapter | None:
     """Return the adapter of an interface, or None for a virtual or missing interface.
 
     Args:
@@ -51,7 +51,7 @@ def read_adapter(name: str, network: Path = NETWORK) -> Adapter | None:
     # For a USB adapter, this path is the USB interface. Its parent folder is the USB device.
     usb = device.resolve().parent
     speed = _read_text(usb / "speed")
-    return Adapter(
+    return UsbAdapter(
         driver=driver.resolve().name if driver.exists() else "",
         usb_speed=float(speed) if speed.replace(".", "", 1).isdigit() else 0.0,
         serial=_read_text(usb / "serial") if speed else "",

@@ -16,15 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.drives.frame import ERROR, FDF, Frame
-from handctl.drives.records import RECORD, Frames, Records
+from handctl.drives.records import FRAME_RECORD_DTYPE, Frames, RecordArray
 from handctl.runtime.buses.contract import check_size
 
-STRUCT = np.dtype([("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "<u8", (8,))])
-SIZE = STRUCT.itemsize
+CANFD_FRAME_DTYPE = np.dtype(
+    [("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "<u8", (8,))]
+)
+CANFD_FRAME_BYTES = CANFD_FRAME_DTYPE.itemsize
 """Size of ``struct canfd_frame`` [bytes]."""
-CLASSICAL_SIZE = 16
+CLASSICAL_FRAME_BYTES = 16
 """Size of ``struct can_frame`` [bytes]."""
-MAX_PAYLOAD = 64
+MAX_PAYLOAD_BYTES = 64
 """Payload of the longest frame [bytes]."""
 CACHED_BATCHES = 256
 """Number of batches whose heads are cached."""
@@ -33,34 +35,34 @@ MAX_CACHED_FRAMES = 128
 
 Larger batches are not cached, so that a flood of frames does not fill the memory.
 """
-WORD = np.dtype("<u8")
-PAYLOAD = np.dtype(("<u8", (8,)))
-_HEADER_DTYPE = np.dtype(STRUCT.descr[:-1])
-T_NS_AT, HEAD_AT, DATA_AT = (RECORD.fields[name][1] for name in ("t_ns", "can_id", "data"))  # type: ignore[index]
+WORD_DTYPE = np.dtype("<u8")
+PAYLOAD_DTYPE = np.dtype(("<u8", (8,)))
+_HEADER_DTYPE = np.dtype(CANFD_FRAME_DTYPE.descr[:-1])
+TIME_OFFSET, HEAD_OFFSET, DATA_OFFSET = (FRAME_RECORD_DTYPE.fields[name][1] for name in ("t_ns", "can_id", "data"))  # type: ignore[index]
 """Offsets in a record [bytes]: time, head (from identifier to length), payload."""
 
-Words = NDArray[np.uint64]
+WordArray = NDArray[np.uint64]
 
 
-def _payload_masks() -> Words:
-    """Return an array (MAX_PAYLOAD + 1, 8).
+def _payload_masks() -> WordArray:
+    """Return an array (MAX_PAYLOAD_BYTES + 1, 8).
 
     Row n masks the n payload bytes in the 64-byte data field.
     """
-    masks = np.zeros((MAX_PAYLOAD + 1, MAX_PAYLOAD), np.uint8)
-    for length in range(MAX_PAYLOAD + 1):
+    masks = np.zeros((MAX_PAYLOAD_BYTES + 1, MAX_PAYLOAD_BYTES), np.uint8)
+    for length in range(MAX_PAYLOAD_BYTES + 1):
         masks[length, :length] = 0xFF
     return masks.view(np.uint64)
 
 
-MASKS = _payload_masks()
-_LENGTHS = bytes(min(length, MAX_PAYLOAD) for length in range(256))
-"""Table for ``bytes.translate``: from the length byte of a struct to the payload length, at most MAX_PAYLOAD."""
-_ERRORS = bytes((highest << 24 & ERROR) != 0 for highest in range(256))
+PAYLOAD_MASKS = _payload_masks()
+_PAYLOAD_LENGTHS = bytes(min(length, MAX_PAYLOAD_BYTES) for length in range(256))
+"""Table for ``bytes.translate``: from the length byte of a struct to the payload length, at most MAX_PAYLOAD_BYTES."""
+_ERROR_FRAME_MARKS = bytes((highest << 24 & ERROR) != 0 for highest in range(256))
 """Table for ``bytes.translate``: from the highest byte of an identifier to 1 for an error frame and 0 for others."""
 
 
-class Received(NamedTuple):
+class ReceivedHeads(NamedTuple):
     """Heads of received structs, converted to records.
 
     Attributes:
@@ -71,9 +73,9 @@ class Received(NamedTuple):
         errors: True if there is an error frame among the structs.
     """
 
-    heads: Words
+    heads: WordArray
     words: int
-    masks: Words | None
+    masks: WordArray | None
     errors: bool
 
 
@@ -84,7 +86,7 @@ def _flag_table(mask: int, added: int) -> bytes:
 
 
 @functools.lru_cache(maxsize=CACHED_BATCHES)
-def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> Received:
+def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> ReceivedHeads:
     """Convert heads of structs to heads of records.
 
     The conversion slices columns of bytes. For a batch that is not cached, this is faster than
@@ -92,7 +94,7 @@ def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) ->
     """
     # Bytes of a head in a struct:  can_id 0..3 | length 4 | flags 5 | reserved 6..7
     # Bytes of a head in a record:  can_id 0..3 | flags  4 | zero  5 | bus 6 | length 7
-    lengths = raw[4::8].translate(_LENGTHS)
+    lengths = raw[4::8].translate(_PAYLOAD_LENGTHS)
     count = len(raw) // 8
     heads = bytearray(len(raw))
     for i in range(4):
@@ -103,12 +105,12 @@ def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) ->
     words = max(1, -(-max(lengths, default=0) // 8))  # rounded up
     masks = None  # usual case: every payload fills its words, so no byte has to be cleared
     if lengths.count(8 * words) < count:
-        masks = MASKS[:, 0] if words == 1 else MASKS[:, :words]
+        masks = PAYLOAD_MASKS[:, 0] if words == 1 else PAYLOAD_MASKS[:, :words]
         masks = masks.take(np.frombuffer(lengths, np.uint8), axis=0)
-    return Received(np.frombuffer(heads, WORD), words, masks, 1 in raw[3::8].translate(_ERRORS))
+    return ReceivedHeads(np.frombuffer(heads, WORD_DTYPE), words, masks, 1 in raw[3::8].translate(_ERROR_FRAME_MARKS))
 
 
-class Sent(NamedTuple):
+class SentHeads(NamedTuple):
     """Heads of records to be sent, converted to structs.
 
     Attributes:
@@ -117,34 +119,36 @@ class Sent(NamedTuple):
         sizes: (n,) bytes to send of each struct: the size of ``can_frame`` or of ``canfd_frame``.
     """
 
-    heads: Words
+    heads: WordArray
     words: int
-    sizes: Words
+    sizes: WordArray
 
 
 @functools.lru_cache(maxsize=CACHED_BATCHES)
-def _convert_sent(raw: bytes) -> Sent:
+def _convert_sent(raw: bytes) -> SentHeads:
     """Convert heads of records to heads of structs.
 
     Raises:
         ValueError: a payload is longer than its kind of frame can carry.
     """
-    words = np.frombuffer(raw, WORD)
-    records = np.zeros(len(words), RECORD)
-    records.setfield(words, WORD, HEAD_AT)
+    words = np.frombuffer(raw, WORD_DTYPE)
+    records = np.zeros(len(words), FRAME_RECORD_DTYPE)
+    records.setfield(words, WORD_DTYPE, HEAD_OFFSET)
     fd = (records["flags"] & FDF) != 0
     lengths = records["length"]
-    for i in np.flatnonzero(lengths > np.where(fd, MAX_PAYLOAD, 8))[:1]:
+    for i in np.flatnonzero(lengths > np.where(fd, MAX_PAYLOAD_BYTES, 8))[:1]:
         check_size(Frame(int(records["can_id"][i]), bytes(int(lengths[i])), int(records["flags"][i])))
     heads = np.zeros(len(records), _HEADER_DTYPE)
     heads["can_id"] = records["can_id"]
     heads["length"] = lengths
     heads["flags"] = np.where(fd, records["flags"], 0)
     longest = max(1, -(-int(lengths.max(initial=0)) // 8))
-    return Sent(heads.view(WORD), longest, np.where(fd, SIZE, CLASSICAL_SIZE).astype(np.uint64))
+    return SentHeads(
+        heads.view(WORD_DTYPE), longest, np.where(fd, CANFD_FRAME_BYTES, CLASSICAL_FRAME_BYTES).astype(np.uint64)
+    )
 
 
-class Structs:
+class FrameStructs:
     """An array of ``struct canfd_frame`` in memory, read and written by columns.
 
     Attributes:
@@ -153,14 +157,14 @@ class Structs:
 
     def __init__(self, memory: Any) -> None:
         """Make views into ``memory``, a writable buffer with a whole number of structs."""
-        rows = np.frombuffer(memory, WORD).reshape(-1, SIZE // 8)
+        rows = np.frombuffer(memory, WORD_DTYPE).reshape(-1, CANFD_FRAME_BYTES // 8)
         self.count = len(rows)
         self._heads = rows[:, 0]
         self._data = rows[:, 1:]
         self._first = rows[:, 1]
         self._written = 8
 
-    def converted_heads(self, count: int, bus: int, flag_mask: int = 0xFF, added_flags: int = 0) -> Received:
+    def converted_heads(self, count: int, bus: int, flag_mask: int = 0xFF, added_flags: int = 0) -> ReceivedHeads:
         """Return the heads of the first ``count`` structs, converted to heads of records.
 
         Args:
@@ -172,11 +176,11 @@ class Structs:
         convert = _convert_received if count <= MAX_CACHED_FRAMES else _convert_received.__wrapped__
         return convert(self._heads[:count].tobytes(), bus, flag_mask, added_flags)
 
-    def reserved(self, at: int) -> int:
+    def reserved_bits(self, at: int) -> int:
         """Return the value in the 16 reserved bits of the struct with index ``at``."""
         return int(self._heads[at]) >> 48
 
-    def read(self, count: int, heads: Received, t_ns: "int | NDArray[np.int64]") -> Records:
+    def read(self, count: int, heads: ReceivedHeads, t_ns: "int | NDArray[np.int64]") -> RecordArray:
         """Return the first ``count`` structs as records.
 
         Args:
@@ -184,19 +188,19 @@ class Structs:
             heads: converted heads of these structs.
             t_ns: time of reception [ns]: one time for all frames, or one for each.
         """
-        records: Records = np.zeros(count, RECORD)
-        records.setfield(t_ns, np.dtype("<i8"), T_NS_AT)
-        records.setfield(heads.heads, WORD, HEAD_AT)
+        records: RecordArray = np.zeros(count, FRAME_RECORD_DTYPE)
+        records.setfield(t_ns, np.dtype("<i8"), TIME_OFFSET)
+        records.setfield(heads.heads, WORD_DTYPE, HEAD_OFFSET)
         if heads.words == 1:
             first = self._first[:count]
-            records.setfield(first if heads.masks is None else first & heads.masks, WORD, DATA_AT)
+            records.setfield(first if heads.masks is None else first & heads.masks, WORD_DTYPE, DATA_OFFSET)
         else:
             data = self._data[:count, : heads.words]
-            payload = records.getfield(PAYLOAD, DATA_AT)[:, : heads.words]
+            payload = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[:, : heads.words]
             payload[...] = data if heads.masks is None else data & heads.masks
         return records
 
-    def write(self, frames: Frames) -> Sent:
+    def write(self, frames: Frames) -> SentHeads:
         """Write frames into the first structs. Payload bytes behind the end of a frame are set to zero.
 
         Raises:
@@ -205,19 +209,19 @@ class Structs:
         records = frames.records
         count = len(records)
         convert = _convert_sent if count <= MAX_CACHED_FRAMES else _convert_sent.__wrapped__
-        sent = convert(records.getfield(WORD, HEAD_AT).tobytes())
+        sent = convert(records.getfield(WORD_DTYPE, HEAD_OFFSET).tobytes())
         self._heads[:count] = sent.heads
         if sent.words < self._written:  # otherwise bytes of longer payloads of the previous batch would remain
             self._data[:, sent.words :] = 0
         self._written = sent.words
         if sent.words == 1:
-            self._first[:count] = records.getfield(WORD, DATA_AT)
+            self._first[:count] = records.getfield(WORD_DTYPE, DATA_OFFSET)
         else:
-            self._data[:count, : sent.words] = records.getfield(PAYLOAD, DATA_AT)[:, : sent.words]
+            self._data[:count, : sent.words] = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[:, : sent.words]
         return sent
 
 
-def without_errors(records: Records) -> tuple[Frames, list[Frame]]:
+def without_errors(records: RecordArray) -> tuple[Frames, list[Frame]]:
     """Split records into data frames and error frames."""
     errors = (records["can_id"] & ERROR) != 0
     return Frames(records[~errors]), list(Frames(records[errors]))

@@ -5,9 +5,9 @@ from typing import Protocol
 
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.records import Frames
-from handctl.runtime.buses.events import Event
+from handctl.runtime.buses.events import BusEvent
 
-Stamp = Callable[[int], int]
+TimeConversion = Callable[[int], int]
 """Function from a CLOCK_MONOTONIC time [ns] to the run's time [ns], linear with a positive slope."""
 
 
@@ -43,7 +43,7 @@ class Bus(Protocol):
         """
         ...
 
-    def take_events(self) -> list[Event]:
+    def take_events(self) -> list[BusEvent]:
         """Return the events of the bus since the last call, see the module ``events``."""
         ...
 

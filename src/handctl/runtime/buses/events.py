@@ -17,7 +17,7 @@ until it ends. The fault detectors count for how many ticks such a state lasts.
 
 import errno
 
-Event = tuple[str, str, int]
+BusEvent = tuple[str, str, int]
 """Event of a bus: kind, bus (with a detail), and number of occurrences."""
 
 ERRNO_KINDS = {
@@ -34,9 +34,17 @@ ERRNO_KINDS = {
 }
 """Kind of event for each errno."""
 
-TX_TIMEOUT, LOST_ARBITRATION, CONTROLLER, PROTOCOL, TRANSCEIVER, NO_ACK, BUS_OFF, BUS_ERROR, RESTARTED = (
-    1 << bit for bit in range(9)
-)
+(
+    TX_TIMEOUT,
+    LOST_ARBITRATION,
+    CONTROLLER_ERROR,
+    PROTOCOL_ERROR,
+    TRANSCEIVER_ERROR,
+    NO_ACK,
+    BUS_OFF,
+    BUS_ERROR,
+    CONTROLLER_RESTARTED,
+) = (1 << bit for bit in range(9))
 """Bits in the identifier of an error frame.
 
 Each bit is a class of errors. Source: Linux ``can/error.h``.
@@ -53,11 +61,11 @@ CLASS_NAMES = (
     "restarted",
 )
 """Names of these classes of errors, in the order of their bits, lowest bit first."""
-OVERFLOW, TX_OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x03, 0x02, 0x0C, 0x30, 0x40
-"""Masks for data[1] of an error frame of class CONTROLLER.
+OVERFLOW_MASK, TX_OVERFLOW_MASK, WARNING_MASK, PASSIVE_MASK, ACTIVE_MASK = 0x03, 0x02, 0x0C, 0x30, 0x40
+"""Masks for data[1] of an error frame of class CONTROLLER_ERROR.
 
-OVERFLOW, WARNING and PASSIVE each have a receive bit and a transmit bit. TX_OVERFLOW is the
-transmit bit of OVERFLOW. Source: Linux ``can/error.h``.
+OVERFLOW_MASK, WARNING_MASK and PASSIVE_MASK each have a receive bit and a transmit bit. TX_OVERFLOW_MASK is the
+transmit bit of OVERFLOW_MASK. Source: Linux ``can/error.h``.
 """
 
 
@@ -92,14 +100,14 @@ class BusEvents:
         """
         kind = ERRNO_KINDS.get(code or 0, otherwise)
         if ERRNO_KINDS.get(code or 0) == "enodev":
-            self.lasting(kind, True)
+            self.set_lasting_state(kind, True)
             return
         if kind == "enetdown":  # an interface that is down has no error states
-            self.lasting("bus_off", False)
-            self.lasting("error_passive", False)
+            self.set_lasting_state("bus_off", False)
+            self.set_lasting_state("error_passive", False)
         self.add(kind, number)
 
-    def lasting(self, kind: str, present: bool) -> None:
+    def set_lasting_state(self, kind: str, present: bool) -> None:
         """Set or end a lasting state of the bus.
 
         Each call of ``take`` reports every lasting state.
@@ -115,29 +123,29 @@ class BusEvents:
         """
         names = [name for bit, name in enumerate(CLASS_NAMES) if can_id >> bit & 1]
         self.add("error_frame", 1, ", ".join(names) or "unknown class")
-        if can_id & RESTARTED:
+        if can_id & CONTROLLER_RESTARTED:
             self.add("restarted")
-            self.lasting("bus_off", False)
-            self.lasting("error_passive", False)
+            self.set_lasting_state("bus_off", False)
+            self.set_lasting_state("error_passive", False)
         if can_id & BUS_OFF:
-            self.lasting("bus_off", True)
-        if can_id & CONTROLLER and len(data) > 1:
+            self.set_lasting_state("bus_off", True)
+        if can_id & CONTROLLER_ERROR and len(data) > 1:
             self._count_controller_status(data[1])
 
     def _count_controller_status(self, status: int) -> None:
-        """Count the events that data[1] of an error frame of class CONTROLLER reports."""
-        if status & OVERFLOW:
+        """Count the events that data[1] of an error frame of class CONTROLLER_ERROR reports."""
+        if status & OVERFLOW_MASK:
             self.add("error_frame", 1, "controller overflow")
-        if status & TX_OVERFLOW:
+        if status & TX_OVERFLOW_MASK:
             self.add("enobufs")
-        if status & WARNING:
+        if status & WARNING_MASK:
             self.add("error_warning")
-        if status & ACTIVE:
+        if status & ACTIVE_MASK:
             self.add("error_active")
-        if status & (PASSIVE | WARNING | ACTIVE):
-            self.lasting("error_passive", bool(status & PASSIVE))
+        if status & (PASSIVE_MASK | WARNING_MASK | ACTIVE_MASK):
+            self.set_lasting_state("error_passive", bool(status & PASSIVE_MASK))
 
-    def take(self) -> list[Event]:
+    def take(self) -> list[BusEvent]:
         """Return the events since the last call, followed by the lasting states."""
         if not self._counts and not self._lasting:
             return []

@@ -5,11 +5,11 @@ The module ``link`` reads the state of an interface.
 
 import socket
 
-from handctl.runtime.buses.link import MTU_FD, Link, MissingTool, read_link
+from handctl.runtime.buses.link import CANFD_MTU_BYTES, CanLinkState, MissingTool, read_link
 
-Command = tuple[str, ...]
+CommandWords = tuple[str, ...]
 """A shell command as a list of words."""
-QUEUE_LENGTH = 128
+TX_QUEUE_FRAMES = 128
 """Length of the transmit queue of an interface that these commands set up [frames].
 
 The Linux default of 10 frames is too short for the frames that a large hand sends in one tick.
@@ -23,7 +23,7 @@ def interface_names() -> tuple[str, ...]:
     return tuple(name for _, name in socket.if_nameindex())
 
 
-def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists: bool) -> tuple[Command, ...]:
+def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists: bool) -> tuple[CommandWords, ...]:
     """Return the shell commands that set up an interface for a hand. They need root rights.
 
     Args:
@@ -33,20 +33,20 @@ def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists
         exists: True if the interface exists. A virtual interface is added otherwise.
     """
     link = ("ip", "link", "set", channel)
-    queue = (*link, "txqueuelen", str(QUEUE_LENGTH))
-    up: Command = (*link, "up")
+    queue = (*link, "txqueuelen", str(TX_QUEUE_FRAMES))
+    up: CommandWords = (*link, "up")
     if channel.startswith("vcan"):
-        add: Command = ("ip", "link", "add", channel, "type", "vcan")
+        add: CommandWords = ("ip", "link", "add", channel, "type", "vcan")
         begin = (*link, "down") if exists else add
-        mtu = ((*link, "mtu", str(MTU_FD)),) if data_bitrate else ()
+        mtu = ((*link, "mtu", str(CANFD_MTU_BYTES)),) if data_bitrate else ()
         return (begin, *mtu, queue, up)
-    timing: Command = (*link, "type", "can", "bitrate", str(bitrate))
+    timing: CommandWords = (*link, "type", "can", "bitrate", str(bitrate))
     if data_bitrate:
         timing = (*timing, "dbitrate", str(data_bitrate), "fd", "on")
     return ((*link, "down"), (*timing, "restart-ms", str(RESTART_MS)), queue, up)
 
 
-def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
+def wrong_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str:
     """Return a message about a wrong bit rate of an interface, empty if its rates are right or unknown.
 
     Args:
@@ -61,7 +61,7 @@ def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
     return rate_difference(channel, link, bitrate, data_bitrate) if link else ""
 
 
-def rate_difference(channel: str, link: Link, bitrate: int, data_bitrate: int | None) -> str:
+def rate_difference(channel: str, link: CanLinkState, bitrate: int, data_bitrate: int | None) -> str:
     """Return a message about a wrong bit rate in ``link``, empty if the rates are right or the interface has none."""
     if link.bitrate is None:
         return ""

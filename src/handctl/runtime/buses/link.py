@@ -8,13 +8,13 @@ import subprocess
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-MTU_FD = 72
+CANFD_MTU_BYTES = 72
 """MTU of an interface that carries CAN FD [bytes]. It is the size of ``struct canfd_frame``."""
-TIMEOUT_S = 5.0
+IP_TOOL_TIMEOUT_S = 5.0
 """Longest wait for the program ``ip`` to answer [s]."""
 
 
-class Link(NamedTuple):
+class CanLinkState(NamedTuple):
     """State of a CAN interface.
 
     Attributes:
@@ -52,7 +52,7 @@ class MissingTool(Exception):  # noqa: N818 - tells that a program is missing
     """The program ``ip`` is not installed, or does not answer in time."""
 
 
-def read_link(name: str) -> Link | None:
+def read_link(name: str) -> CanLinkState | None:
     """Return the state of an interface, or None if the interface does not exist.
 
     Raises:
@@ -60,13 +60,13 @@ def read_link(name: str) -> Link | None:
     """
     command = ["ip", "-details", "-statistics", "-json", "link", "show", "dev", name]
     try:
-        output = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        output = subprocess.run(command, capture_output=True, text=True, timeout=IP_TOOL_TIMEOUT_S, check=False)
     except (FileNotFoundError, subprocess.TimeoutExpired):
         raise MissingTool from None
     return parse_link(output.stdout) if output.returncode == 0 else None
 
 
-def parse_link(text: str) -> Link | None:
+def parse_link(text: str) -> CanLinkState | None:
     """Return the state of the interface in the output of ``ip``, or None if the output lists no interface."""
     try:
         (link,) = json.loads(text)
@@ -75,11 +75,11 @@ def parse_link(text: str) -> Link | None:
     info: dict[str, Any] = link.get("linkinfo", {})
     data: dict[str, Any] = info.get("info_data", {})
     counters = data.get("berr_counter", {})
-    return Link(
+    return CanLinkState(
         up="UP" in link.get("flags", ()),
         kind=str(info.get("info_kind", "")),
         queue=int(link.get("txqlen", 0)),
-        fd=int(link.get("mtu", 0)) >= MTU_FD,
+        fd=int(link.get("mtu", 0)) >= CANFD_MTU_BYTES,
         bitrate=data.get("bittiming", {}).get("bitrate"),
         data_bitrate=data.get("data_bittiming", {}).get("bitrate"),
         state=str(data.get("state", "")),

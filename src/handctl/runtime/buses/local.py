@@ -17,26 +17,26 @@ from collections.abc import Sequence
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.records import NO_FRAMES, Frames, join_frames
 from handctl.errors import BusError
-from handctl.runtime.buses.canfd import SIZE, Structs, without_errors
-from handctl.runtime.buses.contract import Stamp, check_size
-from handctl.runtime.buses.events import BusEvents, Event
+from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs, without_errors
+from handctl.runtime.buses.contract import TimeConversion, check_size
+from handctl.runtime.buses.events import BusEvent, BusEvents
 from handctl.runtime.paths import local_bus_path
 from handctl.runtime.peers import is_served_by_us
 
-RECORD = struct.Struct("<IBBH64s")
+FRAME_RECORD_STRUCT = struct.Struct("<IBBH64s")
 """One record: identifier with flag bits, length, flags, number of dropped frames modulo 65536, payload."""
 SOCKET_BUFFER_BYTES = 1 << 20
 """Size of the socket buffer requested for each direction [bytes]."""
 MAX_RECORDS = 4096
 """Largest number of records per read."""
-SEND_RECORDS = 64
+INITIAL_SEND_RECORDS = 64
 """Initial size of the send buffer [records]. The buffer grows for larger batches."""
-QUEUE_REPORT = 0xE0000000
+QUEUE_REPORT_ID = 0xE0000000
 """Identifier of a queue report: the hub reports the transmit queue of a simulated wire to its client.
 
 A hub that simulates no wire sends no queue report, and limits no queue.
 """
-QUEUE = struct.Struct("<II")
+QUEUE_REPORT_STRUCT = struct.Struct("<II")
 """Payload of a queue report: number of this client's frames that have left the queue (modulo 2**32), queue capacity."""
 MAX_READS = 4
 """Largest number of reads in one ``drain``.
@@ -47,7 +47,7 @@ CONNECT_TIMEOUT_S = 2.0
 """Longest wait for the hub to accept the connection [s]."""
 
 
-def connect(name: str) -> socket.socket:
+def connect_to_hub(name: str) -> socket.socket:
     """Connect to the hub that serves ``local:NAME``, and return the socket.
 
     Raises:
@@ -79,7 +79,7 @@ class LocalBus:
         early: frames read during a ``send``. The next ``drain`` returns these first.
     """
 
-    def __init__(self, channel: str, index: int, stamp: Stamp, max_records: int = MAX_RECORDS) -> None:
+    def __init__(self, channel: str, index: int, stamp: TimeConversion, max_records: int = MAX_RECORDS) -> None:
         """Connect to the hub.
 
         Args:
@@ -92,15 +92,15 @@ class LocalBus:
         Raises:
             BusError: no hub of this name is running.
         """
-        self._socket = connect(channel)
+        self._socket = connect_to_hub(channel)
         self.name = f"local:{channel}"
         self._index = index
         self._stamp = stamp
         self._events = BusEvents(self.name)
-        memory = bytearray(max_records * SIZE)
+        memory = bytearray(max_records * CANFD_FRAME_BYTES)
         self._buffer = memoryview(memory)
-        self._structs = Structs(memory)
-        self._allocate(SEND_RECORDS)
+        self._structs = FrameStructs(memory)
+        self._allocate(INITIAL_SEND_RECORDS)
         self._reads = min(MAX_READS, max_records)
         self._partial = 0
         self._rest = b""
@@ -111,9 +111,9 @@ class LocalBus:
 
     def _allocate(self, count: int) -> None:
         """Allocate a send buffer for ``count`` records."""
-        memory = bytearray(count * SIZE)
+        memory = bytearray(count * CANFD_FRAME_BYTES)
         self._out = memoryview(memory)
-        self._out_structs = Structs(memory)
+        self._out_structs = FrameStructs(memory)
 
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
@@ -148,14 +148,14 @@ class LocalBus:
     def _report_lost_hub(self) -> None:
         """Report in every call of ``take_events`` from now on that the hub has ended."""
         self._closed = True
-        self._events.lasting("enodev", True)
+        self._events.set_lasting_state("enodev", True)
 
     def _complete_records(self, filled: int) -> Frames:
         """Return the frames in the complete records of the first ``filled`` bytes of the buffer.
 
         If the last record is incomplete, its beginning stays in the buffer for the next read.
         """
-        count, self._partial = divmod(filled, SIZE)
+        count, self._partial = divmod(filled, CANFD_FRAME_BYTES)
         if not count:
             return NO_FRAMES
         structs = self._structs
@@ -165,7 +165,7 @@ class LocalBus:
             frames, errors = without_errors(frames.records)
             for frame in errors:
                 self._take_control(frame.can_id, frame.data)
-        self._count_dropped(structs.reserved(count - 1))
+        self._count_dropped(structs.reserved_bits(count - 1))
         if self._partial:
             self._buffer[: self._partial] = self._buffer[filled - self._partial : filled]
         return frames
@@ -179,11 +179,11 @@ class LocalBus:
             frame = self.early[0]
             self.early = self.early[1:]
             return frame
-        filled = self._partial + self._read(self._buffer[self._partial : SIZE])
-        self._partial = filled % SIZE
-        if filled < SIZE:
+        filled = self._partial + self._read(self._buffer[self._partial : CANFD_FRAME_BYTES])
+        self._partial = filled % CANFD_FRAME_BYTES
+        if filled < CANFD_FRAME_BYTES:
             return None
-        can_id, length, flags, lost, data = RECORD.unpack_from(self._buffer)
+        can_id, length, flags, lost, data = FRAME_RECORD_STRUCT.unpack_from(self._buffer)
         self._count_dropped(lost)
         if can_id & ERROR:
             self._take_control(can_id, data[:length])
@@ -201,8 +201,8 @@ class LocalBus:
 
     def _take_control(self, can_id: int, data: bytes) -> None:
         """Process a frame that carries no data: a queue report from the hub, or an error frame."""
-        if can_id == QUEUE_REPORT:
-            self._left_queue, self._depth = QUEUE.unpack(data)
+        if can_id == QUEUE_REPORT_ID:
+            self._left_queue, self._depth = QUEUE_REPORT_STRUCT.unpack(data)
         else:
             self._events.error_frame(can_id, data)
 
@@ -251,11 +251,13 @@ class LocalBus:
         if not isinstance(frames, Frames):
             for frame in frames:
                 check_size(frame)
-            return b"".join([RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags, _, _ in frames])
+            return b"".join(
+                [FRAME_RECORD_STRUCT.pack(can_id, len(data), flags, 0, data) for can_id, data, flags, _, _ in frames]
+            )
         if len(frames) > self._out_structs.count:
             self._allocate(2 * len(frames))
         self._out_structs.write(frames)
-        return self._out[: SIZE * len(frames)]
+        return self._out[: CANFD_FRAME_BYTES * len(frames)]
 
     def _keep_partial_record(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
         """Store the unsent part of a partly sent record for the next call, and drop the records after it.
@@ -269,13 +271,13 @@ class LocalBus:
             the number of accepted frames. A partly sent frame counts as accepted.
         """
         before = len(self._rest)
-        accepted = max(0, -((before - sent) // SIZE))  # rounded up
-        self._rest = bytes(waiting[sent : before + accepted * SIZE])
+        accepted = max(0, -((before - sent) // CANFD_FRAME_BYTES))  # rounded up
+        self._rest = bytes(waiting[sent : before + accepted * CANFD_FRAME_BYTES])
         if frames > accepted:
             self._events.add("enobufs", frames - accepted)
         return accepted
 
-    def take_events(self) -> list[Event]:
+    def take_events(self) -> list[BusEvent]:
         """Return the events since the last call, see ``contract.Bus``."""
         return self._events.take()
 

@@ -26,7 +26,7 @@ class _Iovec(ctypes.Structure):
     _fields_ = (("base", ctypes.c_void_p), ("len", ctypes.c_size_t))
 
 
-class _Message(ctypes.Structure):
+class _MessageHeader(ctypes.Structure):
     """``struct msghdr``: peer address, buffers, control messages, flags."""
 
     _fields_ = (
@@ -40,30 +40,30 @@ class _Message(ctypes.Structure):
     )
 
 
-class _Header(ctypes.Structure):
+class _MultiMessageHeader(ctypes.Structure):
     """``struct mmsghdr``: a message and the number of bytes sent or received."""
 
-    _fields_ = (("message", _Message), ("size", ctypes.c_uint))
+    _fields_ = (("message", _MessageHeader), ("size", ctypes.c_uint))
 
 
-CONTROL = struct.Struct("@NiillNiiI12x")
+CONTROL_MESSAGES_STRUCT = struct.Struct("@NiillNiiI12x")
 """Control messages added to a received datagram by the kernel, in native layout.
 
     length | level | SO_TIMESTAMPNS | s | ns | length | level | SO_RXQ_OVFL | dropped 32 | padding
     12
 """
-STAMP_AT = struct.calcsize("@Nii")
+STAMP_OFFSET = struct.calcsize("@Nii")
 """Offset of the seconds in the control messages [bytes]. The nanoseconds come next."""
-STAMPED_LENGTH = struct.calcsize("@Niill")
+STAMP_CONTROL_BYTES = struct.calcsize("@Niill")
 """Length of the control messages if they have a time stamp and no loss counter [bytes].
 
 Control messages with only a loss counter are shorter.
 """
-COUNTED_LENGTH = struct.calcsize("@NiillNiiI")
+COUNTER_CONTROL_BYTES = struct.calcsize("@NiillNiiI")
 """Length of the control messages if they have a time stamp and a loss counter [bytes]."""
-_TAIL = ctypes.sizeof(_Header) - _Header.size.offset - ctypes.sizeof(ctypes.c_uint)
-_GAP = _Header.size.offset - _Message.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
-_HEADER = struct.Struct(f"@{_Message.controllen.offset}xN{_GAP}xI{_TAIL}x")
+_HEADER_TAIL_BYTES = ctypes.sizeof(_MultiMessageHeader) - _MultiMessageHeader.size.offset - ctypes.sizeof(ctypes.c_uint)
+_HEADER_GAP_BYTES = _MultiMessageHeader.size.offset - _MessageHeader.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
+_HEADER_STRUCT = struct.Struct(f"@{_MessageHeader.controllen.offset}xN{_HEADER_GAP_BYTES}xI{_HEADER_TAIL_BYTES}x")
 """Values written into a header by the kernel: length of the control messages, length of the datagram."""
 _libc = ctypes.CDLL(None, use_errno=True)
 for _call in ("sendmmsg", "recvmmsg"):
@@ -72,7 +72,7 @@ _libc.sendmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.
 _libc.recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
 
 
-SECOND_NS = np.int64(1_000_000_000)
+NS_PER_SECOND = np.int64(1_000_000_000)
 Datagram = tuple[int, int, int]
 """Received datagram: size [bytes], CLOCK_REALTIME [ns] (0 if missing), datagrams lost so far modulo 2**32.
 
@@ -80,7 +80,7 @@ The kernel omits the loss counter until the first loss. A missing counter counts
 """
 
 
-class Slots:
+class DatagramSlots:
     """Buffers of equal size for datagrams, with the kernel headers that point at these buffers.
 
     Attributes:
@@ -102,24 +102,24 @@ class Slots:
         self.count = count
         self.size = size
         store = (ctypes.c_char * (count * size))()
-        messages = (ctypes.c_char * (count * CONTROL.size))()
+        messages = (ctypes.c_char * (count * CONTROL_MESSAGES_STRUCT.size))()
         self._iovecs = (_Iovec * count)()
-        headers = (_Header * count)()
+        headers = (_MultiMessageHeader * count)()
         for i in range(count):
             self._iovecs[i] = _Iovec(ctypes.addressof(store) + i * size, size)
             message = headers[i].message
             message.iov = ctypes.addressof(self._iovecs) + i * ctypes.sizeof(_Iovec)
             message.iovlen = 1
             if control:
-                message.control = ctypes.addressof(messages) + i * CONTROL.size
-                message.controllen = CONTROL.size
+                message.control = ctypes.addressof(messages) + i * CONTROL_MESSAGES_STRUCT.size
+                message.controllen = CONTROL_MESSAGES_STRUCT.size
         self.data = memoryview(store).cast("B")
         self.control = memoryview(messages).cast("B")
         self.headers = ctypes.addressof(headers)
         self._view = memoryview(headers).cast("B")
         self._sizes = np.frombuffer(memoryview(self._iovecs).cast("B"), np.uintp).reshape(count, 2)[:, 1]
         longs = np.frombuffer(self.control, "l").reshape(count, -1)
-        at = STAMP_AT // longs.itemsize
+        at = STAMP_OFFSET // longs.itemsize
         self._seconds = longs[:, at]
         self._nanoseconds = longs[:, at + 1]
         self._fresh = bytes(self._view)
@@ -132,27 +132,27 @@ class Slots:
         a loss counter. The kernel usually writes the same bytes into the headers in every tick. The
         result for the last bytes is therefore cached.
         """
-        raw = bytes(self._view[: count * _HEADER.size])
+        raw = bytes(self._view[: count * _HEADER_STRUCT.size])
         if raw != self._last_size[0]:
-            kinds = set(_HEADER.iter_unpack(raw))
+            kinds = set(_HEADER_STRUCT.iter_unpack(raw))
             length, size = kinds.pop()
-            self._last_size = raw, 0 if kinds or length != STAMPED_LENGTH else size
+            self._last_size = raw, 0 if kinds or length != STAMP_CONTROL_BYTES else size
         return self._last_size[1]
 
     def datagrams(self, count: int) -> list[Datagram]:
         """Return size, time stamp, and loss counter for each of the first ``count`` datagrams."""
-        sizes = _HEADER.iter_unpack(self._view[: count * _HEADER.size])
-        control = CONTROL.iter_unpack(self.control[: count * CONTROL.size])
+        sizes = _HEADER_STRUCT.iter_unpack(self._view[: count * _HEADER_STRUCT.size])
+        control = CONTROL_MESSAGES_STRUCT.iter_unpack(self.control[: count * CONTROL_MESSAGES_STRUCT.size])
         result = []
         for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped) in zip(sizes, control, strict=True):
-            stamped = length >= STAMPED_LENGTH and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
-            counted = length >= COUNTED_LENGTH and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
+            stamped = length >= STAMP_CONTROL_BYTES and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
+            counted = length >= COUNTER_CONTROL_BYTES and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
             result.append((size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0))
         return result
 
     def renew(self, count: int) -> None:
         """Reset the first ``count`` headers for the next reception."""
-        end = count * _HEADER.size
+        end = count * _HEADER_STRUCT.size
         self._view[:end] = self._fresh[:end]
 
     def stamps(self, count: int) -> NDArray[np.int64]:
@@ -160,7 +160,7 @@ class Slots:
 
         Each must have a stamp.
         """
-        times: NDArray[np.int64] = self._seconds[:count] * SECOND_NS
+        times: NDArray[np.int64] = self._seconds[:count] * NS_PER_SECOND
         times += self._nanoseconds[:count]
         return times
 
@@ -169,10 +169,10 @@ class Slots:
         self._sizes[: len(lengths)] = lengths
 
 
-def receive(fd: int, slots: Slots) -> int:
+def receive_datagrams(fd: int, slots: DatagramSlots) -> int:
     """Receive the waiting datagrams, at most one per slot, and return the number received.
 
-    Call ``Slots.renew`` before the slots receive again.
+    Call ``DatagramSlots.renew`` before the slots receive again.
 
     Raises:
         OSError: ``recvmmsg`` failed. If no datagram waits, no error is raised.
@@ -186,7 +186,7 @@ def receive(fd: int, slots: Slots) -> int:
     raise OSError(code, "recvmmsg")
 
 
-def send(fd: int, slots: Slots, first: int, end: int) -> tuple[int, int]:
+def send_datagrams(fd: int, slots: DatagramSlots, first: int, end: int) -> tuple[int, int]:
     """Send the slots from ``first`` up to but not including ``end``, without blocking.
 
     Returns:
@@ -195,7 +195,7 @@ def send(fd: int, slots: Slots, first: int, end: int) -> tuple[int, int]:
     """
     at = first
     while at < end:
-        count = _libc.sendmmsg(fd, slots.headers + at * _HEADER.size, end - at, socket.MSG_DONTWAIT)
+        count = _libc.sendmmsg(fd, slots.headers + at * _HEADER_STRUCT.size, end - at, socket.MSG_DONTWAIT)
         if count <= 0:
             return at - first, ctypes.get_errno()
         at += count

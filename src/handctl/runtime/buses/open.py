@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 
 from handctl.errors import ConfigError
-from handctl.runtime.buses.contract import Bus, Stamp
+from handctl.runtime.buses.contract import Bus, TimeConversion
 
 SIMULATED_PREFIXES = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
 """Prefixes in the specifications of buses that cannot have real motors.
@@ -18,7 +18,7 @@ def real_buses(specs: Sequence[str]) -> list[str]:
     return [spec for spec in specs if not spec.startswith(SIMULATED_PREFIXES)]
 
 
-def _monotonic(t_ns: int) -> int:
+def _keep_monotonic_time(t_ns: int) -> int:
     """Return a CLOCK_MONOTONIC time unchanged.
 
     It is the conversion for programs without a run's time.
@@ -26,7 +26,7 @@ def _monotonic(t_ns: int) -> int:
     return t_ns
 
 
-def check_spec(spec: str) -> None:
+def check_bus_spec(spec: str) -> None:
     """Raise an error for an invalid bus specification, before any bus is opened.
 
     Raises:
@@ -41,7 +41,9 @@ def check_spec(spec: str) -> None:
         raise ConfigError("is not a bus name", repr(spec), "a plain name, as in local:demo")
 
 
-def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = None, stamp: Stamp = _monotonic) -> Bus:
+def open_bus(
+    spec: str, index: int, bitrate: int, data_bitrate: int | None = None, stamp: TimeConversion = _keep_monotonic_time
+) -> Bus:
     """Open a bus.
 
     Args:
@@ -57,7 +59,7 @@ def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = Non
         BusError: the bus cannot be opened. The message contains a command or advice to correct
             this.
     """
-    check_spec(spec)
+    check_bus_spec(spec)
     kind, _, channel = spec.partition(":")
     if kind == "local":
         from handctl.runtime.buses.local import LocalBus

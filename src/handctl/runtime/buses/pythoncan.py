@@ -14,19 +14,19 @@ import can
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
 from handctl.drives.records import Frames, frames_as_records
 from handctl.errors import BusError
-from handctl.runtime.buses.contract import Stamp, check_size
-from handctl.runtime.buses.events import BusEvents, Event
+from handctl.runtime.buses.contract import TimeConversion, check_size
+from handctl.runtime.buses.events import BusEvent, BusEvents
 
 MAX_FRAMES = 4096
 """Largest number of frames in one ``drain``.
 
 The limit keeps a flood of frames from delaying a tick.
 """
-IDENTIFIER = 0x1FFFFFFF
+IDENTIFIER_MASK = 0x1FFFFFFF
 """Mask of the 29 bits of an identifier, without flag bits."""
 
 
-def frame_of(message: can.Message, index: int, t_ns: int) -> Frame:
+def frame_of_message(message: can.Message, index: int, t_ns: int) -> Frame:
     """Return a python-can message as a frame.
 
     Args:
@@ -40,7 +40,7 @@ def frame_of(message: can.Message, index: int, t_ns: int) -> Frame:
     return Frame(can_id | ERROR * message.is_error_frame, data, flags, index, t_ns)
 
 
-def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
+def message_of_frame(frame: Frame, timestamp: float = 0.0) -> can.Message:
     """Return a frame as a python-can message.
 
     Args:
@@ -50,7 +50,7 @@ def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
     remote = bool(frame.can_id & REMOTE)
     return can.Message(
         timestamp=timestamp,
-        arbitration_id=frame.can_id & IDENTIFIER,
+        arbitration_id=frame.can_id & IDENTIFIER_MASK,
         is_extended_id=bool(frame.can_id & EXTENDED),
         is_remote_frame=remote,
         is_error_frame=bool(frame.can_id & ERROR),
@@ -62,7 +62,7 @@ def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
     )
 
 
-def open_can(interface: str, channel: str, bitrate: int, data_bitrate: int | None = None) -> can.BusABC:
+def open_python_can(interface: str, channel: str, bitrate: int, data_bitrate: int | None = None) -> can.BusABC:
     """Open a CAN interface with python-can.
 
     Args:
@@ -88,7 +88,7 @@ class PythonCanBus:
     """A python-can bus, with the interface ``contract.Bus``."""
 
     def __init__(
-        self, interface: str, channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: Stamp
+        self, interface: str, channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: TimeConversion
     ) -> None:
         """Open the interface.
 
@@ -107,7 +107,7 @@ class PythonCanBus:
         self._index = index
         self._stamp = stamp
         self._events = BusEvents(self.name)
-        self._bus = open_can(interface, channel, bitrate, data_bitrate)
+        self._bus = open_python_can(interface, channel, bitrate, data_bitrate)
 
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
@@ -131,20 +131,20 @@ class PythonCanBus:
         if message.is_error_frame:
             self._events.error_frame(message.arbitration_id, bytes(message.data))
         elif message.is_rx:  # the interfaces gs_usb and cantact also return the frames that this host sent
-            frames.append(frame_of(message, self._index, self._stamp(time.monotonic_ns())))
+            frames.append(frame_of_message(message, self._index, self._stamp(time.monotonic_ns())))
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
         for number, frame in enumerate(frames):
             check_size(frame)
             try:
-                self._bus.send(message_of(frame), 0)
+                self._bus.send(message_of_frame(frame), 0)
             except (can.CanError, OSError) as error:
                 self._events.count_failure(_errno_of(error), "enobufs", len(frames) - number)
                 return number
         return len(frames)
 
-    def take_events(self) -> list[Event]:
+    def take_events(self) -> list[BusEvent]:
         """Return the events since the last call, see ``contract.Bus``."""
         return self._events.take()
 

@@ -17,11 +17,11 @@ from handctl.drives.frame import ERROR, FDF, Frame
 from handctl.drives.records import Frames, frames_as_records, join_frames
 from handctl.errors import BusError
 from handctl.runtime.buses import mmsg
-from handctl.runtime.buses.canfd import SIZE, Structs
+from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs
 from handctl.runtime.buses.clock_offset import ClockOffset
-from handctl.runtime.buses.contract import Stamp
-from handctl.runtime.buses.events import BusEvents, Event
-from handctl.runtime.buses.interface import wrong_rate
+from handctl.runtime.buses.contract import TimeConversion
+from handctl.runtime.buses.events import BusEvent, BusEvents
+from handctl.runtime.buses.interface import wrong_rate_text
 
 MAX_FRAMES_PER_CALL = 128
 """Largest number of frames per system call."""
@@ -30,9 +30,9 @@ MAX_READS = 64
 
 The limit keeps a flood of frames from delaying a tick.
 """
-RECEIVE_BUFFER = 4 << 20
+RECEIVE_BUFFER_BYTES = 4 << 20
 """Size of the receive buffer requested from the kernel [bytes]."""
-SEND_BUFFER = 32 << 10
+SEND_BUFFER_BYTES = 32 << 10
 """Size of the send buffer [bytes]. The buffer is small, because a command must not be sent late.
 
 About 80 frames fit in the buffer.
@@ -64,7 +64,7 @@ frames.
 class SocketCanBus:
     """Raw CAN socket, with the interface ``contract.Bus``."""
 
-    def __init__(self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: Stamp) -> None:
+    def __init__(self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: TimeConversion) -> None:
         """Set up an open socket for use as a bus.
 
         Args:
@@ -74,17 +74,17 @@ class SocketCanBus:
             fd_mode: True if the socket receives CAN FD frames.
             stamp: function from a CLOCK_MONOTONIC time to the run's time [ns].
         """
-        _prepare(link)
+        _set_socket_options(link)
         self.name = name
         self._socket = link
         self._index = index
         self._fd_mode = fd_mode
         self._stamp = stamp
         self._events = BusEvents(name)
-        self._in = mmsg.Slots(MAX_FRAMES_PER_CALL, SIZE, control=True)
-        self._out = mmsg.Slots(MAX_FRAMES_PER_CALL, SIZE, control=False)
-        self._structs = Structs(self._in.data)
-        self._out_structs = Structs(self._out.data)
+        self._in = mmsg.DatagramSlots(MAX_FRAMES_PER_CALL, CANFD_FRAME_BYTES, control=True)
+        self._out = mmsg.DatagramSlots(MAX_FRAMES_PER_CALL, CANFD_FRAME_BYTES, control=False)
+        self._structs = FrameStructs(self._in.data)
+        self._out_structs = FrameStructs(self._out.data)
         self._dropped = 0
         self._latest = 0
         self._offset = ClockOffset()
@@ -94,7 +94,7 @@ class SocketCanBus:
         parts: list[Frames] = []
         for _ in range(MAX_READS):
             try:
-                count = mmsg.receive(self._socket.fileno(), self._in)
+                count = mmsg.receive_datagrams(self._socket.fileno(), self._in)
             except OSError as error:
                 self._events.count_failure(error.errno, "enodev")
                 break
@@ -113,7 +113,7 @@ class SocketCanBus:
         individually.
         """
         size = self._in.common_size(count)
-        frames = self._take_batch(count, FDF if size == SIZE else 0) if size else None
+        frames = self._take_batch(count, FDF if size == CANFD_FRAME_BYTES else 0) if size else None
         if frames is None:
             self._offset.renew()
             frames = self._take_each(self._in.datagrams(count), time.monotonic_ns())
@@ -164,7 +164,7 @@ class SocketCanBus:
                 self._events.error_frame(frame.can_id, frame.data)
                 is_data[i] = False
                 continue
-            frames.records["flags"][i] = frame.flags | FDF if size == SIZE else 0
+            frames.records["flags"][i] = frame.flags | FDF if size == CANFD_FRAME_BYTES else 0
             t_ns = realtime + offset
             if not earliest <= t_ns <= now:
                 t_ns = now  # the time stamp is missing, or the wall clock was set meanwhile
@@ -181,14 +181,14 @@ class SocketCanBus:
         for first in range(0, len(frames), MAX_FRAMES_PER_CALL):
             batch = frames[first : first + MAX_FRAMES_PER_CALL] if len(frames) > MAX_FRAMES_PER_CALL else frames
             self._out.set_lengths(self._out_structs.write(batch).sizes)
-            sent, code = mmsg.send(self._socket.fileno(), self._out, 0, len(batch))
+            sent, code = mmsg.send_datagrams(self._socket.fileno(), self._out, 0, len(batch))
             accepted += sent
             if code:
                 self._events.count_failure(code, "enobufs", len(frames) - accepted)
                 break
         return accepted
 
-    def take_events(self) -> list[Event]:
+    def take_events(self) -> list[BusEvent]:
         """Return the events since the last call, see ``contract.Bus``."""
         return self._events.take()
 
@@ -201,19 +201,21 @@ class SocketCanBus:
         self._socket.close()
 
 
-def _prepare(link: socket.socket) -> None:
+def _set_socket_options(link: socket.socket) -> None:
     """Set the buffer sizes of a socket, and switch on its receive time stamps and its counter of lost frames."""
     link.setblocking(False)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_TIMESTAMPNS, 1)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RXQ_OVFL, 1)
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     try:  # only root may request a buffer larger than net.core.rmem_max
-        link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RCVBUFFORCE, RECEIVE_BUFFER)
+        link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RCVBUFFORCE, RECEIVE_BUFFER_BYTES)
     except PermissionError:
-        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
 
 
-def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: Stamp) -> SocketCanBus:
+def open_socketcan(
+    channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: TimeConversion
+) -> SocketCanBus:
     """Open a CAN interface of the kernel.
 
     Args:
@@ -242,7 +244,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
         link.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERRORS)
         link.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(fd_mode))
         link.bind((channel,))
-        problem = _interface_problem(link, channel, fd_mode) or wrong_rate(channel, bitrate, data_bitrate)
+        problem = _interface_problem(link, channel, fd_mode) or wrong_rate_text(channel, bitrate, data_bitrate)
     except OSError as error:
         problem = f"cannot be opened: {os.strerror(error.errno or 0)}"
     if problem:
@@ -255,7 +257,7 @@ def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
     """Return a message about the problem of an existing interface, empty if the interface can be used."""
     if not _read_interface_number(link, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"
-    if fd_mode and _read_interface_number(link, channel, SIOCGIFMTU) < SIZE:
+    if fd_mode and _read_interface_number(link, channel, SIOCGIFMTU) < CANFD_FRAME_BYTES:
         return "the interface is not in CAN FD mode"
     if 0 < (length := _read_interface_number(link, channel, SIOCGIFTXQLEN)) < MIN_QUEUE_FRAMES:
         return f"its transmit queue holds {length} frames, less than a tick may send at once"

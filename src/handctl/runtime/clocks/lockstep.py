@@ -14,17 +14,17 @@ from typing import Any, Protocol
 import numpy as np
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import Frames, Records, frames_as_records, join_frames
+from handctl.drives.records import Frames, RecordArray, frames_as_records, join_frames
 from handctl.errors import ConfigError
 from handctl.extras import missing_extra
 from handctl.runtime.buses.canfd import without_errors
 from handctl.runtime.buses.events import BusEvents
 
-SIMULATED_HAND = "firmware_sim.rig:Rig"
+SIMULATED_HAND_ENTRY = "firmware_sim.rig:LockstepHand"
 """Entry ``module:Class`` of the simulator in the handctl repository."""
 
 
-class Peer(Protocol):
+class LockstepPeer(Protocol):
     """Interface of a simulator in lockstep."""
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
@@ -36,7 +36,7 @@ class Peer(Protocol):
         ...
 
 
-def _exchange_objects(peer: Peer, t_ns: int, records: Records) -> Records:
+def _exchange_objects(peer: LockstepPeer, t_ns: int, records: RecordArray) -> RecordArray:
     """Exchange records with a simulator that has no ``exchange``, by converting them to frame objects and back."""
     return frames_as_records(Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))).records
 
@@ -60,7 +60,7 @@ def load_entry(entry: str, user: str) -> Callable[..., Any]:
     return loaded
 
 
-def load_peer(entry: str, **options: object) -> Peer:
+def load_peer(entry: str, **options: object) -> LockstepPeer:
     """Load a simulator class from ``module:Class``, and return an object of the class.
 
     Raises:
@@ -68,7 +68,7 @@ def load_peer(entry: str, **options: object) -> Peer:
     """
     factory = load_entry(entry, "the simulated hand")
     try:
-        peer: Peer = factory(**options)
+        peer: LockstepPeer = factory(**options)
     except (ValueError, OSError) as error:
         raise ConfigError(str(error), "the simulated hand") from None
     return peer
@@ -88,11 +88,11 @@ class LockstepClock:
         offset_ns: time of the simulator at t = 0 of this run [ns].
     """
 
-    def __init__(self, peer: Peer, period_ns: int) -> None:
+    def __init__(self, peer: LockstepPeer, period_ns: int) -> None:
         """Start at tick 0, at time 0 of the simulator. ``period_ns`` is the control period [ns]."""
         self.peer = peer
         self.period_ns = period_ns
-        self._exchange: Callable[[int, Records], Records]
+        self._exchange: Callable[[int, RecordArray], RecordArray]
         self._exchange = getattr(peer, "exchange", None) or partial(_exchange_objects, peer)
         self.outgoing: list[Frames] = []
         self.incoming: list[Frames] = []
@@ -134,7 +134,7 @@ class LockstepClock:
         """Return the scheduled time of the present tick [ns]."""
         return self.k * self.period_ns
 
-    def facts(self) -> dict[str, str]:
+    def clock_facts(self) -> dict[str, str]:
         """Return no facts for the log, because virtual time is the same in every run."""
         return {}
 

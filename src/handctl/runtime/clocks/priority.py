@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 LATENCY_FILE = "/dev/cpu_dma_latency"
 """File of Linux that limits the time in which an idle processor must wake up."""
-NO_LATENCY = bytes(4)
+ZERO_LATENCY_BYTES = bytes(4)
 """Wake-up time of 0 us to write into ``LATENCY_FILE``, as a 32-bit integer."""
 
 
 @dataclass(frozen=True, slots=True)
-class Priority:
+class GrantedPriority:
     """Real-time scheduling, memory locking and awake processors, as granted by the operating system.
 
     Attributes:
@@ -33,7 +33,7 @@ class Priority:
         return granted + memory + (", processors kept awake" if self.awake else "")
 
 
-def take_priority(level: int = 60) -> Priority:
+def take_priority(level: int = 60) -> GrantedPriority:
     """Request SCHED_FIFO and locked memory.
 
     The result tells which of them the system refused. No error is raised.
@@ -41,10 +41,10 @@ def take_priority(level: int = 60) -> Priority:
     # The memory is locked first. Locking fills hundreds of MB, and under SCHED_FIFO no other
     # process would get the core during this time.
     locked = _lock_memory()
-    return Priority(_enter_fifo(level), locked)
+    return GrantedPriority(_enter_fifo(level), locked)
 
 
-def prepare_priority() -> Priority:
+def prepare_priority() -> GrantedPriority:
     """Lock the memory, and test if the system will grant SCHED_FIFO to :func:`realtime_priority`.
 
     The start of a control loop takes a quarter of a second. It runs without real-time priority, so
@@ -52,7 +52,7 @@ def prepare_priority() -> Priority:
     """
     locked = _lock_memory()
     with realtime_priority() as granted, awake_processors() as awake:
-        return Priority(granted, locked, awake)
+        return GrantedPriority(granted, locked, awake)
 
 
 @contextmanager
@@ -82,7 +82,7 @@ def awake_processors() -> Iterator[bool]:
         yield False
         return
     try:
-        os.write(descriptor, NO_LATENCY)
+        os.write(descriptor, ZERO_LATENCY_BYTES)
         yield True
     finally:
         os.close(descriptor)

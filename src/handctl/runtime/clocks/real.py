@@ -7,14 +7,14 @@ import time
 from dataclasses import dataclass
 from typing import Protocol
 
-SPIN_NS = 60_000
+BUSY_WAIT_NS = 60_000
 """Time before each deadline in which a process with real-time priority spins instead of sleeping [ns of wall time].
 
 ``time.sleep`` returns about 50 us late, even under SCHED_FIFO.
 """
 
 
-class Clock(Protocol):
+class TickClock(Protocol):
     """Clock of the control loop. All times are the run's time, except where wall time is stated."""
 
     def start(self) -> None:
@@ -29,7 +29,7 @@ class Clock(Protocol):
         """Return the time since the start of the run [ns]."""
         ...
 
-    def facts(self) -> dict[str, str]:
+    def clock_facts(self) -> dict[str, str]:
         """Return facts about the clock, by name. They are recorded at the end of the log."""
         ...
 
@@ -61,15 +61,15 @@ class RealClock:
         self.start_ns = self._read_ns() + int(self.period_ns / self.scale)
 
     def wait(self, k: int) -> int:
-        """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``Clock``."""
+        """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``TickClock``."""
         return int(self._wait_until(self._deadline(k)) * self.scale)  # from wall time to the run's time
 
     def now_ns(self) -> int:
         """Return the time since the start of the run [ns]."""
         return self.of(time.monotonic_ns())
 
-    def facts(self) -> dict[str, str]:
-        """Return facts about the clock, see ``Clock``."""
+    def clock_facts(self) -> dict[str, str]:
+        """Return facts about the clock, see ``TickClock``."""
         return {}
 
     def of(self, monotonic_ns: int) -> int:
@@ -86,7 +86,7 @@ class RealClock:
 
     def _wait_until(self, deadline: int) -> int:
         """Wait until the clock reads the deadline, and return the time since then [ns of wall time]."""
-        early = deadline - self._read_ns() - (SPIN_NS if self.spin else 0)
+        early = deadline - self._read_ns() - (BUSY_WAIT_NS if self.spin else 0)
         if early > 0:
             time.sleep(early / 1e9)
         while (now := self._read_ns()) < deadline:  # sleep may return early, and the same loop spins

@@ -31,13 +31,13 @@ from pathlib import Path
 
 from handctl.runtime.clocks.real import RealClock
 
-VERSION = 1
-GATE, PAUSED, SENT, ANSWERED, REACHED = 1, 2, 3, 4, 5
+CLOCK_FILE_VERSION = 1
+GATE_INDEX, PAUSED_INDEX, SENT_INDEX, ANSWERED_INDEX, REACHED_INDEX = 1, 2, 3, 4, 5
 """Indices of the integers in the file of the shared clock."""
-COUNT = 6
-OPEN_GATE = 2**63 - 1
+INTEGER_COUNT = 6
+OPEN_GATE_NS = 2**63 - 1
 """Gate while no controller uses the clock: the simulator may always advance."""
-TOLERATED_LATENESS = 0.1
+TOLERATED_LATENESS_FRACTION = 0.1
 """Lateness of a tick that causes no pause yet, as a fraction of the control period."""
 CONTROLLER_LIMIT_NS = 100_000_000
 """Longest lateness of the controller that the clock turns into a pause [ns].
@@ -75,16 +75,16 @@ class ClockFile:
         """
         descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
         try:
-            self._map = mmap.mmap(descriptor, 8 * COUNT)
+            self._map = mmap.mmap(descriptor, 8 * INTEGER_COUNT)
         finally:
             os.close(descriptor)
         self.numbers = memoryview(self._map).cast("q")
-        if self.numbers[0] != VERSION:
-            raise ValueError(f"{path}: version {self.numbers[0]}; expected {VERSION}")
+        if self.numbers[0] != CLOCK_FILE_VERSION:
+            raise ValueError(f"{path}: version {self.numbers[0]}; expected {CLOCK_FILE_VERSION}")
 
     def close(self) -> None:
         """Open the gate, so that the simulator continues without the controller, and unmap the file."""
-        self.numbers[GATE] = OPEN_GATE
+        self.numbers[GATE_INDEX] = OPEN_GATE_NS
         self.numbers.release()
         self._map.close()
 
@@ -111,20 +111,20 @@ class SharedClock(RealClock):
 
         Return the time since the deadline [ns].
         """
-        self._numbers[SENT] += 1
+        self._numbers[SENT_INDEX] += 1
         deadline = self._deadline(k)
         late = self._wait_until(deadline)
         if late <= CONTROLLER_LIMIT_NS:
-            paused_ns = self._numbers[PAUSED]
+            paused_ns = self._numbers[PAUSED_INDEX]
             self._stop_at_gate()
             self._wait_for_simulator(deadline)
-            self._count_pause(self._numbers[PAUSED] - paused_ns)
-            late = min(self._read_ns(), self._numbers[GATE]) - deadline
+            self._count_pause(self._numbers[PAUSED_INDEX] - paused_ns)
+            late = min(self._read_ns(), self._numbers[GATE_INDEX]) - deadline
         self._let_pass(k + 1 + int(late * self.scale) // self.period_ns)
         return int(late * self.scale)
 
-    def facts(self) -> dict[str, str]:
-        """Return the number of pauses and their total duration, see ``Clock``."""
+    def clock_facts(self) -> dict[str, str]:
+        """Return the number of pauses and their total duration, see ``TickClock``."""
         return {"clock_pauses": str(self.pauses), "clock_paused_ms": f"{self.paused_ns / 1e6:.1f}"}
 
     def of(self, monotonic_ns: int) -> int:
@@ -133,11 +133,11 @@ class SharedClock(RealClock):
         The result is right for time stamps since the end of the last pause but one.
         """
         end_ns, pause_ns = self._last_pause
-        since_pause = self._numbers[PAUSED] - min(max(end_ns - monotonic_ns, 0), pause_ns)
+        since_pause = self._numbers[PAUSED_INDEX] - min(max(end_ns - monotonic_ns, 0), pause_ns)
         return int((monotonic_ns - since_pause - self.start_ns) * self.scale)
 
     def _read_ns(self) -> int:
-        return time.monotonic_ns() - self._numbers[PAUSED]
+        return time.monotonic_ns() - self._numbers[PAUSED_INDEX]
 
     @property
     def _numbers(self) -> "memoryview[int]":
@@ -145,14 +145,14 @@ class SharedClock(RealClock):
 
     def _let_pass(self, k: int) -> None:
         """Move the gate, so that the simulator may advance until shortly after the deadline of tick k."""
-        self._numbers[GATE] = self._deadline(k) + int(TOLERATED_LATENESS * self.period_ns / self.scale)
+        self._numbers[GATE_INDEX] = self._deadline(k) + int(TOLERATED_LATENESS_FRACTION * self.period_ns / self.scale)
 
     def _stop_at_gate(self) -> None:
         """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
 
         The simulator has never read a time after the gate, so time does not jump back for it.
         """
-        self._numbers[PAUSED] += max(0, self._read_ns() - self._numbers[GATE])
+        self._numbers[PAUSED_INDEX] += max(0, self._read_ns() - self._numbers[GATE_INDEX])
 
     def _wait_for_simulator(self, deadline: int) -> None:
         """Stop the clock at the gate until the simulator has answered the frames of the previous tick.
@@ -161,21 +161,21 @@ class SharedClock(RealClock):
         later ticks until the simulator answers again.
         """
         numbers = self._numbers
-        if numbers[ANSWERED] == self._given_up:
+        if numbers[ANSWERED_INDEX] == self._given_up:
             return
         end = time.monotonic_ns() + SIMULATOR_LIMIT_NS
         while not self._is_answered(deadline):
             time.sleep(POLL_S)
             self._stop_at_gate()
             if time.monotonic_ns() > end:
-                self._given_up = numbers[ANSWERED]
+                self._given_up = numbers[ANSWERED_INDEX]
                 return
 
     def _is_answered(self, deadline: int) -> bool:
         """Return True if the simulator has answered all frames, and is at most ``MAX_LAG_NS`` behind the deadline."""
         numbers = self._numbers
         behind_ns = int(MAX_LAG_NS / self.scale)
-        return bool(numbers[ANSWERED] >= numbers[SENT] and numbers[REACHED] >= deadline - behind_ns)
+        return bool(numbers[ANSWERED_INDEX] >= numbers[SENT_INDEX] and numbers[REACHED_INDEX] >= deadline - behind_ns)
 
     def _count_pause(self, pause_ns: int) -> None:
         """Add the pause before this tick [ns of wall time] to the totals of the run."""

@@ -17,7 +17,7 @@ A reading that took longer was interrupted, and is discarded.
 """
 
 
-def boot_ns() -> int:
+def read_boot_clock_ns() -> int:
     """Return the time since the machine was started [ns].
 
     The time includes suspends if the system has CLOCK_BOOTTIME.
@@ -29,7 +29,9 @@ def boot_ns() -> int:
 class SuspendWatch:
     """Detector of suspends. Each call of ``events`` compares the two clocks."""
 
-    def __init__(self, boot: Callable[[], int] = boot_ns, monotonic: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self, boot: Callable[[], int] = read_boot_clock_ns, monotonic: Callable[[], int] = time.monotonic_ns
+    ) -> None:
         """Read the clocks once.
 
         Args:

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import canopen
 from canopen.sdo.exceptions import SdoError
 
-from handctl.runtime.buses.pythoncan import open_can
+from handctl.runtime.buses.pythoncan import open_python_can
 
-OBJECTS = {
+NUMBER_OBJECTS = {
     "vendor": (0x1018, 1),
     "product": (0x1018, 2),
     "revision": (0x1018, 3),
@@ -27,14 +27,14 @@ OBJECTS = {
     "counts": (0x608F, 1),
 }
 """Index and subindex of the objects with numbers, by name. Source: CiA 301, CiA 402-2."""
-TEXTS = {"name": (0x1008, 0), "software": (0x100A, 0)}
+TEXT_OBJECTS = {"name": (0x1008, 0), "software": (0x100A, 0)}
 """Index and subindex of the objects with texts, by name. Source: CiA 301."""
-ANSWER_S = 0.3
+ANSWER_TIMEOUT_S = 0.3
 """Longest wait for the answer of a drive [s]."""
 
 
-class Identity(NamedTuple):
-    """Numbers and texts reported by a node, by the names in ``OBJECTS`` and ``TEXTS``.
+class CanopenIdentity(NamedTuple):
+    """Numbers and texts reported by a node, by the names in ``NUMBER_OBJECTS`` and ``TEXT_OBJECTS``.
 
     An object that the node does not have is missing in both.
     """
@@ -43,7 +43,7 @@ class Identity(NamedTuple):
     texts: dict[str, str]
 
 
-def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identity]:
+def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, CanopenIdentity]:
     """Read the identity of each node with SDO uploads.
 
     Args:
@@ -55,34 +55,34 @@ def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, I
         BusError: the bus cannot be opened.
     """
     interface, _, channel = spec.partition(":")
-    network = canopen.Network(open_can(interface, channel, bitrate))
+    network = canopen.Network(open_python_can(interface, channel, bitrate))
     logger = logging.getLogger("canopen")
     before = logger.level
     logger.setLevel(logging.CRITICAL)  # the library logs an error for each object that a drive lacks
     try:
         network.connect()
-        return {number: _identity(network, number) for number in nodes}
+        return {number: _read_identity(network, number) for number in nodes}
     finally:
         network.disconnect()
         logger.setLevel(before)
 
 
-def _identity(network: canopen.Network, number: int) -> Identity:
+def _read_identity(network: canopen.Network, number: int) -> CanopenIdentity:
     """Read the identity of one node."""
     node = network.add_node(number, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
-    node.sdo.RESPONSE_TIMEOUT = ANSWER_S
+    node.sdo.RESPONSE_TIMEOUT = ANSWER_TIMEOUT_S
     numbers: dict[str, int] = {}
     texts: dict[str, str] = {}
-    for name, (index, sub) in OBJECTS.items():
-        if raw := _upload(node, index, sub):
+    for name, (index, sub) in NUMBER_OBJECTS.items():
+        if raw := _upload_object(node, index, sub):
             numbers[name] = int.from_bytes(raw, "little")
-    for name, (index, sub) in TEXTS.items():
-        if raw := _upload(node, index, sub):
+    for name, (index, sub) in TEXT_OBJECTS.items():
+        if raw := _upload_object(node, index, sub):
             texts[name] = raw.rstrip(b"\0").decode("ascii", "replace")
-    return Identity(numbers, texts)
+    return CanopenIdentity(numbers, texts)
 
 
-def _upload(node: canopen.RemoteNode, index: int, sub: int) -> bytes:
+def _upload_object(node: canopen.RemoteNode, index: int, sub: int) -> bytes:
     """Return the content of an object, empty if the drive refuses the request or does not answer."""
     try:
         return bytes(node.sdo.upload(index, sub))

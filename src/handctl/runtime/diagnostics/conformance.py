@@ -9,9 +9,14 @@ from collections.abc import Callable, Iterator
 from enum import Enum
 from typing import NamedTuple
 
-from handctl.drives.contract import Drive, DriveTarget, Phase
+from handctl.drives.contract import Drive, DrivePhase, DriveTarget
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
-from handctl.runtime.diagnostics.torque_step import MAX_REST_VELOCITY_RAD_S, MOVED_RAD, brake_shaft, torque_step
+from handctl.runtime.diagnostics.torque_step import (
+    MAX_REST_VELOCITY_RAD_S,
+    MIN_MOTION_RAD,
+    apply_torque_step,
+    brake_shaft,
+)
 
 MAX_FEEDBACK_AGE_NS = 50_000_000
 """Largest age at which feedback still counts as fresh [ns]."""
@@ -52,11 +57,11 @@ class ConformanceCheck(NamedTuple):
     reason: str
 
 
-class Failed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
+class CheckFailed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
     """Raised if a drive does not meet a requirement. The text describes the observation."""
 
 
-class NotApplicable(Exception):  # noqa: N818
+class CheckNotApplicable(Exception):  # noqa: N818
     """Raised if a requirement cannot be checked. The text gives the reason."""
 
 
@@ -77,7 +82,7 @@ class DeviceUnderTest(NamedTuple):
 RequirementCheck = Callable[[DeviceUnderTest], str]
 """Function that checks one requirement of a drive, and returns the observation as text.
 
-It raises Failed or NotApplicable if the check is not passed.
+It raises CheckFailed or CheckNotApplicable if the check is not passed.
 """
 
 
@@ -89,7 +94,7 @@ def run_checks(device: DeviceUnderTest) -> Iterator[ConformanceCheck]:
     """
     usable = True
     reversed_turn = False
-    for name, requirement, turns in REQUIREMENTS:
+    for name, requirement, turns in CHECKED_REQUIREMENTS:
         if not usable or (turns and reversed_turn):
             yield _not_run(device, name, requirement)
             continue
@@ -106,7 +111,7 @@ def _not_run(device: DeviceUnderTest, name: str, requirement: RequirementCheck) 
     The check of the disable command fails if the drive is still enabled. The drive has then not
     obeyed that command in an earlier check.
     """
-    if requirement is _check_disables and device.rig.state.phase == Phase.ENABLED:
+    if requirement is _check_disables and device.rig.state.phase == DrivePhase.ENABLED:
         return ConformanceCheck(name, CheckVerdict.FAILED, "stays enabled after the disable command of another check")
     return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, "not run, because of what failed before")
 
@@ -115,24 +120,24 @@ def _run_check(device: DeviceUnderTest, name: str, requirement: RequirementCheck
     """Run a check, and return its result."""
     try:
         return ConformanceCheck(name, CheckVerdict.PASSED, requirement(device))
-    except Failed as failed:
+    except CheckFailed as failed:
         return ConformanceCheck(name, CheckVerdict.FAILED, str(failed))
-    except NotApplicable as not_applicable:
+    except CheckNotApplicable as not_applicable:
         return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, str(not_applicable))
 
 
 def _check_configures(device: DeviceUnderTest) -> str:
     """Check that the drive accepts its settings, and reaches the phase READY."""
     rig = device.rig
-    if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
-        raise Failed(rig.state.error_text or f"stays in {rig.state.phase.name}")
+    if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
+        raise CheckFailed(rig.state.error_text or f"stays in {rig.state.phase.name}")
     return "; ".join(rig.drive.unverified_protections or ("settings read back",))
 
 
-def _enable(rig: DriveRig) -> None:
+def _enable_drive(rig: DriveRig) -> None:
     """Enable the drive. Raises Failed if the drive does not report the state enabled."""
-    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
-        raise Failed(rig.state.error_text or "does not report that it is enabled within 2 s of the command")
+    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
+        raise CheckFailed(rig.state.error_text or "does not report that it is enabled within 2 s of the command")
 
 
 def _check_alone(device: DeviceUnderTest) -> str:
@@ -152,7 +157,7 @@ def _check_alone(device: DeviceUnderTest) -> str:
         requests = COUNTED_TICKS
         text = f"{answers} answers to {requests} requests"
     if answers > MIN_ANSWERS_OF_TWO_DRIVES * requests:
-        raise Failed(f"{text}: another drive has the same number; give each a number of its own")
+        raise CheckFailed(f"{text}: another drive has the same number; give each a number of its own")
     return text
 
 
@@ -169,13 +174,13 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
     rig = device.rig
     before = rig.state.feedback_count
     rig.keep(DriveTarget.POLL, 0.3)
-    if rig.state.phase != Phase.READY:
-        raise Failed(rig.state.error_text or f"went to {rig.state.phase.name}")
+    if rig.state.phase != DrivePhase.READY:
+        raise CheckFailed(rig.state.error_text or f"went to {rig.state.phase.name}")
     if math.isfinite(rig.velocity) and abs(rig.velocity) > MAX_REST_VELOCITY_RAD_S:
-        raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
+        raise CheckNotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
     seen = _check_ignores_torque(device)
-    if rig.state.phase != Phase.READY:
-        raise Failed(rig.state.error_text or f"went to {rig.state.phase.name} at a torque command")
+    if rig.state.phase != DrivePhase.READY:
+        raise CheckFailed(rig.state.error_text or f"went to {rig.state.phase.name} at a torque command")
     return f"{seen}; {rig.state.feedback_count - before} feedback frames meanwhile"
 
 
@@ -196,29 +201,31 @@ def _check_ignores_torque(device: DeviceUnderTest) -> str:
         rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(torque))
         reported.append(rig.state.torque - reported_before)
         moved = rig.state.position - start
-        if abs(moved) > MOVED_RAD + coasting * (i + 1) * PERIOD_NS * 1e-9:
+        if abs(moved) > MIN_MOTION_RAD + coasting * (i + 1) * PERIOD_NS * 1e-9:
             rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
-            raise Failed(f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad")
+            raise CheckFailed(
+                f"follows torque commands while disabled: {torque:+.3f} N m turned it by {moved:+.3f} rad"
+            )
     # A drive may store its last command and follow it once it is enabled, so the last command is
     # zero.
     rig.tick(DriveTarget.POLL, extra=rig.drive.torque_frames(0.0))
     mean = sum(reported[len(reported) // 2 :]) / (len(reported) - len(reported) // 2)
     if abs(mean) > REPORTED_FRACTION * device.limit:
-        raise Failed(f"reports {mean:+.3f} N m at torque commands while disabled")
+        raise CheckFailed(f"reports {mean:+.3f} N m at torque commands while disabled")
     return f"ignores torque commands up to {device.limit:+.3f} N m"
 
 
 def _check_enables(device: DeviceUnderTest) -> str:
     """Check that the drive can be enabled, and measure the time that this takes."""
     start = device.rig.t_ns
-    _enable(device.rig)
+    _enable_drive(device.rig)
     return f"after {(device.rig.t_ns - start) / 1e6:.0f} ms"
 
 
 def _check_feedback(device: DeviceUnderTest) -> str:
     """Check that an enabled drive sends fresh feedback in nearly every tick."""
     rig = device.rig
-    _enable(rig)
+    _enable_drive(rig)
     start = rig.state.feedback_count
     ticks = 100
     ages = sorted(rig.t_ns - rig.tick(DriveTarget.ENABLE).feedback_t_ns for _ in range(ticks))
@@ -226,30 +233,30 @@ def _check_feedback(device: DeviceUnderTest) -> str:
     late = ages[-MAX_LATE_TICKS_OF_100]
     seen = f"{count} feedback frames in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
     if count < 0.8 * ticks or late > MAX_FEEDBACK_AGE_NS:
-        raise Failed(seen)
+        raise CheckFailed(seen)
     return seen
 
 
-def _turn_check(sign: int) -> RequirementCheck:
+def _rotation_check(sign: int) -> RequirementCheck:
     """Return the check that a torque with this sign turns the shaft in the direction of the torque."""
 
-    def turns(device: DeviceUnderTest) -> str:
+    def check_rotation(device: DeviceUnderTest) -> str:
         rig = device.rig
-        _enable(rig)
+        _enable_drive(rig)
         if not brake_shaft(rig, device.limit):
-            raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
-        step = torque_step(rig, sign, device.limit)
+            raise CheckNotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
+        step = apply_torque_step(rig, sign, device.limit)
         if not step.enabled:
-            raise Failed(rig.state.error_text or "was no longer enabled")
-        if step.moved < -MOVED_RAD:
-            raise Failed(f"{step.torque:+.3f} N m turned it by {sign * step.moved:+.3f} rad, the wrong way")
-        if step.moved > MOVED_RAD:
+            raise CheckFailed(rig.state.error_text or "was no longer enabled")
+        if step.moved_rad < -MIN_MOTION_RAD:
+            raise CheckFailed(f"{step.torque:+.3f} N m turned it by {sign * step.moved_rad:+.3f} rad, the wrong way")
+        if step.moved_rad > MIN_MOTION_RAD:
             brake_shaft(rig, device.limit)
             reported = "no torque" if math.isnan(step.reported) else f"{step.reported:+.3f} N m"
             return f"at {step.torque:+.3f} N m; the drive reports {reported}"
         raise _explain_no_motion(device, sign, step.reported)
 
-    return turns
+    return check_rotation
 
 
 def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
@@ -257,32 +264,32 @@ def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exc
     reported = sign * torque
     limit = f"{sign * device.limit:+.3f} N m"
     if math.isfinite(reported) and reported < 0.3 * device.limit:
-        return Failed(f"{limit} did not turn it, and the drive reports {sign * reported:+.3f} N m")
-    return NotApplicable(f"did not turn at {limit}: held, or friction is larger")
+        return CheckFailed(f"{limit} did not turn it, and the drive reports {sign * reported:+.3f} N m")
+    return CheckNotApplicable(f"did not turn at {limit}: held, or friction is larger")
 
 
 def _check_torque_limit(device: DeviceUnderTest) -> str:
     """Check that the driver refuses a torque above the limit and a non-finite torque, and sends neither."""
     rig = device.rig
-    _enable(rig)
+    _enable_drive(rig)
     for torque in (1.01 * device.limit, -1.01 * device.limit, math.nan, math.inf):
         try:
             rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
         except ValueError:
             continue
-        raise Failed(f"{torque:g} N m would have been sent")
+        raise CheckFailed(f"{torque:g} N m would have been sent")
     return f"more than {device.limit:g} N m, NaN and infinity are refused before they are sent"
 
 
 def _check_disables(device: DeviceUnderTest) -> str:
     """Check that the drive reports within a second of the disable command that it is disabled."""
     rig = device.rig
-    _enable(rig)
+    _enable_drive(rig)
     start = rig.t_ns
-    if not rig.until(DriveTarget.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
-        raise Failed("does not report within 1 s of the command that it is disabled")
-    if rig.state.phase == Phase.FAULT:
-        raise Failed(f"reports a fault after the disable command: {rig.state.error_text}")
+    if not rig.until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0):
+        raise CheckFailed("does not report within 1 s of the command that it is disabled")
+    if rig.state.phase == DrivePhase.FAULT:
+        raise CheckFailed(f"reports a fault after the disable command: {rig.state.error_text}")
     took = f"after {(rig.t_ns - start) / 1e6:.0f} ms"
     # Some drives do not report whether they are enabled. Torque commands show if such a drive has
     # ignored the command.
@@ -293,31 +300,31 @@ def _check_disables(device: DeviceUnderTest) -> str:
 def _check_watchdog(device: DeviceUnderTest) -> str:
     """Check that the watchdog disables the drive when the host sends nothing, and that the drive then stays off."""
     rig = device.rig
-    _enable(rig)
+    _enable_drive(rig)
     silence = max(SILENCE_S, 3.0 * device.watchdog_s)
     rig.keep(DriveTarget.LISTEN, silence)
-    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
+    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
         hint = f" ({rig.drive.unverified_protections[0]})" if rig.drive.unverified_protections else ""
-        raise Failed(f"still enabled after {silence * 1e3:.0f} ms without a command{hint}")
+        raise CheckFailed(f"still enabled after {silence * 1e3:.0f} ms without a command{hint}")
     text = rig.state.error_text
     rig.keep(DriveTarget.ENABLE, 0.3)
-    if rig.state.phase != Phase.FAULT:
-        raise Failed(f"{text}, and then enabled again without being cleared")
+    if rig.state.phase != DrivePhase.FAULT:
+        raise CheckFailed(f"{text}, and then enabled again without being cleared")
     return text
 
 
 def _check_clears(device: DeviceUnderTest) -> str:
     """Check that the cut disables the drive, and that the drive becomes ready again after a clear."""
     rig = device.rig
-    _enable(rig)
+    _enable_drive(rig)
     rig.cut()
     rig.keep(DriveTarget.LISTEN, 0.3)
-    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
-        raise Failed("still enabled after the cut")
+    if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
+        raise CheckFailed("still enabled after the cut")
     text = rig.state.error_text
     rig.clear()
-    if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0):
-        raise Failed(rig.state.error_text or "does not become ready after the clear")
+    if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0):
+        raise CheckFailed(rig.state.error_text or "does not become ready after the clear")
     return f"{text or 'off'}, and ready again after a clear"
 
 
@@ -325,7 +332,7 @@ def _check_readable(device: DeviceUnderTest) -> str:
     """Check that every frame received from the drive could be decoded."""
     state = device.rig.state
     if state.misread:
-        raise Failed(f"{state.misread} frames on its identifiers could not be decoded")
+        raise CheckFailed(f"{state.misread} frames on its identifiers could not be decoded")
     return f"{state.feedback_count} feedback frames, every frame on its identifiers could be decoded"
 
 
@@ -348,19 +355,19 @@ def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = No
     if restoring is not None:
         rig.take(restoring)
     rig.clear()
-    rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0)
+    rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0)
     rig.release()
     return True
 
 
-REQUIREMENTS: tuple[tuple[str, RequirementCheck, bool], ...] = (
+CHECKED_REQUIREMENTS: tuple[tuple[str, RequirementCheck, bool], ...] = (
     ("identifies itself, takes its settings and reads them back", _check_configures, False),
     ("is the only drive with its number", _check_alone, False),
     ("makes no torque until it is enabled", _check_no_torque_when_ready, False),
     ("enables on command, and reports it", _check_enables, False),
     ("gives feedback in every tick", _check_feedback, False),
-    ("turns the positive way by positive torque", _turn_check(1), True),
-    ("turns the negative way by negative torque", _turn_check(-1), True),
+    ("turns the positive way by positive torque", _rotation_check(1), True),
+    ("turns the negative way by negative torque", _rotation_check(-1), True),
     ("refuses commands above its limit", _check_torque_limit, False),
     ("disables on command, and reports it", _check_disables, False),
     ("disables itself when the host falls silent, and stays off", _check_watchdog, False),

@@ -8,7 +8,7 @@ drive is not enabled again.
 import math
 from typing import NamedTuple
 
-from handctl.drives.contract import DriveState, DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.modes import COMMAND_UNITS, DriveMode, MotionLimits
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
@@ -29,9 +29,9 @@ OVERTORQUE_FACTOR = 1.5
 """Reported torque above which the jog stops, as a multiple of the torque limit."""
 MAX_TICKS_BEYOND_LIMIT = 4
 """Number of consecutive ticks with too much speed or torque before the jog stops."""
-SILENCE_NS = 100_000_000
+SILENCE_TIMEOUT_NS = 100_000_000
 """Age of the latest feedback above which the jog stops [ns]."""
-HOLD_S = 0.2
+HOLD_TIME_S = 0.2
 """Time at the end of a jog in which the drive holds its position, or stands still [s]."""
 
 
@@ -68,7 +68,7 @@ class JogResult(NamedTuple):
     """
 
     failure: str
-    moved: float = 0.0
+    moved_rad: float = 0.0
     fastest: float = 0.0
     strongest: float = math.nan
     final_speed: float = math.nan
@@ -98,7 +98,7 @@ def distance_at(t_s: float, distance: float, speed: float, acceleration: float) 
     return math.copysign(done, distance)
 
 
-class _Jog:
+class _JogExecution:
     """Execution of a jog: computation of the commands, checks of the limits, and collection of the result."""
 
     def __init__(self, rig: DriveRig, goal: JogGoal) -> None:
@@ -111,7 +111,7 @@ class _Jog:
         self.strongest = math.nan
 
     @property
-    def moved(self) -> float:
+    def moved_rad(self) -> float:
         """Return the present angle of the shaft, relative to the start of the motion [rad]."""
         return self._rig.state.position - self._start
 
@@ -123,16 +123,16 @@ class _Jog:
         """Return the command that keeps the shaft still: the last position, or zero velocity, or zero torque."""
         if not self._position_mode:
             return 0.0
-        return self._command if state.phase == Phase.ENABLED else state.position
+        return self._command if state.phase == DrivePhase.ENABLED else state.position
 
     def begin(self) -> str:
         """Enable the drive at rest. Returns the problem in words, empty if the drive is enabled."""
         rig = self._rig
-        if not rig.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 5.0):
+        if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
             return rig.state.error_text or f"stays in {rig.state.phase.name}"
         # The start is read from feedback of the ready drive. A position that was sent before the
         # settings may have another scale.
-        rig.keep(DriveTarget.POLL, HOLD_S)
+        rig.keep(DriveTarget.POLL, HOLD_TIME_S)
         self._start = rig.state.position
         if not math.isfinite(self._start):
             return "reports no position"
@@ -140,7 +140,7 @@ class _Jog:
         if self._position_mode and furthest > rig.drive.torque_limit:
             return f"is at {self._start:+.2f} rad, the target is beyond its range of {rig.drive.torque_limit:g} rad"
         self._command = self._start if self._position_mode else 0.0
-        if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
+        if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
             return rig.state.error_text or "does not report that it is enabled within 2 s of the command"
         return ""
 
@@ -155,7 +155,7 @@ class _Jog:
         return ""
 
     def settle(self) -> str:
-        """Ramp velocity or torque to zero, or hold the position, for at least HOLD_S.
+        """Ramp velocity or torque to zero, or hold the position, for at least HOLD_TIME_S.
 
         Returns the reason for an early stop, empty if there was none.
         """
@@ -164,7 +164,7 @@ class _Jog:
             ramp_s = abs(self._command) / (HOST_LIMIT_FRACTION * self._goal.limits.acceleration)
         elif self._goal.mode == DriveMode.TORQUE:
             ramp_s = TORQUE_RAMP_S
-        for _ in range(math.ceil((ramp_s + HOLD_S) / PERIOD_S)):
+        for _ in range(math.ceil((ramp_s + HOLD_TIME_S) / PERIOD_S)):
             if problem := self._tick(self._command if self._position_mode else self._towards(0.0)):
                 return problem
         return ""
@@ -193,12 +193,12 @@ class _Jog:
         """
         self._command = command
         state = self._rig.tick(DriveTarget.ENABLE, command)
-        if state.phase != Phase.ENABLED:
+        if state.phase != DrivePhase.ENABLED:
             return state.error_text or f"went to {state.phase.name}"
         # The rig's time is already that of the next tick, so the age is one period larger than at
         # the tick itself.
-        if self._rig.t_ns - state.feedback_t_ns > SILENCE_NS:
-            return f"no feedback for {SILENCE_NS / 1e6:.0f} ms"
+        if self._rig.t_ns - state.feedback_t_ns > SILENCE_TIMEOUT_NS:
+            return f"no feedback for {SILENCE_TIMEOUT_NS / 1e6:.0f} ms"
         return self._judge(state)
 
     def _judge(self, state: DriveState) -> str:
@@ -209,8 +209,8 @@ class _Jog:
         self.fastest = max(self.fastest, speed) if math.isfinite(speed) else self.fastest
         if math.isfinite(torque):
             self.strongest = torque if math.isnan(self.strongest) else max(self.strongest, torque)
-        if abs(self.moved) > goal.travel:
-            return f"moved {self.moved:+.2f} rad, expected at most {goal.travel:g}"
+        if abs(self.moved_rad) > goal.travel:
+            return f"moved {self.moved_rad:+.2f} rad, expected at most {goal.travel:g}"
         too_fast = speed > OVERSPEED_FACTOR * goal.limits.speed + OVERSPEED_MARGIN_RAD_S
         too_strong = torque > OVERTORQUE_FACTOR * goal.torque
         self._beyond = self._beyond + 1 if too_fast or too_strong else 0
@@ -228,7 +228,7 @@ def jog_drive(rig: DriveRig, goal: JogGoal) -> JogResult:
         rig: rig with the drive in the mode of the goal.
         goal: motion to execute.
     """
-    motion = _Jog(rig, goal)
+    motion = _JogExecution(rig, goal)
     rig.idle_command = motion.hold
     failure = motion.begin()
     if failure:
@@ -236,4 +236,4 @@ def jog_drive(rig: DriveRig, goal: JogGoal) -> JogResult:
     failure = motion.move() or motion.settle()
     if failure:
         rig.cut()
-    return JogResult(failure, motion.moved, motion.fastest, motion.strongest, abs(rig.velocity))
+    return JogResult(failure, motion.moved_rad, motion.fastest, motion.strongest, abs(rig.velocity))

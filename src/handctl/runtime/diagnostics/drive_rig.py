@@ -3,11 +3,11 @@
 import math
 from collections.abc import Callable, Sequence
 
-from handctl.compiled import prepare
-from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
+from handctl.compiled import compile_kernels
+from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.clocks.real import Clock
+from handctl.runtime.clocks.real import TickClock
 
 PERIOD_NS = 5_000_000
 """Period of a tick [ns]."""
@@ -34,7 +34,7 @@ class DriveRig:
             position mode this command is the present position.
     """
 
-    def __init__(self, drive: Drive, bus: Bus, clock: Clock) -> None:
+    def __init__(self, drive: Drive, bus: Bus, clock: TickClock) -> None:
         """Start the clock.
 
         Args:
@@ -42,7 +42,8 @@ class DriveRig:
             bus: open bus of the drive.
             clock: clock with period PERIOD_NS, not started yet.
         """
-        prepare()  # otherwise the first tick would compile code, and the watchdog of the drive would expire meanwhile
+        # Otherwise the first tick would compile code, and the watchdog of the drive would expire.
+        compile_kernels()
         self.drive = drive
         self._bus = bus
         self._clock = clock
@@ -121,10 +122,10 @@ class DriveRig:
 
     def rest(self) -> bool:
         """Bring the drive to READY from any phase. Returns True if the drive has reached READY."""
-        self.until(DriveTarget.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0)
-        if self.state.phase == Phase.FAULT:
+        self.until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0)
+        if self.state.phase == DrivePhase.FAULT:
             self.clear()
-        return self.until(DriveTarget.POLL, lambda state: state.phase == Phase.READY, 3.0)
+        return self.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 3.0)
 
     def confirm_off(self, watchdog_s: float) -> bool:
         """Disable the drive, and return True if the drive reports that it is off.
@@ -134,6 +135,6 @@ class DriveRig:
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
             self.keep(DriveTarget.LISTEN, silence)
-            if self.until(DriveTarget.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
+            if self.until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0):
                 return True
         return False

@@ -3,22 +3,22 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from handctl.runtime.buses.adapter import Adapter
-from handctl.runtime.buses.link import Link
+from handctl.runtime.buses.adapter import UsbAdapter
+from handctl.runtime.buses.link import CanLinkState
 from handctl.runtime.buses.socketcan import MIN_QUEUE_FRAMES, setup_command
 
 # Rules for udev. They repeat a setting after each restart of the machine. Source: man 7 udev.
-UDEV_QUEUE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
-UDEV_NAME = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
-UDEV_SERIAL = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="{1}", NAME="{0}"'
+UDEV_QUEUE_RULE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
+UDEV_NAME_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
+UDEV_SERIAL_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="{1}", NAME="{0}"'
 UDEV_FILE = "/etc/udev/rules.d/90-can.rules"
-WIRING = "check that the drives have power, both ends have 120 ohm, and all have the same bit rate"
-ERRORS = {
+WIRING_ADVICE = "check that the drives have power, both ends have 120 ohm, and all have the same bit rate"
+ERROR_COUNTER_TEXTS = {
     "bus_error": "bus errors", "error_warning": "times error warning", "error_passive": "times error passive",
     "bus_off": "times bus-off", "arbitration_lost": "arbitrations lost", "restarts": "restarts",
     "rx_dropped": "received frames dropped", "tx_dropped": "dropped transmit frames",
 }  # fmt: skip
-"""Text for each reported counter of ``Link.counts``."""
+"""Text for each reported counter of ``CanLinkState.counts``."""
 FULL_SPEED_HZ = 333
 """Highest control rate of a hand behind a USB full-speed adapter [Hz].
 
@@ -49,10 +49,10 @@ def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None)
     if name.startswith("vcan"):
         return LinkFinding(f"{name} does not exist", False, setup_command(name, bitrate, data_bitrate), fatal=True)
     fix = f"plug the adapter in and check: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
-    return LinkFinding(f"{name} does not exist", False, fix + UDEV_NAME.format(name), fatal=True)
+    return LinkFinding(f"{name} does not exist", False, fix + UDEV_NAME_RULE.format(name), fatal=True)
 
 
-def interface_findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> list[LinkFinding]:
+def interface_findings(name: str, link: CanLinkState, bitrate: int, data_bitrate: int | None) -> list[LinkFinding]:
     """Return the findings about an interface.
 
     Args:
@@ -69,12 +69,12 @@ def interface_findings(name: str, link: Link, bitrate: int, data_bitrate: int | 
         result.append(LinkFinding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up))
         if link.kind == "can":
             result.append(_rate_finding("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up))
-    queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE.format(name)}"
+    queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE_RULE.format(name)}"
     result.append(LinkFinding(f"transmit queue of {link.queue} frames", link.queue >= MIN_QUEUE_FRAMES, queue))
     return [*result, *_controller_findings(name, link), *_counter_findings(link)]
 
 
-def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequence[str]) -> list[LinkFinding]:
+def adapter_findings(name: str, adapter: UsbAdapter | None, kind: str, others: Sequence[str]) -> list[LinkFinding]:
     """Return the findings about the adapter of an interface.
 
     Args:
@@ -97,7 +97,7 @@ def adapter_findings(name: str, adapter: Adapter | None, kind: str, others: Sequ
         what = "MCP2515 has two receive buffers and loses frames of a bus at 1 Mbit/s"
         rows.append(LinkFinding(what, False, "use a hat with MCP2518FD (driver mcp251xfd), or 250 kbit/s"))
     if adapter.serial and others:
-        rule = UDEV_SERIAL.format(name, adapter.serial)
+        rule = UDEV_SERIAL_RULE.format(name, adapter.serial)
         rows.append(
             LinkFinding(
                 f"its name depends on the order of plugging in. To keep it, in {UDEV_FILE}: {rule}",
@@ -112,23 +112,29 @@ def _rate_finding(what: str, has: int | None, required: int, fix: str) -> LinkFi
     return LinkFinding(f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix)
 
 
-def _controller_findings(name: str, link: Link) -> list[LinkFinding]:
+def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
     """Return the findings about the CAN controller: state, error counters, and restart after bus-off."""
     if not link.state:
         return []
     restart = f"sudo ip link set {name} type can restart; " if link.state == "BUS-OFF" else ""
     counters = f"{link.state}, error counters {link.sending} sending, {link.receiving} receiving"
     good = link.state == "ERROR-ACTIVE" and link.sending + link.receiving == 0
-    result = [LinkFinding(counters, good or not link.up, restart + WIRING)]
+    result = [LinkFinding(counters, good or not link.up, restart + WIRING_ADVICE)]
     if link.restart_ms is not None:
         command = f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms 100"
         result.append(LinkFinding(f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command))
     return result
 
 
-def _counter_findings(link: Link) -> list[LinkFinding]:
+def _counter_findings(link: CanLinkState) -> list[LinkFinding]:
     """Return the findings about the event counters of an interface."""
-    counted = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
-    bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS_COUNTERS)
-    fix = f"since it was created; {WIRING}; repeat this check after a run"
+    counted = [
+        f"{number} {ERROR_COUNTER_TEXTS[key]}"
+        for key, number in link.counts.items()
+        if number and key in ERROR_COUNTER_TEXTS
+    ]
+    bad = any(
+        number for key, number in link.counts.items() if key in ERROR_COUNTER_TEXTS and key not in HARMLESS_COUNTERS
+    )
+    fix = f"since it was created; {WIRING_ADVICE}; repeat this check after a run"
     return [LinkFinding("counted: " + (", ".join(counted) or "no errors"), not bad, fix)]

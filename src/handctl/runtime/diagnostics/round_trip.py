@@ -8,12 +8,12 @@ import time
 from typing import NamedTuple
 
 from handctl.drives.discovery import DiscoveredNode
-from handctl.drives.registry import DISCOVERIES
+from handctl.drives.registry import DISCOVERY_BY_PROTOCOL
 from handctl.runtime.buses.contract import Bus
 
-REQUESTS = 20
+REQUEST_COUNT = 20
 """Number of requests in a measurement."""
-ANSWER_S = 0.1
+ANSWER_TIMEOUT_S = 0.1
 """Longest wait for an answer [s]."""
 SECOND_ANSWER_WAIT_S = 0.005
 """Time after the first answer in which a second answer is awaited [s]."""
@@ -45,12 +45,12 @@ class RoundTrip(NamedTuple):
         return self.twice > self.asked / 2
 
 
-def round_trip(bus: Bus, node: DiscoveredNode, times: int = REQUESTS) -> RoundTrip:
+def measure_round_trips(bus: Bus, node: DiscoveredNode, times: int = REQUEST_COUNT) -> RoundTrip:
     """Measure the round-trip time of a node.
 
     Each request is sent after the answer to the previous one.
     """
-    trips = [_measure_once(bus, node) for _ in range(times)]
+    trips = [_measure_round_trip(bus, node) for _ in range(times)]
     took = sorted(first for first, _ in trips if first is not None)
     twice = sum(more for _, more in trips)
     if not took:
@@ -58,18 +58,20 @@ def round_trip(bus: Bus, node: DiscoveredNode, times: int = REQUESTS) -> RoundTr
     return RoundTrip(len(took), times, took[0], took[len(took) // 2], took[-1], twice)
 
 
-def _measure_once(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
+def _measure_round_trip(bus: Bus, node: DiscoveredNode) -> tuple[float | None, bool]:
     """Send a request. Return the time until the answer [s], and True if a second answer follows.
 
     The time is None if no answer arrives.
     """
-    discovery = DISCOVERIES[node.protocol]
+    discovery = DISCOVERY_BY_PROTOCOL[node.protocol]
     bus.drain()  # a late answer to the previous request must not count
     start = time.perf_counter()
     bus.send((discovery.ping(node),))
     first = None
     answers = 0
-    while (passed := time.perf_counter() - start) < (ANSWER_S if first is None else first + SECOND_ANSWER_WAIT_S):
+    while (passed := time.perf_counter() - start) < (
+        ANSWER_TIMEOUT_S if first is None else first + SECOND_ANSWER_WAIT_S
+    ):
         answers += sum(discovery.is_ping_reply(node, frame) for frame in bus.drain())
         if answers and first is None:
             first = time.perf_counter() - start

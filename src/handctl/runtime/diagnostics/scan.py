@@ -9,29 +9,29 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from handctl.drives.discovery import ANSWER_S, LISTEN_S, ROUNDS, DiscoveredNode, split_probes
+from handctl.drives.discovery import PROBE_ANSWER_S, PROBE_ROUNDS, SCAN_LISTEN_S, DiscoveredNode, split_probes
 from handctl.drives.frame import Frame
-from handctl.drives.registry import DISCOVERIES
+from handctl.drives.registry import DISCOVERY_BY_PROTOCOL
 from handctl.runtime.buses.contract import Bus
 
 MAX_BURST_FRAMES = 4
-"""Largest number of frames sent in each PAUSE_S.
+"""Largest number of frames sent in each BURST_PAUSE_S.
 
 An interface may have a queue of only 10 frames.
 """
-PAUSE_S = 0.003
+BURST_PAUSE_S = 0.003
 """Time in which MAX_BURST_FRAMES frames may be sent, and pause after a refused frame [s]."""
-TRIES = 50
+MAX_SEND_TRIES = 50
 """Number of attempts to send a frame refused by the interface."""
 
 
-IGNORED_FRAMES = 1
+MAX_IGNORED_FRAMES = 1
 """Number of ignored frames from another host. A host that has just ended may have sent them."""
-Listen = Callable[[Bus, float, list[Frame]], None]
+ListenFunction = Callable[[Bus, float, list[Frame]], None]
 """Function that collects the frames received on a bus during a time [s]."""
 
 
-class Scan(NamedTuple):
+class BusScan(NamedTuple):
     """Result of a scan of a bus.
 
     Attributes:
@@ -49,7 +49,7 @@ class Scan(NamedTuple):
     frames: int
 
 
-def receive_for(bus: Bus, for_s: float, seen: list[Frame]) -> None:
+def collect_frames(bus: Bus, for_s: float, seen: list[Frame]) -> None:
     """Append the frames received on a bus during a time [s] to ``seen``."""
     end = time.monotonic() + for_s
     while True:
@@ -61,38 +61,41 @@ def receive_for(bus: Bus, for_s: float, seen: list[Frame]) -> None:
 
 
 def scan_bus(
-    bus: Bus, force: bool = False, report: Callable[[str], None] = lambda text: None, listen: Listen = receive_for
-) -> Scan:
+    bus: Bus,
+    force: bool = False,
+    report: Callable[[str], None] = lambda text: None,
+    listen: ListenFunction = collect_frames,
+) -> BusScan:
     """Scan a bus for drives, in about two seconds.
 
     Args:
         bus: open bus.
         force: True to send requests even if another host seems to be active.
         report: function that receives a text about each step of the scan.
-        listen: function to collect frames during a time, see ``Listen``.
+        listen: function to collect frames during a time, see ``ListenFunction``.
     """
     seen: list[Frame] = []
     omitted: list[Frame] = []
     foreign: tuple[Frame, ...] = ()
-    for turn in ROUNDS:
-        report("listening" if turn == 0 else f"asking, round {turn} of {ROUNDS[-1]}")
+    for turn in PROBE_ROUNDS:
+        report("listening" if turn == 0 else f"asking, round {turn} of {PROBE_ROUNDS[-1]}")
         for frame in _round_requests(turn, seen, omitted):
-            if not _send(bus, frame, seen, listen):
+            if not _send_with_retries(bus, frame, seen, listen):
                 break
-        listen(bus, LISTEN_S if turn == 0 else ANSWER_S, seen)
+        listen(bus, SCAN_LISTEN_S if turn == 0 else PROBE_ANSWER_S, seen)
         if turn == 0 and not force and (foreign := _foreign_frames(seen)):
             break
     drives = tuple(
         discovery.unasked(node) if foreign else node
-        for discovery in DISCOVERIES.values()
+        for discovery in DISCOVERY_BY_PROTOCOL.values()
         for node in discovery.nodes(seen)
     )
-    return Scan(drives, foreign, tuple(omitted), tuple(bus.take_events()), len(seen))
+    return BusScan(drives, foreign, tuple(omitted), tuple(bus.take_events()), len(seen))
 
 
 def requests_without_answers() -> tuple[Frame, ...]:
     """Return the requests of a scan on a bus without any answer."""
-    return tuple(frame for turn in ROUNDS for frame in _round_requests(turn, [], []))
+    return tuple(frame for turn in PROBE_ROUNDS for frame in _round_requests(turn, [], []))
 
 
 def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
@@ -102,7 +105,7 @@ def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[
     appended to ``omitted`` instead.
     """
     requests: list[Frame] = []
-    for name, discovery in DISCOVERIES.items():
+    for name, discovery in DISCOVERY_BY_PROTOCOL.items():
         allowed_frames, dropped = split_probes(discovery.probe_frames(turn, seen), _commands_of_others(name, seen))
         requests += allowed_frames
         omitted += dropped
@@ -111,7 +114,7 @@ def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[
 
 def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
     """Return the command identifiers of each discovered drive whose protocol is not ``name``."""
-    others = (discovery for other, discovery in DISCOVERIES.items() if other != name)
+    others = (discovery for other, discovery in DISCOVERY_BY_PROTOCOL.items() if other != name)
     return [discovery.command_ids(node) for discovery in others for node in discovery.nodes(seen)]
 
 
@@ -122,20 +125,20 @@ def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
     another protocol.
     """
     foreign: list[Frame] = []
-    for name, discovery in DISCOVERIES.items():
+    for name, discovery in DISCOVERY_BY_PROTOCOL.items():
         explained = frozenset().union(*_commands_of_others(name, seen))
         foreign += [frame for frame in discovery.other_host_frames(seen) if frame.can_id not in explained]
-    return tuple(dict.fromkeys(foreign)) if len(foreign) > IGNORED_FRAMES else ()
+    return tuple(dict.fromkeys(foreign)) if len(foreign) > MAX_IGNORED_FRAMES else ()
 
 
-def _send(bus: Bus, frame: Frame, seen: list[Frame], listen: Listen) -> bool:
+def _send_with_retries(bus: Bus, frame: Frame, seen: list[Frame], listen: ListenFunction) -> bool:
     """Send a frame, and receive frames in the pause after it.
 
-    Returns False if the interface has refused the frame ``TRIES`` times.
+    Returns False if the interface has refused the frame ``MAX_SEND_TRIES`` times.
     """
-    for _ in range(TRIES):
+    for _ in range(MAX_SEND_TRIES):
         if bus.send((frame,)):
-            listen(bus, PAUSE_S / MAX_BURST_FRAMES, seen)
+            listen(bus, BURST_PAUSE_S / MAX_BURST_FRAMES, seen)
             return True
-        listen(bus, PAUSE_S, seen)
+        listen(bus, BURST_PAUSE_S, seen)
     return False

@@ -8,14 +8,14 @@ therefore make such a shaft oscillate, so the gain depends on the inertia.
 import math
 from typing import NamedTuple
 
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
 PERIOD_S = PERIOD_NS * 1e-9
 """Period of a tick [s]."""
-MOVED_RAD = 0.05
+MIN_MOTION_RAD = 0.05
 """Smallest angle that counts as a motion of the shaft [rad]."""
-RAMP_S = 1.0
+TORQUE_RAMP_S = 1.0
 """Duration of the torque ramp from zero to the limit [s]."""
 COAST_TICKS = 12
 """Number of ticks after a torque pulse until the measured velocity shows its whole effect."""
@@ -41,14 +41,14 @@ class TorqueStep(NamedTuple):
         enabled: True if the drive was enabled until the end.
     """
 
-    moved: float
+    moved_rad: float
     torque: float
     reported: float
     enabled: bool
 
 
-def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
-    """Raise the torque until the shaft has moved by MOVED_RAD or the limit is reached, then let the shaft coast.
+def apply_torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
+    """Raise the torque until the shaft has moved by MIN_MOTION_RAD or the limit is reached, then let the shaft coast.
 
     Args:
         rig: rig with an enabled drive.
@@ -58,18 +58,18 @@ def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
     start = rig.state.position
     coasting = rig.velocity
     impulse = 0.0
-    ticks = round(RAMP_S / PERIOD_S)
+    ticks = round(TORQUE_RAMP_S / PERIOD_S)
     moved = torque = 0.0
     for i in range(ticks):
         torque = sign * limit * (i + 1) / ticks
         rig.tick(DriveTarget.ENABLE, torque)
         impulse += torque * PERIOD_S
-        if rig.state.phase != Phase.ENABLED:
+        if rig.state.phase != DrivePhase.ENABLED:
             return TorqueStep(moved, torque, rig.state.torque, False)
         travel = sign * (rig.state.position - start)
         coasted = abs(coasting) * (i + 1) * PERIOD_S
         moved = math.copysign(max(0.0, abs(travel) - coasted), travel) if math.isfinite(coasted) else travel
-        if abs(moved) > MOVED_RAD:
+        if abs(moved) > MIN_MOTION_RAD:
             break
     reported = rig.state.torque
     rig.keep(DriveTarget.ENABLE, COAST_TICKS * PERIOD_S)

@@ -11,21 +11,21 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from handctl.drives.cia404.amplifier import AmplifierState
-from handctl.drives.contract import Drive, DriveState, DriveTarget, Phase
+from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
-from handctl.drives.sensors.contract import Sensors
-from handctl.drives.signals import Quantity, Table
+from handctl.drives.sensors.contract import SensorInterface
+from handctl.drives.signals import Quantity, SignalTable
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.clocks.real import Clock
-from handctl.runtime.diagnostics.scan import receive_for
+from handctl.runtime.clocks.real import TickClock
+from handctl.runtime.diagnostics.scan import collect_frames
 
 LISTEN_S = 0.5
 """Time for which the bus is observed for another host, before the first frame is sent [s]."""
-STALE_S = 0.5
+STALE_AFTER_S = 0.5
 """Age above which a reading is too old to be shown [s]."""
 
 
-class Reading(NamedTuple):
+class SensorReading(NamedTuple):
     """Reading of a load cell [N] or of a joint encoder [rad].
 
     Attributes:
@@ -37,8 +37,8 @@ class Reading(NamedTuple):
     t_ns: int = -1
 
     def at(self, t_ns: int) -> float:
-        """Return the value, or NaN if the value is older than ``STALE_S`` at the time ``t_ns`` [ns]."""
-        return self.value if self.t_ns >= 0 and t_ns - self.t_ns <= STALE_S * 1e9 else math.nan
+        """Return the value, or NaN if the value is older than ``STALE_AFTER_S`` at the time ``t_ns`` [ns]."""
+        return self.value if self.t_ns >= 0 and t_ns - self.t_ns <= STALE_AFTER_S * 1e9 else math.nan
 
 
 def is_saturated(tension: float, cell_range: tuple[float, float]) -> bool:
@@ -63,13 +63,13 @@ class BusWatch:
     """
 
     drives: Sequence[Drive]
-    sensors: Sensors
+    sensors: SensorInterface
     buses: Sequence[Bus]
-    clock: Clock
+    clock: TickClock
     states: list[DriveState] = field(init=False)
     amplifiers: list[AmplifierState] = field(init=False)
-    tensions: dict[int, Reading] = field(init=False)
-    angles: dict[int, Reading] = field(init=False)
+    tensions: dict[int, SensorReading] = field(init=False)
+    angles: dict[int, SensorReading] = field(init=False)
     k: int = 0
 
     def __post_init__(self) -> None:
@@ -77,14 +77,14 @@ class BusWatch:
         self.states = [drive.initial() for drive in self.drives]
         node = self.sensors
         self.amplifiers = [amplifier.initial() for amplifier in node.amplifiers]
-        self._tables = [Table(message) for message in node.messages]
+        self._tables = [SignalTable(message) for message in node.messages]
         self._group = {can_id: group for group, can_id in enumerate(node.ids)}
         cells, encoders = node.channels[: node.tension_frames], node.channels[node.tension_frames :]
-        self.tensions = {index: Reading() for channels in cells for index in channels}
-        self.angles = {index: Reading() for channels in encoders for index in channels}
+        self.tensions = {index: SensorReading() for channels in cells for index in channels}
+        self.angles = {index: SensorReading() for channels in encoders for index in channels}
 
     def other_host(
-        self, for_s: float = LISTEN_S, listen: Callable[[Bus, float, list[Frame]], None] = receive_for
+        self, for_s: float = LISTEN_S, listen: Callable[[Bus, float, list[Frame]], None] = collect_frames
     ) -> str:
         """Listen for a time [s], and return the identifier of the first frame that only a host sends.
 
@@ -120,9 +120,11 @@ class BusWatch:
         self._send([frame for drive, state in pairs for frame in drive.release_frames(state)])
 
     def silent(self) -> list[str]:
-        """Return the names of the motors whose latest feedback is older than ``STALE_S``."""
+        """Return the names of the motors whose latest feedback is older than ``STALE_AFTER_S``."""
         now = self.clock.now_ns()
-        return [drive.name for drive, age in zip(self.drives, self.ages_s(now), strict=True) if not age <= STALE_S]
+        return [
+            drive.name for drive, age in zip(self.drives, self.ages_s(now), strict=True) if not age <= STALE_AFTER_S
+        ]
 
     def ages_s(self, now_ns: int) -> list[float]:
         """Return the age of the latest feedback of each drive [s], infinity for a drive that has sent none."""
@@ -134,7 +136,7 @@ class BusWatch:
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)
-            if group in self.sensors.group_ranges[i] and self.amplifiers[i].phase != Phase.READY:
+            if group in self.sensors.group_ranges[i] and self.amplifiers[i].phase != DrivePhase.READY:
                 return  # before the amplifier is set up, the unit of its readings is unknown
         if group < 0:
             for n, drive in enumerate(self.drives):
@@ -151,7 +153,7 @@ class BusWatch:
         values = [low if math.isnan(value) else value for kind, value in decoded if kind != Quantity.COUNTER]
         into = self.tensions if group < self.sensors.tension_frames else self.angles
         for index, value in zip(self.sensors.channels[group], values, strict=True):
-            into[index] = Reading(value, frame.t_ns)
+            into[index] = SensorReading(value, frame.t_ns)
 
     def _send(self, frames: Sequence[Frame]) -> None:
         """Send each frame on its bus."""

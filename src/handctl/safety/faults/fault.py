@@ -15,32 +15,32 @@ from typing import NamedTuple
 
 from handctl.safety.action import Action, RelaxMethod
 
-OPERATOR = "by the operator"
-ITSELF = "by itself"
+ENDED_BY_OPERATOR = "by the operator"
+ENDED_BY_ITSELF = "by itself"
 """Ways in which a fault ends. The operator clears a latched fault.
 
 Any other fault ends by itself when its cause ends.
 """
 
-TENDON = "tendon"
-MOTOR = "motor"
-JOINT = "joint"
-NODE = "node"
-HAND = "hand"
+TENDON_INSTANCE = "tendon"
+MOTOR_INSTANCE = "motor"
+JOINT_INSTANCE = "joint"
+NODE_INSTANCE = "node"
+HAND_INSTANCE = "hand"
 """Kinds of instances in which a fault can occur.
 
-``NODE`` includes motors and the sensor node. A fault of ``HAND`` has a single instance.
+``NODE_INSTANCE`` includes motors and the sensor node. A fault of ``HAND_INSTANCE`` has a single instance.
 """
 
-DETECTED = "detected"
-REPLACED = "replaced"
-LOST = "lost"
+DETECTED_FAULT = "detected"
+WEAKER_SIGN = "replaced"
+NOT_VISIBLE = "lost"
 """Visibility of a fault with a protocol: detected, replaced by a weaker sign, or not visible."""
-TICK = "fault table"
-ARMING = "before arming"
-DRIVE = "the drive itself"
-LOOP = "loop and recorder"
-FILES = "files"
+CHECKED_BY_FAULT_TABLE = "fault table"
+CHECKED_BEFORE_ARMING = "before arming"
+CHECKED_BY_DRIVE = "the drive itself"
+CHECKED_BY_LOOP = "loop and recorder"
+CHECKED_IN_FILES = "files"
 """Places where a row of the catalogue is checked."""
 
 
@@ -69,10 +69,10 @@ class CatalogueRow(NamedTuple):
 
     id: str
     title: str
-    where: str = TICK
-    mit: str = DETECTED
-    odrive: str = DETECTED
-    cia402: str = DETECTED
+    where: str = CHECKED_BY_FAULT_TABLE
+    mit: str = DETECTED_FAULT
+    odrive: str = DETECTED_FAULT
+    cia402: str = DETECTED_FAULT
     ticks: int = 0
     ms: float = 0.0
     odrive_ms: float = 0.0
@@ -83,7 +83,7 @@ class CatalogueRow(NamedTuple):
     robstride: str = ""
 
     def visibility(self, protocol: str) -> str:
-        """Return the visibility of the failure with a protocol, one of ``drives.motor_description.GUARDED``."""
+        """Return the visibility of the failure with a protocol, one of ``GUARDED_PROTOCOLS``."""
         visibility: str = getattr(self, protocol)
         return visibility or self.mit
 
@@ -104,13 +104,13 @@ class Fault:
         title: name for an operator.
         detection: condition of the fault.
         action: reaction.
-        clears: how the fault ends, ``OPERATOR`` or ``ITSELF``.
+        clears: how the fault ends, ``ENDED_BY_OPERATOR`` or ``ENDED_BY_ITSELF``.
         cause: usual causes, for the operator, in whole sentences.
         remedy: instruction for the operator in one line, in whole sentences.
         debounce: number of consecutive ticks with the fault after which it becomes active.
         relax_method: method of removing the torque if the action is RELAX.
         per: kinds of instances, empty for a reported fault.
-        name: name of the single instance of a fault of ``HAND``.
+        name: name of the single instance of a fault of ``HAND_INSTANCE``.
         reports: kinds of bus and host events that report the fault. Kinds of recorder events begin
             with ``recorder:``.
     """
@@ -136,7 +136,7 @@ class Fault:
     @property
     def latched(self) -> bool:
         """Return True if the action stays until an operator clears the fault."""
-        return self.clears == OPERATOR
+        return self.clears == ENDED_BY_OPERATOR
 
     @property
     def row(self) -> str:
@@ -145,9 +145,9 @@ class Fault:
         return self.id.rstrip("abcd")
 
 
-CATALOGUE: list[CatalogueRow] = []
+DECLARED_ROWS: list[CatalogueRow] = []
 """All rows of the catalogue, in the order of their declaration."""
-TABLE: list[Fault] = []
+DECLARED_FAULTS: list[Fault] = []
 """All faults, in the order of their declaration."""
 DETECTOR_ROWS: list[tuple[Fault, str]] = []
 """Fault and kind of instance for each row of the detectors' result table.
@@ -158,7 +158,7 @@ The kinds of instances of one fault have adjacent rows.
 
 def declare_row(*args: object, **details: object) -> None:
     """Declare a row of the catalogue. For the arguments see ``CatalogueRow``."""
-    CATALOGUE.append(CatalogueRow(*args, **details))  # type: ignore[arg-type]
+    DECLARED_ROWS.append(CatalogueRow(*args, **details))  # type: ignore[arg-type]
 
 
 def declare_fault(
@@ -182,7 +182,7 @@ def declare_fault(
         detector, which a drive or a bus reports.
     """
     declared = Fault(id_, title, detection, action, clears, cause, remedy, debounce, relax_method, per, name, reports)
-    TABLE.append(declared)
+    DECLARED_FAULTS.append(declared)
     # The detectors' result table has one row for each kind of instance. For the second kind,
     # detectors add 1 to the index of the first kind.
     first = len(DETECTOR_ROWS)

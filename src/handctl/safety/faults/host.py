@@ -2,14 +2,14 @@
 
 from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import (
-    ARMING,
-    DETECTED,
-    DRIVE,
-    FILES,
-    HAND,
-    ITSELF,
-    LOOP,
-    OPERATOR,
+    CHECKED_BEFORE_ARMING,
+    CHECKED_BY_DRIVE,
+    CHECKED_BY_LOOP,
+    CHECKED_IN_FILES,
+    DETECTED_FAULT,
+    ENDED_BY_ITSELF,
+    ENDED_BY_OPERATOR,
+    HAND_INSTANCE,
     declare_fault,
     declare_row,
 )
@@ -17,25 +17,25 @@ from handctl.safety.limits import MIN_STALLED_TICKS, STALLED_S
 
 LATE_FRACTION = 0.25
 """Delay of a tick's start above which the tick counts as late, as a fraction of the control period."""
-REFUSED_LIMIT = 3
+REFUSED_REQUESTS_LIMIT = 3
 """Number of malformed requests within a second from which there is a fault."""
-FOREIGN = "foreign"
+FOREIGN_CONTROLLER_EVENT = "foreign"
 """Kind of the event that reports a second controller."""
 
-_NO_CLOCK = f"{DETECTED}: nothing uses the wall clock"
-_APART = f"{DETECTED}: not connected to the loop"
+_WALL_CLOCK_VISIBILITY = f"{DETECTED_FAULT}: nothing uses the wall clock"
+_DISCONNECTED_VISIBILITY = f"{DETECTED_FAULT}: not connected to the loop"
 
 declare_row("H01", "one late tick", ticks=1, required=1)
 H01 = declare_fault(
     "H01", "a late tick", "A tick began later than a quarter of a period after its time",
-    Action.PASS, ITSELF, HAND, name="loop",
+    Action.PASS, ENDED_BY_ITSELF, HAND_INSTANCE, name="loop",
     cause="Another program or the kernel delayed this host for a moment.",
     remedy="Ignore single cases. If it repeats, run handctl doctor.",
 )  # fmt: skip
 
 declare_row("H02", "a missed tick", ticks=1, required=1)
 H02 = declare_fault(
-    "H02", "a missed tick", "At least one tick did not run", Action.WARN, ITSELF, HAND, name="loop",
+    "H02", "a missed tick", "At least one tick did not run", Action.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name="loop",
     cause="Another program or the kernel delayed this host for more than a period.",
     remedy="Run handctl doctor (priority, cores), close other programs, or lower the rate.",
 )  # fmt: skip
@@ -43,7 +43,7 @@ H02 = declare_fault(
 declare_row("H03", "three or more ticks missed", ticks=1, required=1)
 H03 = declare_fault(
     "H03", "the host stalled", f"For {STALLED_S * 1e3:g} ms, and for at least {MIN_STALLED_TICKS} ticks, no tick ran",
-    Action.RELAX, OPERATOR, HAND, name="loop",
+    Action.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="loop",
     cause="Another program, a debugger or the kernel stopped the controller.",
     remedy="Run handctl doctor (priority, cores), close other programs, then start a new run.",
 )  # fmt: skip
@@ -51,22 +51,22 @@ H03 = declare_fault(
 declare_row("H04", "suspend", ticks=1, required=1)
 declare_fault(
     "H04", "the host was suspended", "CLOCK_BOOTTIME is ahead of CLOCK_MONOTONIC, because the host was asleep",
-    Action.RELAX, OPERATOR, reports=("suspended",),
+    Action.RELAX, ENDED_BY_OPERATOR, reports=("suspended",),
     cause="The computer went to sleep.",
     remedy="Disable sleep and lid actions on this machine, then start a new run.",
 )  # fmt: skip
 
-declare_row("H05", "the controller is killed", DRIVE,
-    odrive=f"{DETECTED}: if its watchdog is on, which is read back with endpoints", ms=54, required=3,
+declare_row("H05", "the controller is killed", CHECKED_BY_DRIVE,
+    odrive=f"{DETECTED_FAULT}: if its watchdog is on, which is read back with endpoints", ms=54, required=3,
     why="watchdog_ms of the hand file is 50 ms from the last command, and the current decays in 4 ms",
     tested="tests/runtime/test_killed.py")  # fmt: skip
-declare_row("H06", "SIGTERM, SIGINT, also twice", LOOP, ticks=1, required=1)
-declare_row("H07", "exception in the loop", LOOP, ticks=1, required=1, tested="tests/runtime/test_loop.py")
+declare_row("H06", "SIGTERM, SIGINT, also twice", CHECKED_BY_LOOP, ticks=1, required=1)
+declare_row("H07", "exception in the loop", CHECKED_BY_LOOP, ticks=1, required=1, tested="tests/runtime/test_loop.py")
 
 declare_row("H08", "disk full", ticks=1, required=200)
 declare_fault(
     "H08", "the disk is full", "The log could not be written",
-    Action.WARN, ITSELF, reports=("recorder:disk_low", "recorder:disk_full"),
+    Action.WARN, ENDED_BY_ITSELF, reports=("recorder:disk_low", "recorder:disk_full"),
     cause="The disk of the log has no space left.",
     remedy="Free space, or write the log to another disk (--log). The hand continues without a log.",
 )  # fmt: skip
@@ -74,7 +74,7 @@ declare_fault(
 declare_row("H09", "recorder stalls", ticks=1, required=640)
 declare_fault(
     "H09", "log records were dropped", "The recorder is slower than the controller",
-    Action.WARN, ITSELF, reports=("recorder:dropped", "recorder:filling"),
+    Action.WARN, ENDED_BY_ITSELF, reports=("recorder:dropped", "recorder:filling"),
     cause="The disk is too slow, or the recorder gets no processor time.",
     remedy="Write the log to a faster disk, and run handctl doctor.",
 )  # fmt: skip
@@ -82,65 +82,79 @@ declare_fault(
 declare_row("H10", "recorder dies", ticks=1, required=1)
 declare_fault(
     "H10", "the recorder is lost", "The recorder process or its disk no longer exists",
-    Action.WARN, ITSELF, reports=("recorder:gone", "recorder:error"),
+    Action.WARN, ENDED_BY_ITSELF, reports=("recorder:gone", "recorder:error"),
     cause="The recorder was killed, or its disk was removed.",
     remedy="Check disk and memory of this machine. handctl log recover repairs the unfinished log.",
 )  # fmt: skip
 
 declare_row(
-    "H11", "wall-clock step", LOOP, _NO_CLOCK, _NO_CLOCK, _NO_CLOCK, tested="tests/vcan/inside/test_host_faults.py"
+    "H11",
+    "wall-clock step",
+    CHECKED_BY_LOOP,
+    _WALL_CLOCK_VISIBILITY,
+    _WALL_CLOCK_VISIBILITY,
+    _WALL_CLOCK_VISIBILITY,
+    tested="tests/vcan/inside/test_host_faults.py",
 )
-declare_row("H12", "second controller, same host", ARMING, tested="tests/runtime/test_mailbox.py")
+declare_row("H12", "second controller, same host", CHECKED_BEFORE_ARMING, tested="tests/runtime/test_mailbox.py")
 
 declare_row("H13", "second controller, same bus", ticks=2, required=2)
 declare_fault(
     "H13", "a second controller", "A frame arrives that only the host may send, or a reply arrives without a request",
-    Action.RELAX, OPERATOR, relax_method=RelaxMethod.OPEN_LOOP, reports=(FOREIGN,),
+    Action.RELAX, ENDED_BY_OPERATOR, relax_method=RelaxMethod.OPEN_LOOP, reports=(FOREIGN_CONTROLLER_EVENT,),
     cause="Another program or computer commands drives on this bus.",
     remedy="Stop the other program or unplug its adapter, then start a new run.",
 )  # fmt: skip
 
-declare_row("H14", "viewer dies or hangs", LOOP, _APART, _APART, _APART, tested="tests/view/test_live.py")
-declare_row("H15", "memory or descriptors leak", LOOP, tested="soak")
-declare_row("I01", "NaN, inf, bool for number", FILES, tested="tests/hand/test_refusals.py")
-declare_row("I02", "negative mass, zero length", FILES, tested="tests/hand/test_refusals.py")
-declare_row("I03", "wrong unit", FILES, tested="tests/hand/test_refusals.py")
-declare_row("I04", "unknown, missing, duplicate keys", FILES, tested="tests/hand/test_refusals.py")
-declare_row("I05", "contradiction", FILES, tested="tests/hand/test_cross_checks.py")
-declare_row("I06", "bad trajectory", FILES, tested="tests/controller/test_task.py")
+declare_row(
+    "H14",
+    "viewer dies or hangs",
+    CHECKED_BY_LOOP,
+    _DISCONNECTED_VISIBILITY,
+    _DISCONNECTED_VISIBILITY,
+    _DISCONNECTED_VISIBILITY,
+    tested="tests/view/test_live.py",
+)
+declare_row("H15", "memory or descriptors leak", CHECKED_BY_LOOP, tested="soak")
+declare_row("I01", "NaN, inf, bool for number", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py")
+declare_row("I02", "negative mass, zero length", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py")
+declare_row("I03", "wrong unit", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py")
+declare_row("I04", "unknown, missing, duplicate keys", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py")
+declare_row("I05", "contradiction", CHECKED_IN_FILES, tested="tests/hand/test_cross_checks.py")
+declare_row("I06", "bad trajectory", CHECKED_IN_FILES, tested="tests/controller/test_task.py")
 
 declare_row("I07", "bad live goal", ticks=1, required=2)
 I07A = declare_fault(
     "I07a", "a live goal was refused", "A goal is out of range or not a number, and the previous goal remains",
-    Action.WARN, ITSELF, HAND, name="goal",
+    Action.WARN, ENDED_BY_ITSELF, HAND_INSTANCE, name="goal",
     cause="The client sent a goal that the hand cannot reach or that is not a number.",
     remedy="Correct the client. The event before this one contains the wrong value and the valid values.",
 )  # fmt: skip
 I07B = declare_fault(
     "I07b", "requests keep being malformed",
-    f"In a second, {REFUSED_LIMIT} requests are not JSON, have unknown keys, or contain no number",
-    Action.RELAX, OPERATOR, HAND, name="goal",
+    f"In a second, {REFUSED_REQUESTS_LIMIT} requests are not JSON, have unknown keys, or contain no number",
+    Action.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="goal",
     cause="The client is broken, or speaks to another version of the controller.",
     remedy="Stop and correct the client. The events before this one contain the wrong values.",
 )  # fmt: skip
 
-declare_row("I08", "truncated or corrupt log", FILES, tested="tests/log/test_recover.py")
-declare_row("I09", "hostile log", FILES, tested="tests/log/test_reader.py")
-declare_row("I10", "log of another hand or version", FILES, tested="tests/replay/test_execute.py")
+declare_row("I08", "truncated or corrupt log", CHECKED_IN_FILES, tested="tests/log/test_recover.py")
+declare_row("I09", "hostile log", CHECKED_IN_FILES, tested="tests/log/test_reader.py")
+declare_row("I10", "log of another hand or version", CHECKED_IN_FILES, tested="tests/replay/test_execute.py")
 
 declare_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
     tested="tests/controller/test_stream.py")  # fmt: skip
 I11A = declare_fault(
     "I11a", "streamed targets are missing",
     "No target has arrived for hold_after_ms of the hand file, by default 100 ms",
-    Action.HOLD, ITSELF, HAND, name="stream",
+    Action.HOLD, ENDED_BY_ITSELF, HAND_INSTANCE, name="stream",
     cause="The client that streams targets is busy, paused, or has ended without closing its stream.",
     remedy="The hand goes on with the next target. Send targets in time, or close the stream before a pause.",
 )  # fmt: skip
 I11B = declare_fault(
     "I11b", "the stream of targets has ended",
     "No target has arrived for relax_after_ms of the hand file, by default 1000 ms",
-    Action.RELAX, OPERATOR, HAND, name="stream",
+    Action.RELAX, ENDED_BY_OPERATOR, HAND_INSTANCE, name="stream",
     cause="The client that streams targets has crashed or hangs.",
     remedy="Mend the client, then start a new run. relax_after_ms of the hand file allows longer pauses.",
 )  # fmt: skip

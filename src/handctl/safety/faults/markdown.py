@@ -1,9 +1,9 @@
 """Generation of Markdown tables and sections for the documents, from the fault declarations."""
 
-from handctl.drives.motor_description import GUARDED, PROTOCOLS
-from handctl.safety.faults.fault import TICK, CatalogueRow, Fault
+from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
+from handctl.safety.faults.fault import CHECKED_BY_FAULT_TABLE, CatalogueRow, Fault
 from handctl.safety.faults.host import ON_HARDWARE
-from handctl.safety.faults.table import CATALOGUE, TABLE
+from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE
 
 REQUIRED_MS = 5.0
 """Control period that the project's fault catalogue assumes [ms]."""
@@ -11,14 +11,14 @@ RATE_HZ = 500.0
 """Control rate for the reaction times in the catalogue [Hz], that of the packaged hand with one motor per digit."""
 
 
-def fault_table_markdown(table: tuple[Fault, ...] = TABLE) -> str:
+def fault_table_markdown(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
     """Return the fault table as Markdown, with one row per fault."""
     head = ["| id | fault | what happens | action | cleared |", "|---|---|---|---|---|"]
     rows = [f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.clears} |" for f in table]
     return "\n".join([*head, *rows])
 
 
-def fault_sections(table: tuple[Fault, ...] = TABLE) -> str:
+def fault_sections(table: tuple[Fault, ...] = FAULT_TABLE) -> str:
     """Return one Markdown section per fault, with its condition, causes, reaction and remedy."""
     return "\n\n".join(
         f"### {f.id}: {f.title}\n\n"
@@ -30,21 +30,23 @@ def fault_sections(table: tuple[Fault, ...] = TABLE) -> str:
     )
 
 
-def catalogue_markdown(entries: tuple[CatalogueRow, ...] = CATALOGUE) -> str:
+def catalogue_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return the catalogue as Markdown, with the visibility of each row for each protocol."""
-    names = [PROTOCOLS[protocol].title for protocol in GUARDED]
+    names = [PROTOCOL_TRAITS[protocol].title for protocol in GUARDED_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
     return "\n".join([f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_catalogue_row, entries)])
 
 
 def _catalogue_row(entry: CatalogueRow) -> str:
     # The faults of a row are its stages. A row that is not checked in ticks has no faults.
-    judged = ", ".join(f"{f.id} {f.action.name}" for f in TABLE if f.row == entry.id) or entry.where
+    judged = ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == entry.id) or entry.where
     latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks_text(entry)} ticks"
     latest += f", ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""
-    latest = latest if entry.ticks or entry.ms else "before torque" if entry.where != TICK else "1 tick"
+    latest = (
+        latest if entry.ticks or entry.ms else "before torque" if entry.where != CHECKED_BY_FAULT_TABLE else "1 tick"
+    )
     return (
-        f"| {entry.id} | {entry.title} | {judged} | {' | '.join(map(entry.visibility, GUARDED))} | {latest} "
+        f"| {entry.id} | {entry.title} | {judged} | {' | '.join(map(entry.visibility, GUARDED_PROTOCOLS))} | {latest} "
         f"| {entry.tested} |"
     )
 
@@ -61,7 +63,7 @@ def is_late(entry: CatalogueRow) -> bool:
     return 0 < entry.required < _ticks_text(entry)
 
 
-def late_rows(entries: tuple[CatalogueRow, ...] = CATALOGUE) -> str:
+def late_rows(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> str:
     """Return the rows whose reaction is later than the project's fault catalogue allows, with reasons, as Markdown."""
     rows = [
         f"| {e.id} | {e.title} | {e.required} | {_ticks_text(e)} | {e.required * REQUIRED_MS:g} ms "

@@ -5,13 +5,13 @@ Commissioning checks T07.
 
 from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import (
-    ARMING,
-    DETECTED,
-    ITSELF,
-    OPERATOR,
-    REPLACED,
-    TENDON,
-    TICK,
+    CHECKED_BEFORE_ARMING,
+    CHECKED_BY_FAULT_TABLE,
+    DETECTED_FAULT,
+    ENDED_BY_ITSELF,
+    ENDED_BY_OPERATOR,
+    TENDON_INSTANCE,
+    WEAKER_SIGN,
     declare_fault,
     declare_row,
 )
@@ -54,15 +54,15 @@ DERAILED_DEG = 15.0
 DERAILED_READINGS = 3
 """Thresholds for a derailed tendon: difference of joint and spool beyond any stretch [deg], and readings in a row."""
 
-_SLACK = f"{REPLACED}: only with joint encoders, by three readings, else by slack (T02)"
-_ODRIVE = f"{DETECTED}: by comparison with the commanded torque"
+_SLACK_VISIBILITY = f"{WEAKER_SIGN}: only with joint encoders, by three readings, else by slack (T02)"
+_ODRIVE_VISIBILITY = f"{DETECTED_FAULT}: by comparison with the commanded torque"
 
 declare_row("T01", "snap", ticks=10, required=3,
     why="the spool of a torn tendon reaches the limit in three to seven ticks, and must exceed it for two ticks",
 )  # fmt: skip
 T01 = declare_fault(
     "T01", "a tendon snapped", "The tension of a tendon has disappeared, and its spool winds fast",
-    Action.RELAX, OPERATOR, TENDON, debounce=2,
+    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, debounce=2,
     cause="The tendon has torn, or its clamp has opened.",
     remedy="Inspect the tendon and its clamp, replace them, then commission the hand (handctl commission).",
 )  # fmt: skip
@@ -72,14 +72,14 @@ declare_row("T02", "slack", ticks=4, ms=110, required=12,
 T02A = declare_fault(
     "T02a", "a tendon is slack",
     f"The tension is below {SLACK_N:g} N for {SLACK_WARN_S * 1e3:g} ms, although a tension is commanded",
-    Action.WARN, ITSELF, TENDON,
+    Action.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
     cause="The digit moves faster than the motor winds, or the tendon has left its spool.",
     remedy="Ignore single cases in fast motion. If it repeats, inspect the tendon.",
 )  # fmt: skip
 T02B = declare_fault(
     "T02b", "a tendon stays slack",
     f"The tension is below {SLACK_N:g} N for {SLACK_TRIP_S * 1e3:g} ms, although a tension is commanded",
-    Action.RELAX, OPERATOR, TENDON,
+    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The tendon has torn, left its spool, or its load cell reads too little.",
     remedy="Inspect tendon, clamp and load cell, then commission the hand (handctl commission).",
 )  # fmt: skip
@@ -88,35 +88,35 @@ declare_row("T03", "over-tension", ticks=10, required=2,
     why="2 ticks from the first sample above the limit, 10 ticks from the start of a drive's failure")  # fmt: skip
 T03 = declare_fault(
     "T03", "over-tension", "A load-cell reading is above tension_trip_N",
-    Action.RELAX, OPERATOR, TENDON, relax_method=RelaxMethod.FAST_LOOP,
+    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.FAST_LOOP,
     cause="The digit is blocked or pulled from outside, or the tension command is too high.",
     remedy="Free the digit, check the task's tensions, then start a new run.",
 )  # fmt: skip
 T03B = declare_fault(
     "T03b", "tension above the drive's limit", "A load-cell reading is above drive_limit_N",
-    Action.CUT, OPERATOR, TENDON,
+    Action.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The drive makes more torque than its limit allows, or something else pulls the tendon.",
     remedy="Check the torque limit in the drive's own settings before the hand is powered again.",
 )  # fmt: skip
 T03C = declare_fault(
     "T03c", "over-tension remains after relaxing",
     f"{RELAXED_S * 1e3:g} ms after relaxing began, the tension is above tension_trip_N or the load cell is saturated",
-    Action.CUT, OPERATOR, TENDON,
+    Action.CUT, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The drive does not obey, or the digit is pulled from outside.",
     remedy="Remove the motor power, free the digit, and check the drive before the next run.",
 )  # fmt: skip
 
-declare_row("T04", "load cell drifts", odrive=_ODRIVE, ticks=2, ms=500, required=200,
+declare_row("T04", "load cell drifts", odrive=_ODRIVE_VISIBILITY, ticks=2, ms=500, required=200,
     why="sooner than the required 1000 ms, for a drift of 60 N/s from its first newton")  # fmt: skip
 T04A = declare_fault(
     "T04a", "a load cell drifts", f"Torque, inertia and friction do not explain {RESIDUAL_WARN_N:g} N of the tension",
-    Action.WARN, ITSELF, TENDON,
+    Action.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
     cause="The load cell drifts, or the friction or the torque constant differs from the hand file.",
     remedy="Commission the hand again (handctl commission). If it repeats, identify the hand (handctl identify).",
 )  # fmt: skip
 T04B = declare_fault(
     "T04b", "a load cell is wrong", f"Torque, inertia and friction do not explain {RESIDUAL_TRIP_N:g} N of the tension",
-    Action.RELAX, OPERATOR, TENDON, relax_method=RelaxMethod.OPEN_LOOP,
+    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The load cell or its amplifier has failed, or the motor's torque constant is wrong.",
     remedy="Check the load cell with a known weight with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
@@ -127,14 +127,14 @@ declare_row("T05", "load cell stuck", ticks=42, ms=300, required=42,
 T05 = declare_fault(
     "T05", "a load cell is stuck",
     f"{CELL_TICKS} readings of a load cell are equal, although the torque of the motor changes",
-    Action.RELAX, OPERATOR, TENDON,
+    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The load cell's amplifier or the sensor node repeats one value.",
     remedy="Restart the sensor node, and check the amplifier of this load cell.",
 )  # fmt: skip
 T05B = declare_fault(
     "T05b", "load-cell readings are old",
     f"{MIN_REPEATS} to {REPEAT_WINDOW} readings in a row repeat readings from some ticks before",
-    Action.RELAX, OPERATOR, TENDON, relax_method=RelaxMethod.OPEN_LOOP,
+    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, relax_method=RelaxMethod.OPEN_LOOP,
     cause="The sensor node or a gateway sends stored readings under new counters.",
     remedy="Restart the sensor node, and check its firmware for a queue of readings.",
 )  # fmt: skip
@@ -143,29 +143,34 @@ declare_row("T06", "load cell saturated", ticks=4, required=4)
 T06 = declare_fault(
     "T06", "a load cell is saturated",
     f"For {SATURATED_TICKS} ticks, the reading is at the end of the range, or shows a broken wire",
-    Action.RELAX, OPERATOR, TENDON, debounce=SATURATED_TICKS, relax_method=RelaxMethod.FAST_LOOP,
+    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE, debounce=SATURATED_TICKS, relax_method=RelaxMethod.FAST_LOOP,
     cause="A wire is broken, the load cell is unplugged, or the tension is beyond its range.",
     remedy="Check wire and plug of the load cell with handctl bus watch, then commission (handctl commission).",
 )  # fmt: skip
 
-declare_row("T07", "load cells swapped or inverted", ARMING, tested="tests/controller/test_commission.py")
+declare_row(
+    "T07", "load cells swapped or inverted", CHECKED_BEFORE_ARMING, tested="tests/controller/test_commission.py"
+)
 
-declare_row("T08", "derailed or crossed", TICK, _SLACK, _SLACK, _SLACK, ticks=8, ms=400, required=4,
+declare_row("T08", "derailed or crossed", CHECKED_BY_FAULT_TABLE, _SLACK_VISIBILITY, _SLACK_VISIBILITY,
+    _SLACK_VISIBILITY, ticks=8, ms=400, required=4,
     why="three readings are necessary, and joints are read in turn. Below 15 degrees N06 finds the fault in 300 ms",
 )  # fmt: skip
 T08 = declare_fault(
     "T08", "a tendon left its pulley",
     f"In {DERAILED_READINGS} readings, joint and spool differ by more than a tendon can stretch",
-    Action.RELAX, OPERATOR, TENDON,
+    Action.RELAX, ENDED_BY_OPERATOR, TENDON_INSTANCE,
     cause="The tendon has derailed or crossed another one.",
     remedy="Put the tendon back on its pulleys, then commission the hand (handctl commission).",
 )  # fmt: skip
 
-declare_row("T09", "friction grows", odrive=_ODRIVE, ticks=4, ms=15000, tested="tests/safety/test_residuals.py")
+declare_row(
+    "T09", "friction grows", odrive=_ODRIVE_VISIBILITY, ticks=4, ms=15000, tested="tests/safety/test_residuals.py"
+)
 T09 = declare_fault(
     "T09", "friction has grown",
     f"Over 5 s of motion, the mean friction is {FRICTION_WARN_N:g} N above that of the hand file",
-    Action.WARN, ITSELF, TENDON,
+    Action.WARN, ENDED_BY_ITSELF, TENDON_INSTANCE,
     cause="The tendon sheath or the pulleys are worn or dirty.",
     remedy="Clean or replace sheath and pulleys, or identify the hand again (handctl identify).",
 )  # fmt: skip

@@ -48,7 +48,7 @@ MIN_OWN_FRACTION = 1e-6
 """Smallest part of the squared norm of a ramp that the parameters must leave unexplained, as a fraction."""
 
 
-class Ramp(NamedTuple):
+class ResidualRamp(NamedTuple):
     """Ramp with the largest score in the residuals of a fit.
 
     Attributes:
@@ -87,7 +87,9 @@ class Ramp(NamedTuple):
         return abs(self.score) < CLEAR_SCORE and good
 
 
-def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]) -> Ramp | None:
+def steepest_ramp(
+    jacobian: Array, residual: Array, first: int, angle: Array, units: Sequence[Array]
+) -> ResidualRamp | None:
     """Return the ramp with the largest score, or None if the fit has no sweep.
 
     Args:
@@ -125,7 +127,9 @@ def steepest_ramp(jacobian: Array, residual: Array, first: int, angle: Array, un
                 best = max(best, (score, start, score / size**0.5), key=lambda ramp: abs(ramp[0]))
     mean_square = float(np.mean(residual[rows][used] ** 2))
     contact_score = CONTACT_SCORE if len(units) == 1 else MULTI_TENDON_CONTACT_SCORE
-    return Ramp(best[0], best[1], high, best[2], len(angle), 1.0 - float(used.mean()), mean_square, contact_score)
+    return ResidualRamp(
+        best[0], best[1], high, best[2], len(angle), 1.0 - float(used.mean()), mean_square, contact_score
+    )
 
 
 def are_joints_moving(joint_count: int, preload: float, half_width: float, travel: float, full: float) -> bool:

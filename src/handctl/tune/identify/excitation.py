@@ -51,13 +51,13 @@ STRETCH_S = 0.9
 The friction of the motor is larger than the tension, and the gains may be low. On faster ramps, the
 tension would change by only a third of the commanded range.
 """
-STRETCHES = 4
+STRETCH_COUNT = 4
 """Number of stretches up and down."""
 SWEEP_S = (0.8, 0.3, 0.55, 0.8)
 """Durations of the free sweeps [s]."""
 
 
-def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
+def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
     """Return the steps that excite the named digits, one digit after the other.
 
     Raises:
@@ -66,7 +66,7 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
     """
     check_identifiable(hand, digits)
     for name in digits:
-        if not is_sprung(hand, name):
+        if not has_springs(hand, name):
             continue
         if LIFT_FRACTION * (tension := lift_off_tension(hand, name)) < MIN_TENSION_N + MIN_STRETCH_RANGE_N:
             min_preload = (MIN_TENSION_N + MIN_STRETCH_RANGE_N) / LIFT_FRACTION
@@ -77,11 +77,11 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
                 f"springs with a preload of {min_preload:.2f} N or more, or other --digits",
             )
     return tuple(
-        step for name in digits for step in (_digit_steps if is_sprung(hand, name) else antagonist_steps)(hand, name)
+        step for name in digits for step in (_digit_steps if has_springs(hand, name) else antagonist_steps)(hand, name)
     )
 
 
-def is_sprung(hand: Hand, digit: str) -> bool:
+def has_springs(hand: Hand, digit: str) -> bool:
     """Return True if springs open a digit, False if tendons open the digit."""
     return any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
 
@@ -114,7 +114,7 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
     lift = LIFT_FRACTION * lift_off_tension(hand, digit)
     released, soft, hard = (fraction * max_tension for fraction in PRESS_FRACTIONS)
 
-    def step(
+    def excite_step(
         name: str,
         kind: str,
         duration_s: float,
@@ -127,29 +127,29 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
             | {"target": target, "rate": rate, "held": held}
         )
 
-    swing_step = step("swing", "chirp", 2.4, middle)
+    swing_step = excite_step("swing", "chirp", 2.4, middle)
     swing_step = swing_step.model_copy(update={"amplitude": swing, "low_Hz": SWING_LOW_HZ, "high_Hz": SWING_HIGH_HZ})
-    sweeps = [step("sweep", "move", duration, goal) for duration in SWEEP_S for goal in (high, low)]
-    presses = [step("press", "tension", 0.22, goal, 250.0, held=True) for _ in range(3) for goal in (hard, soft)]
+    sweeps = [excite_step("sweep", "move", duration, goal) for duration in SWEEP_S for goal in (high, low)]
+    presses = [excite_step("press", "tension", 0.22, goal, 250.0, held=True) for _ in range(3) for goal in (hard, soft)]
     stretch = [
-        step("stretch", "tension", STRETCH_S, goal, (lift - MIN_TENSION_N) / STRETCH_S)
-        for _ in range(STRETCHES)
+        excite_step("stretch", "tension", STRETCH_S, goal, (lift - MIN_TENSION_N) / STRETCH_S)
+        for _ in range(STRETCH_COUNT)
         for goal in (lift, MIN_TENSION_N)
     ]
     return [
-        step("tare", "limp", 0.5),
-        step("taut", "taut", 0.4, floor, 40.0),
+        excite_step("tare", "limp", 0.5),
+        excite_step("taut", "taut", 0.4, floor, 40.0),
         *stretch,
-        step("approach", "move", 0.4, low),
+        excite_step("approach", "move", 0.4, low),
         *sweeps,
-        step("approach", "move", 0.3, middle),
+        excite_step("approach", "move", 0.3, middle),
         swing_step,
-        step("approach", "move", 0.3, high),
-        step("close", "tension", 0.5, soft, 80.0, held=True),
+        excite_step("approach", "move", 0.3, high),
+        excite_step("close", "tension", 0.5, soft, 80.0, held=True),
         *presses,
-        step("open", "tension", 0.7, released, 60.0, held=True),
-        step("open", "move", 0.5, low),
-        step("rest", "limp", 0.1),
+        excite_step("open", "tension", 0.7, released, 60.0, held=True),
+        excite_step("open", "move", 0.5, low),
+        excite_step("rest", "limp", 0.1),
     ]
 
 

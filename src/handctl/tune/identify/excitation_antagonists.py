@@ -75,7 +75,7 @@ At this rate, the spool turns fast enough that the direction of its friction is 
 """
 SETTLE_S = 0.06
 """Waiting time after a stretch [s]."""
-STRETCHES = 5
+STRETCH_COUNT = 5
 """Number of stretches up and down of each tendon that is not a spool pair."""
 PAIR_STRETCHES = 10
 """Number of stretches up and down of all spool pairs of a digit.
@@ -122,7 +122,7 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     for lower, upper in stretches:
         duration = float(np.abs(upper - lower).max()) / RATE_N_PER_S + SETTLE_S
         stretch_steps.append(step("close", "tension", 0.5, lower, rate=80.0, held=True))
-        for _ in range(PAIR_STRETCHES if pairs else STRETCHES):
+        for _ in range(PAIR_STRETCHES if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
                 stretch_steps.append(step("stretch", "tension", duration, goal, rate=RATE_N_PER_S, held=True))
     return [
@@ -146,7 +146,7 @@ def sweep_range(digit: DigitModel) -> tuple[Array, Array]:
     low = np.maximum(least + margin, math.radians(LOWEST_DEG))
     high = np.minimum(most - margin, math.radians(HIGHEST_DEG))
     near, far = np.radians(SIDEWAYS_DEG)
-    sideways = digit.sideways & (least + margin < near) & (most - margin > far)
+    sideways = digit.sideways_coordinates & (least + margin < near) & (most - margin > far)
     return np.where(sideways, near, low), np.where(sideways, far, high)
 
 

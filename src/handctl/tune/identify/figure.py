@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.identified import UNITS
+from handctl.core.identified import PARAMETER_UNITS
 from handctl.output import save_figure
 from handctl.tune.identify.fit import LOAD_PARAMETERS, PARAMETER_NAMES, stop_stiffness
 from handctl.tune.identify.fit_load import LoadParameters
 from handctl.tune.identify.identify import BAND_HZ, TendonResult
 
-MEASURED = "#3b6fb6"
-MODEL = "#d9822b"
-WARN = "#999999"
+MEASURED_COLOR = "#3b6fb6"
+MODEL_COLOR = "#d9822b"
+WARN_COLOR = "#999999"
 
 
 def draw_identification(path: Path, result: TendonResult, title: str) -> None:
@@ -43,8 +43,8 @@ def draw_identification(path: Path, result: TendonResult, title: str) -> None:
 
 def _draw_time(axis: Any, result: TendonResult) -> None:
     data = result.data
-    axis.plot(data.t, data.command, color=MODEL, lw=0.6, label="motor force")
-    axis.plot(data.t, data.tension, color=MEASURED, lw=0.6, label="load cell")
+    axis.plot(data.t, data.command, color=MODEL_COLOR, lw=0.6, label="motor force")
+    axis.plot(data.t, data.tension, color=MEASURED_COLOR, lw=0.6, label="load cell")
     axis.set(title="signals", xlabel="t [s]", ylabel="force at the tendon [N]")
     axis.legend(loc="upper left")
 
@@ -67,12 +67,12 @@ def _draw_stop(axis: Any, result: TendonResult) -> None:
         1e6 * bins.travel,
         bins.tension - _drift_at(result, bins.t),
         ".",
-        color=MEASURED,
+        color=MEASURED_COLOR,
         label="50 ms means",
     )
     line = slope * (bins.travel[order] - values["stretch_offset"])
     label = f"k = {values['tendon_stiffness'] / 1e3:.1f} kN/m"
-    axis.plot(1e6 * bins.travel[order], line, color=MODEL, label=label)
+    axis.plot(1e6 * bins.travel[order], line, color=MODEL_COLOR, label=label)
     axis.legend()
 
 
@@ -94,10 +94,10 @@ def _draw_free(axis: Any, result: TendonResult) -> None:
         bins.tension - _drift_at(result, bins.t),
         ".",
         ms=4,
-        color=MEASURED,
+        color=MEASURED_COLOR,
         label="10 ms means",
     )
-    axis.plot(1e3 * bins.travel, model, ".", ms=3, color=MODEL, label="model")
+    axis.plot(1e3 * bins.travel, model, ".", ms=3, color=MODEL_COLOR, label="model")
     axis.legend()
 
 
@@ -112,20 +112,20 @@ def _draw_motor(axis: Any, result: TendonResult) -> None:
         drive - friction,
         ".",
         ms=3,
-        color=MEASURED,
+        color=MEASURED_COLOR,
         label="remaining force",
     )
     ends = np.array([windows.acceleration.min(), windows.acceleration.max()])
     label = f"J = {values['motor_inertia']:.3g} kg m2"
-    axis.plot(ends, values["motor_inertia"] / r**2 * ends, color=MODEL, label=label)
+    axis.plot(ends, values["motor_inertia"] / r**2 * ends, color=MODEL_COLOR, label=label)
     axis.set(title="rotor: force less friction", xlabel="tendon acceleration [m/s2]", ylabel="[N]")
     axis.legend()
 
 
 def _draw_coherence(axis: Any, result: TendonResult) -> None:
     f, c = result.spectrum
-    axis.plot(f, c, color=MEASURED)
-    axis.axvspan(*BAND_HZ, color=MODEL, alpha=0.15, label="swing")
+    axis.plot(f, c, color=MEASURED_COLOR)
+    axis.axvspan(*BAND_HZ, color=MODEL_COLOR, alpha=0.15, label="swing")
     axis.set(
         title="coherence of motor force and speed",
         xlabel="f [Hz]",
@@ -137,7 +137,7 @@ def _draw_coherence(axis: Any, result: TendonResult) -> None:
 
 def _draw_parameters(axis: Any, result: TendonResult) -> None:
     """Draw every identified parameter as a ratio to the value of the hand file, with its confidence interval."""
-    names = [name for name in UNITS if name != "delay"]
+    names = [name for name in PARAMETER_UNITS if name != "delay"]
     values = result.fit.values
     widths = result.fit.half_widths
     nominal = result.fit.problem.nominal
@@ -146,7 +146,7 @@ def _draw_parameters(axis: Any, result: TendonResult) -> None:
     for row, name in enumerate(names):
         scale = nominal[PARAMETER_NAMES.index(name)]
         identified = name in result.identifiability.names
-        color = MEASURED if identified else WARN
+        color = MEASURED_COLOR if identified else WARN_COLOR
         if identified:
             low = min(low, (values[name] - widths[name]) / scale)
             high = max(high, (values[name] + widths[name]) / scale)
@@ -160,6 +160,6 @@ def _draw_parameters(axis: Any, result: TendonResult) -> None:
             )
         else:
             axis.text(1.0, row, "not identified", color=color, ha="center", va="center")
-    axis.axvline(1.0, color=WARN, lw=0.8)
+    axis.axvline(1.0, color=WARN_COLOR, lw=0.8)
     axis.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     axis.set(title="over the hand file, 95 %", xlim=(low, high), ylim=(len(names) - 0.5, -0.5))

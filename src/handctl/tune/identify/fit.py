@@ -15,11 +15,11 @@ from scipy.stats import t as student
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
-from handctl.tune.identify.contact_detection import Ramp, steepest_ramp
+from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
 from handctl.tune.identify.data import Array, TendonData
-from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters, bins
+from handctl.tune.identify.fit_load import DigitLoad, LoadParameters, SignalBins, average_in_bins
 from handctl.tune.identify.fit_motor import MotorWindows, motor_windows
-from handctl.tune.identify.solve import Solution, solve_least_squares
+from handctl.tune.identify.solve import FitSolution, solve_least_squares
 
 PARAMETER_NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
@@ -36,7 +36,7 @@ SCALE_DELAY_S = 1e-3
 """Scale of the parameter `delay` [s]."""
 SCALE_OFFSET_M = 1e-4
 """Scale of the parameter `stretch_offset` [m]."""
-PRIOR = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 100.0}
+PRIOR_DEVIATIONS = {"link_mass": 0.3, "stop_softness": 0.5, "stretch_offset": 100.0}
 """Prior standard deviation of the parameters about which there is prior knowledge, divided by their scale.
 
 The masses of the links are well known, because the links were weighed. The stretch offset is
@@ -50,7 +50,7 @@ assumed, with an uncertainty of half the value. In the packaged simulator the co
 stops at the tendon is 3.8e-7 m/N, which is 0.038 of the tendon's compliance.
 """
 DEFAULT_PRIOR_DEVIATION = 3.0
-"""Prior standard deviation of all parameters that are not in `PRIOR`, divided by their scale.
+"""Prior standard deviation of all parameters that are not in `PRIOR_DEVIATIONS`, divided by their scale.
 
 This prior keeps a fit finite if the data do not determine a parameter.
 """
@@ -68,14 +68,14 @@ MIN_SCALE = 0.02
 """Lower bound of scaled parameters that must be positive."""
 MAX_SCALE = 20.0
 """Upper bound of scaled parameters that must be positive."""
-CONFIDENCE = 0.95
+CONFIDENCE_LEVEL = 0.95
 """Confidence level of all intervals."""
 MAX_HALF_WIDTH = 0.5
 """A parameter counts as identified if the half width of its interval is at most this fraction of its value."""
 
 
 @dataclass(frozen=True, slots=True)
-class Problem:
+class TendonFitProblem:
     """Input of the fit of a tendon.
 
     Attributes:
@@ -95,15 +95,15 @@ class Problem:
     nominal: Array
     load: DigitLoad | None
     motor: MotorWindows
-    free: Bins
-    stop: Bins
-    slack: Bins
+    free: SignalBins
+    stop: SignalBins
+    slack: SignalBins
     knots: Array
     sigma: float
     step: float
 
     @staticmethod
-    def of(data: TendonData, hand: Hand) -> "Problem":
+    def of(data: TendonData, hand: Hand) -> "TendonFitProblem":
         """Return the input of the fit for the data of a tendon.
 
         Raises:
@@ -123,14 +123,14 @@ class Problem:
         # For a digit without springs, the joint encoders measure the stretch of the tendon, see
         # `fit_travel`.
         stop = data.stop & sprung
-        return Problem(
+        return TendonFitProblem(
             spool=spool,
             nominal=parameter_scales(hand, data.tendon),
             load=DigitLoad.of(digit) if single and sprung else None,
             motor=windows,
-            free=bins(data, data.free, moving=True),
-            stop=bins(data, stop, moving=False, bin_s=STOP_BIN_S),
-            slack=bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
+            free=average_in_bins(data, data.free, moving=True),
+            stop=average_in_bins(data, stop, moving=False, bin_s=STOP_BIN_S),
+            slack=average_in_bins(data, data.slack, moving=False, bin_s=STOP_BIN_S),
             knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / DRIFT_KNOT_S) + 1)),
             sigma=_cell_noise(data.tension[data.slack | stop], hand.sensor_node.tension_noise_N),
             # The drift is a random walk. Its standard deviation increases with the square root of
@@ -192,7 +192,7 @@ class Problem:
             )
         return rows
 
-    def _expected_tensions(self, p: Array, stiffness: float) -> list[tuple[Bins, Array]]:
+    def _expected_tensions(self, p: Array, stiffness: float) -> list[tuple[SignalBins, Array]]:
         """Return the bins of data with the tensions that the model expects."""
         rows = [
             (
@@ -212,7 +212,7 @@ class Problem:
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
         """Return the residuals of the load cell's drift and of the prior knowledge."""
-        spread = np.array([PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES])
+        spread = np.array([PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES])
         return [np.diff(drift) / self.step, drift[:1] / TARE_SIGMA_N, (z[: len(PARAMETER_NAMES)] - 1.0) / spread]
 
 
@@ -236,7 +236,7 @@ def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class TendonFit:
     """Result of the fit of a tendon.
 
     Attributes:
@@ -249,13 +249,13 @@ class Fit:
         ramp: ramp of tension in the residuals of the free sweeps, None without free sweeps.
     """
 
-    problem: Problem
+    problem: TendonFitProblem
     z: Array
     covariance: Array
     freedom: Array
     sensitivity: Array
     residual: Array
-    ramp: Ramp | None = None
+    ramp: ResidualRamp | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -277,17 +277,17 @@ class Fit:
             independent.
         """
         spread = np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)] * self.problem.nominal
-        wide = student.ppf(0.5 + 0.5 * CONFIDENCE ** (1.0 / count), self.freedom[: len(PARAMETER_NAMES)])
+        wide = student.ppf(0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / count), self.freedom[: len(PARAMETER_NAMES)])
         return dict(zip(PARAMETER_NAMES, (wide * spread).tolist(), strict=True))
 
 
-def fit_tendon(problem: Problem) -> Fit:
+def fit_tendon(problem: TendonFitProblem) -> TendonFit:
     """Fit all parameters of a tendon, and search a contact in the residuals."""
     times = _row_times(problem)
     solution = solve_least_squares(problem.residuals, problem.start(), problem.bounds(), times)
     sensitivity = solution.jacobian[: len(times), : len(PARAMETER_NAMES)]
     ramp = _unexplained_ramp(problem, solution)
-    return Fit(
+    return TendonFit(
         problem,
         solution.z,
         solution.covariance,
@@ -298,7 +298,7 @@ def fit_tendon(problem: Problem) -> Fit:
     )
 
 
-def _unexplained_ramp(problem: Problem, solution: Solution) -> Ramp | None:
+def _unexplained_ramp(problem: TendonFitProblem, solution: FitSolution) -> ResidualRamp | None:
     """Return the ramp of tension with the largest score in the residuals of the free sweeps, None without sweeps."""
     free = problem.free
     load = problem.load
@@ -315,7 +315,7 @@ def _unexplained_ramp(problem: Problem, solution: Solution) -> Ramp | None:
     return steepest_ramp(solution.jacobian, solution.residual, first, np.asarray(angle), (unit,))
 
 
-def _row_times(problem: Problem) -> Array:
+def _row_times(problem: TendonFitProblem) -> Array:
     """Return the time of every row of measured data, in the order of the residuals."""
     parts = [problem.motor.t, problem.stop.t, problem.slack.t]
     if problem.load is not None and len(problem.free.t):
@@ -334,7 +334,9 @@ def _cell_noise(quiet: Array, stated: float) -> float:
     return stated if len(quiet) < 200 else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated, 1e-3)
 
 
-def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ...], source: Sequence[int]) -> Fit:
+def merge_solution(
+    fit: TendonFit, solution: FitSolution, rows: int, names: tuple[str, ...], source: Sequence[int]
+) -> TendonFit:
     """Return a fit in which some parameters are replaced by the results of another, independent fit.
 
     Args:
@@ -364,7 +366,7 @@ def merge_solution(fit: Fit, solution: Solution, rows: int, names: tuple[str, ..
     )
 
 
-def with_model_error(fit: Fit, errors: Mapping[str, float]) -> Fit:
+def with_model_error(fit: TendonFit, errors: Mapping[str, float]) -> TendonFit:
     """Return a fit whose variances include errors of the model.
 
     The scatter of the residuals does not show such errors.

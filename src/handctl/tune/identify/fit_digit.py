@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
-from handctl.tune.identify.contact_detection import Ramp, steepest_ramp
+from handctl.tune.identify.contact_detection import ResidualRamp, steepest_ramp
 from handctl.tune.identify.data import Array, TendonData, average_samples
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
     MAX_SCALE,
     MIN_SCALE,
     PARAMETER_NAMES,
-    PRIOR,
-    Fit,
+    PRIOR_DEVIATIONS,
+    TendonFit,
     merge_solution,
 )
 from handctl.tune.identify.fit_load import MAX_FRICTION_EXPONENT
-from handctl.tune.identify.solve import Solution, solve_least_squares
+from handctl.tune.identify.solve import FitSolution, solve_least_squares
 
 SHARED_PARAMETERS = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
 """Names of the parameters that a digit has once. They are factors that multiply values of the hand file.
@@ -43,14 +43,14 @@ MIN_SPEED_M_S = 2.5e-3
 
 At lower speeds, the direction of friction is not known at every pulley.
 """
-STEP_S = 1e-4
+DIFFERENCE_STEP_S = 1e-4
 """Time step of the numerical derivative of the moment arms along the motion of the joints [s]."""
 MIN_ROWS = 20
 """Smallest number of sample times for a fit."""
 
 
 @dataclass(frozen=True, slots=True)
-class Balance:
+class TorqueBalance:
     """Data of a digit at selected times at which it moves freely and the joint encoders were read.
 
     Attributes:
@@ -77,7 +77,7 @@ class Balance:
     drift_sigma: Array
 
     @staticmethod
-    def of(digit: DigitModel, data: Sequence[TendonData], fits: Sequence[Fit]) -> "Balance | None":
+    def of(digit: DigitModel, data: Sequence[TendonData], fits: Sequence[TendonFit]) -> "TorqueBalance | None":
         """Return the data of a digit for the fit, from data and fits of its tendons.
 
         If too few times are usable, return None.
@@ -108,7 +108,7 @@ class Balance:
         rigid_body_torque = [
             inverse_dynamics(digit, *row) for row in zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
         ]
-        return Balance(
+        return TorqueBalance(
             digit=digit,
             t=first_tendon.t[selected],
             q=q,
@@ -174,11 +174,13 @@ def _joint_rates(digit: DigitModel, q: Array, speed: Array, acceleration: Array)
         return speed @ to_joints, acceleration @ to_joints
     to_rates = np.array([digit.at(row).excursion_to_joints for row in q])
     dq = np.einsum("mjn,mn->mj", to_rates, speed)
-    bend = np.einsum("mnj,mj->mn", digit.arms_at(q + STEP_S * dq) - digit.arms_at(q - STEP_S * dq), dq)
-    return dq, np.einsum("mjn,mn->mj", to_rates, acceleration - bend / (2.0 * STEP_S))
+    bend = np.einsum(
+        "mnj,mj->mn", digit.arms_at(q + DIFFERENCE_STEP_S * dq) - digit.arms_at(q - DIFFERENCE_STEP_S * dq), dq
+    )
+    return dq, np.einsum("mjn,mn->mj", to_rates, acceleration - bend / (2.0 * DIFFERENCE_STEP_S))
 
 
-def fit_digit(balance: Balance) -> Solution:
+def fit_digit(balance: TorqueBalance) -> FitSolution:
     """Fit the shared factors of a digit, the capstan coefficients of its tendons, and the offsets of its load cells.
 
     Factors and coefficients are relative to the hand file.
@@ -189,7 +191,7 @@ def fit_digit(balance: Balance) -> Solution:
     whiten = balance.whiten
     spread = np.array(
         [
-            *(PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in SHARED_PARAMETERS),
+            *(PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in SHARED_PARAMETERS),
             *[DEFAULT_PRIOR_DEVIATION] * tendons,
         ]
     )
@@ -212,7 +214,7 @@ def fit_digit(balance: Balance) -> Solution:
     return solve_least_squares(residuals, start, (low, high), np.repeat(balance.t, arms.shape[1]))
 
 
-def fits_with_digit(fits: Sequence[Fit], solution: Solution, balance: Balance) -> list[Fit]:
+def fits_with_digit(fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance) -> list[TendonFit]:
     """Return the fits of a digit's tendons, completed with the parameters from the fit of the digit.
 
     Each tendon gets its capstan coefficient. The first tendon also gets the shared factors.
@@ -227,7 +229,7 @@ def fits_with_digit(fits: Sequence[Fit], solution: Solution, balance: Balance) -
     return merged
 
 
-def _unexplained_ramp(solution: Solution, balance: Balance) -> Ramp | None:
+def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> ResidualRamp | None:
     """Return the ramp of the torque at a single joint with the largest score in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whiten]
     return steepest_ramp(solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units)
@@ -264,12 +266,12 @@ def _tendon_rates(data: TendonData, reach: int) -> tuple[Array, Array]:
     return speed, acceleration
 
 
-def _cell_drift(data: TendonData, fit: Fit) -> Array:
+def _cell_drift(data: TendonData, fit: TendonFit) -> Array:
     """Return the drift of a tendon's load cell at each sample [N]."""
     return np.asarray(np.interp(data.t, fit.problem.knots, fit.z[len(PARAMETER_NAMES) :]))
 
 
-def _drift_deviation(fit: Fit, t: Array) -> float:
+def _drift_deviation(fit: TendonFit, t: Array) -> float:
     """Return the standard deviation of a load cell's drift during the times `t` [N]."""
     knots = fit.problem.knots
     used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(PARAMETER_NAMES)

@@ -23,7 +23,7 @@ from handctl.hand.dynamics import gravity_torque, mass_matrix
 from handctl.hand.moment_arms import arms_at, excursions_at
 from handctl.tune.identify.data import Array, Mask, TendonData
 
-BIN_S = 0.01
+BIN_DURATION_S = 0.01
 """Duration of a bin of samples [s].
 
 The digit moves little during a bin. A fit with bins has a fifth of the rows.
@@ -37,7 +37,7 @@ TABLE_ANGLES_RAD = np.radians(np.linspace(0.0, 110.0, 23))
 """Joint angles of the table of inertia and weight. All joints have the same angle [rad]."""
 NEWTON_STEPS = 14
 """Number of Newton steps with which the tension is calculated."""
-STEP_RAD = 1e-4
+DIFFERENCE_STEP_RAD = 1e-4
 """Step of the numerical derivative of a moment arm [rad]."""
 MIN_STIFFNESS_FRACTION = 0.2
 """Smallest effective stiffness of a joint, as a fraction of its spring's stiffness.
@@ -74,7 +74,7 @@ class LoadParameters(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Bins:
+class SignalBins:
     """Averages of the signals of a tendon over short times (bins), (m,) each.
 
     Attributes:
@@ -94,7 +94,7 @@ class Bins:
     count: int
 
 
-def bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_S) -> Bins:
+def average_in_bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_DURATION_S) -> SignalBins:
     """Return averages of the samples that a mask selects, over bins of equal duration.
 
     A bin is used if the mask is True for all its samples, and if all its samples were read. If
@@ -102,7 +102,7 @@ def bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_S) -> Bi
     """
     count = max(1, round(bin_s / data.period))
     n = len(data.t) // count
-    reach = max(2, round(BIN_S / data.period))
+    reach = max(2, round(BIN_DURATION_S / data.period))
     speed, acceleration = _central_rates(data.travel, data.period, reach)
 
     def table(values: Array) -> Array:
@@ -118,7 +118,7 @@ def bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_S) -> Bi
     def mean(values: Array) -> Array:
         return np.asarray(table(values).mean(axis=1)[complete])
 
-    return Bins(mean(data.t), mean(data.travel), mean(data.tension), mean(speed), mean(acceleration), count)
+    return SignalBins(mean(data.t), mean(data.travel), mean(data.tension), mean(speed), mean(acceleration), count)
 
 
 def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
@@ -191,10 +191,10 @@ class DigitLoad:
         limits = self.varying.joint_limits[:, i : i + 1]
         angle = q[:, None]
         here = arms_at(polynomial, limits, angle)[:, 0, 0]
-        ahead = arms_at(polynomial, limits, angle + STEP_RAD)[:, 0, 0]
-        return here, (ahead - here) / STEP_RAD, excursions_at(polynomial, limits, angle)[:, 0, 0]
+        ahead = arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
+        return here, (ahead - here) / DIFFERENCE_STEP_RAD, excursions_at(polynomial, limits, angle)[:, 0, 0]
 
-    def tension(self, p: LoadParameters, means: Bins) -> Array:
+    def tension(self, p: LoadParameters, means: SignalBins) -> Array:
         """Return the load-cell tension (m,) expected for a freely moving digit [N]."""
         total = self.arms.sum()
         mean = np.clip(self.mean_angle(means.travel - p.offset), 0.0, TABLE_ANGLES_RAD[-1])

@@ -33,15 +33,15 @@ from handctl.tune.identify.fit import (
     MIN_SCALE,
     PARAMETER_NAMES,
     SCALE_OFFSET_M,
-    Fit,
-    Problem,
+    TendonFit,
+    TendonFitProblem,
     parameter_scales,
     with_model_error,
 )
-from handctl.tune.identify.fit_load import Bins
+from handctl.tune.identify.fit_load import SignalBins
 from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
 from handctl.tune.identify.fit_travel import SKEW_S, excursions
-from handctl.tune.identify.solve import MIN_FREEDOM, OUTLIER_RESIDUAL, Solution, solve_least_squares
+from handctl.tune.identify.solve import MIN_FREEDOM, OUTLIER_RESIDUAL, FitSolution, solve_least_squares
 
 PAIR_PARAMETERS = (
     "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "tendon_stiffness", "capstan", "moment_arm",
@@ -76,7 +76,7 @@ LOAD_INERTIA_SIGMA = 0.05
 Rotor and links accelerate together. Therefore only the model of the links can separate the two
 inertias.
 """
-FIRST_NOISE_N = 0.3
+INITIAL_NOISE_N = 0.3
 """Assumed standard deviation of the motor equation's residuals in the first fit [N].
 
 The second fit uses the standard deviation that the residuals of the first fit show.
@@ -323,7 +323,7 @@ class PairProblem:
         return replace(self, motor_noise=max(size, MIN_NOISE_N))
 
 
-def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData]) -> Fit:
+def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData]) -> TendonFit:
     """Fit the parameters of a spool pair.
 
     Args:
@@ -341,7 +341,7 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
     reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
     motor = hand.motor_of(own.tendon)
     scales = parameter_scales(hand, own.tendon)
-    problem = PairProblem(windows, motor.spool_radius_m, scales, FIRST_NOISE_N, reading, _start(windows))
+    problem = PairProblem(windows, motor.spool_radius_m, scales, INITIAL_NOISE_N, reading, _start_parameters(windows))
     times = np.tile(windows.motor.t, 2)
     tried = [
         solve_least_squares(problem.residuals, start, problem.bounds(), times)
@@ -353,7 +353,7 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
     return with_model_error(_as_fit(hand, problem, solution), PAIR_MODEL_ERROR)
 
 
-def _start(windows: PairWindows) -> Array:
+def _start_parameters(windows: PairWindows) -> Array:
     """Return the scaled parameters at which the fit starts: those of the hand file and a first stretch offset."""
     first = np.ones(len(PAIR_PARAMETERS) + 2)
     known = np.isfinite(windows.excursion)
@@ -383,7 +383,7 @@ def _robust_cost(residual: Array) -> float:
     return float((np.sqrt(1.0 + (residual / OUTLIER_RESIDUAL) ** 2) - 1.0).sum())
 
 
-def _as_fit(hand: Hand, problem: PairProblem, solution: Solution) -> Fit:
+def _as_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> TendonFit:
     """Return the result for a spool pair in the form of the fit of a single tendon."""
     windows = problem.windows
     count = len(PARAMETER_NAMES)
@@ -399,19 +399,19 @@ def _as_fit(hand: Hand, problem: PairProblem, solution: Solution) -> Fit:
     sensitivity[:, target] = solution.jacobian[: len(sensitivity), :own]
     measured = problem.measured_tension(solution.z)
     none = np.zeros(0)
-    nothing = Bins(none, none, none, none, none, 1)
+    nothing = SignalBins(none, none, none, none, none, 1)
     seen = np.isfinite(windows.excursion) & ~windows.free
     t = windows.motor.t[seen]
     rest = np.zeros(len(t))
     stretch = problem.stretch(solution.z)[seen]
-    return Fit(
-        problem=Problem(
+    return TendonFit(
+        problem=TendonFitProblem(
             spool=problem.spool,
             nominal=problem.nominal,
             load=None,
             motor=replace(windows.motor, tension=np.where(windows.free, problem.free_tension(solution.z), measured)),
             free=nothing,
-            stop=Bins(t, stretch, measured[seen], rest, rest, 1),
+            stop=SignalBins(t, stretch, measured[seen], rest, rest, 1),
             slack=nothing,
             knots=windows.motor.t[[0, -1]],
             sigma=problem.motor_noise,

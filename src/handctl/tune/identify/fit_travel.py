@@ -20,7 +20,7 @@ from handctl.tune.identify.fit import (
     MIN_SCALE,
     PARAMETER_NAMES,
     SCALE_OFFSET_M,
-    Fit,
+    TendonFit,
     merge_solution,
     with_model_error,
 )
@@ -69,7 +69,7 @@ def with_arms(digit: DigitModel, factors: Array) -> DigitModel:
     )
 
 
-def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: Fit, joint_noise: float) -> Fit:
+def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: TendonFit, joint_noise: float) -> TendonFit:
     """Return the fit of a tendon, with stiffness and moment arm fitted to its travel.
 
     If there are too few joint readings, the fit is returned without changes.

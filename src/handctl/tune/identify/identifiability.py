@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import coherence
 
-from handctl.core.identified import UNITS
+from handctl.core.identified import PARAMETER_UNITS
 from handctl.hand.description import Hand
 from handctl.tune.identify.data import Array, TendonData
-from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DELAY_S, Fit
+from handctl.tune.identify.fit import MAX_HALF_WIDTH, PARAMETER_NAMES, SCALE_DELAY_S, TendonFit
 
 MAX_CORRELATION = 0.95
 """Absolute correlation of two estimated parameters above which they are reported as trading off."""
@@ -47,7 +47,7 @@ class Identifiability:
     correlated: tuple[tuple[str, str, float], ...]
 
 
-def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiability:
+def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) -> Identifiability:
     """Return the identifiability of the parameters of a tendon, given their fit.
 
     Args:
@@ -65,10 +65,10 @@ def identifiability(fit: Fit, hand: Hand, digit: str, tendon: str) -> Identifiab
     values = fit.values
     names = tuple(
         name
-        for name in UNITS
+        for name in PARAMETER_UNITS
         if name not in unseen and _is_narrow(name, values[name], widths[name]) and _is_excited(jacobian, name)
     )
-    reasons = {name: _reason_not_identified(jacobian, name) for name in UNITS if name not in names} | unseen
+    reasons = {name: _reason_not_identified(jacobian, name) for name in PARAMETER_UNITS if name not in names} | unseen
     spread = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(spread, spread)
     pairs = [
@@ -136,12 +136,12 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
         unseen |= dict.fromkeys(("spring_stiffness", "spring_preload"), "the hand file has no springs")
     if sprung:
         unseen["moment_arm"] = "it trades off with springs and stretch, so the moment arms of the hand file are used"
-    elif not hand.covered[index]:
+    elif not hand.tendons_with_encoders[index]:
         unseen["moment_arm"] = "a joint of this tendon has no encoder"
     return unseen
 
 
-def _never_identifiable(fit: Fit, hand: Hand, name: str) -> list[str]:
+def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
     """Return the parameters that no such excitation can identify, however long it lasts, each with the reason."""
     problem = fit.problem
     tendon = hand.tendon[hand.tendon_names.index(name)]
@@ -156,7 +156,7 @@ def _never_identifiable(fit: Fit, hand: Hand, name: str) -> list[str]:
         "The load cell is taken as the measure of force",
         "link masses: taken from the hand file, within 30 %",
     ]
-    if hand.covered[hand.tendon_names.index(name)]:
+    if hand.tendons_with_encoders[hand.tendon_names.index(name)]:
         reasons.append("ratios of the moment arms of a tendon: one factor is fitted for all joints")
     if float(tension.max(initial=0.0)) < tendon.knee_N:
         reasons.append(

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.identified import DIGIT_KEYS, UNITS, Identified
+from handctl.core.identified import DIGIT_KEYS, PARAMETER_UNITS, IdentifiedParameters
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -16,14 +16,14 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each
 from handctl.tune.identify.contact_detection import are_joints_moving
 from handctl.tune.identify.data import Array, TendonData, tendon_data
-from handctl.tune.identify.fit import PARAMETER_NAMES, Fit, Problem, fit_tendon
-from handctl.tune.identify.fit_digit import Balance, fit_digit, fits_with_digit
+from handctl.tune.identify.fit import PARAMETER_NAMES, TendonFit, TendonFitProblem, fit_tendon
+from handctl.tune.identify.fit_digit import TorqueBalance, fit_digit, fits_with_digit
 from handctl.tune.identify.fit_pair import fit_pair
 from handctl.tune.identify.fit_travel import fit_travel, with_arms
 from handctl.tune.identify.identifiability import (
     Identifiability,
+    assess_identifiability,
     excitation_coherence,
-    identifiability,
 )
 
 BAND_HZ = (0.7, 6.0)
@@ -57,11 +57,11 @@ class TendonResult:
     """
 
     data: TendonData
-    fit: Fit
+    fit: TendonFit
     identifiability: Identifiability
     coherence: float
     spectrum: tuple[Array, Array]
-    balance: Balance | None = None
+    balance: TorqueBalance | None = None
     blocked: str = ""
     contact: str = ""
 
@@ -72,7 +72,7 @@ class TendonResult:
             return ()
         return tuple(name for name in self.identifiability.names if not (self.contact and name in SWEEP_PARAMETERS))
 
-    def identified(self, log: Path, made: str) -> Identified | None:
+    def identified(self, log: Path, made_at: str) -> IdentifiedParameters | None:
         """Return the tendon's entry for the calibration file, or None if no parameter is identified and valid."""
         names = self.names
         if not names:
@@ -83,14 +83,14 @@ class TendonResult:
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
         values = self.fit.values
         widths = self.fit.half_widths
-        return Identified(
+        return IdentifiedParameters(
             names=names,
             values=tuple(values[name] for name in names),
             half_widths=tuple(widths[name] for name in names),
             covariance=tuple(tuple(row) for row in covariance.tolist()),
             missing=self.identifiability.missing,
             log=(str(log),),
-            made=made,
+            made=made_at,
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -104,11 +104,11 @@ class TendonResult:
                 "value": values[name],
                 "half_width_95": widths[name],
                 "half_width_95_all_at_once": together[name],
-                "unit": UNITS[name],
+                "unit": PARAMETER_UNITS[name],
                 "hand_file": 0.0 if name == "delay" else float(nominal[PARAMETER_NAMES.index(name)]),
                 "identified": name in self.names,
             }
-            for name in UNITS
+            for name in PARAMETER_UNITS
         }
         return {
             "digit": self.data.digit,
@@ -166,7 +166,7 @@ def identify_tendons(
     return {name: _with_contacts(hand, fit, events.get(fit.data.digit, "")) for name, fit in results.items()}
 
 
-def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Fit:
+def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> TendonFit:
     """Return the fit of a single tendon or spool pair.
 
     The fit of a spool pair needs the data of all pairs of its digit.
@@ -178,7 +178,7 @@ def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> Fi
     place = digit.tendon_names.index(data.tendon)
     if hand.is_pair[digit.tendons].any():
         return fit_pair(hand, digit, place, digit_data)
-    fit = fit_tendon(Problem.of(data, hand))
+    fit = fit_tendon(TendonFitProblem.of(data, hand))
     if any(digit.spring_stiffness):
         return fit
     return fit_travel(digit, place, data, fit, hand.sensor_node.joint_noise_rad)
@@ -259,7 +259,9 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
     return texts
 
 
-def _of_digit(hand: Hand, name: str, fitted: list[tuple[TendonData, Fit]]) -> tuple[Balance | None, list[Fit]]:
+def _of_digit(
+    hand: Hand, name: str, fitted: list[tuple[TendonData, TendonFit]]
+) -> tuple[TorqueBalance | None, list[TendonFit]]:
     """Return the fits of a digit's tendons.
 
     If the digit has several tendons, springs and friction are taken from the fit of the whole
@@ -271,16 +273,16 @@ def _of_digit(hand: Hand, name: str, fitted: list[tuple[TendonData, Fit]]) -> tu
         return None, fits
     if not any(digit.spring_stiffness):
         digit = with_arms(digit, np.array([fit.values["moment_arm"] for fit in fits]))
-    balance = Balance.of(digit, [data for data, _ in fitted], fits)
+    balance = TorqueBalance.of(digit, [data for data, _ in fitted], fits)
     return balance, fits if balance is None else fits_with_digit(fits, fit_digit(balance), balance)
 
 
-def _tendon_result(hand: Hand, data: TendonData, fit: Fit, balance: Balance | None) -> TendonResult:
+def _tendon_result(hand: Hand, data: TendonData, fit: TendonFit, balance: TorqueBalance | None) -> TendonResult:
     """Return the result for a tendon, without information about contacts."""
     spectrum = excitation_coherence(data)
     inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
     mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
-    return TendonResult(data, fit, identifiability(fit, hand, data.digit, data.tendon), mean, spectrum, balance)
+    return TendonResult(data, fit, assess_identifiability(fit, hand, data.digit, data.tendon), mean, spectrum, balance)
 
 
 def utc_now_text() -> str:
@@ -295,7 +297,7 @@ def result_table(results: dict[str, TendonResult]) -> list[str]:
         lines.append(f"{name}: coherence {result.coherence:.2f}, load cell {result.fit.problem.sigma:.2f} N rms")
         values = result.fit.values
         widths = result.fit.half_widths
-        for key, unit in UNITS.items():
+        for key, unit in PARAMETER_UNITS.items():
             nominal = result.fit.problem.nominal[PARAMETER_NAMES.index(key)]
             size, shown = (1e3, "ms") if key == "delay" else (1.0, unit)
             value = size * values[key]

@@ -39,7 +39,7 @@ block would contain all rows.
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
+class FitSolution:
     """Solution of a fit: scaled parameters with their uncertainty.
 
     Attributes:
@@ -59,7 +59,7 @@ class Solution:
 
 def solve_least_squares(
     residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array], times: Array
-) -> Solution:
+) -> FitSolution:
     """Solve a least-squares problem in two rounds: a robust round finds outliers, and the second round leaves them out.
 
     Args:
@@ -75,13 +75,13 @@ def solve_least_squares(
     weight = np.ones_like(first.fun)
     weight[: len(times)] = np.abs(first.fun[: len(times)]) < 2.0 * OUTLIER_RESIDUAL
 
-    def weighted(z: Array) -> Array:
+    def weighted_residuals(z: Array) -> Array:
         return residuals(z) * weight
 
-    result = run(weighted, first.x)
+    result = run(weighted_residuals, first.x)
     jacobian = np.asarray(result.jac)
-    covariance, freedom = _covariance(jacobian, result.fun, times)
-    return Solution(result.x, covariance, jacobian, result.fun, freedom)
+    covariance, freedom = _parameter_covariance(jacobian, result.fun, times)
+    return FitSolution(result.x, covariance, jacobian, result.fun, freedom)
 
 
 def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
@@ -95,7 +95,7 @@ def _block_rows(times: Array) -> Iterator[NDArray[np.intp]]:
         yield from np.array_split(rows, -(-len(rows) // MAX_BLOCK_ROWS))
 
 
-def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, Array]:
+def _parameter_covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, Array]:
     """Return the covariance of the parameters, and the degrees of freedom of each variance.
 
     Both follow from the variation between blocks of time, and from the priors.

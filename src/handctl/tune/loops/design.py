@@ -31,15 +31,15 @@ from handctl.core.model import HandModel
 from handctl.document import validate_content
 from handctl.errors import ConfigError
 from handctl.tune.loops.linear import (
+    LinearSystem,
     LoopKind,
     PlantFactors,
-    System,
     controller_system,
     join_to_open_loop,
     plant_system,
 )
 from handctl.tune.loops.margins import (
-    Margins,
+    LoopMargins,
     all_margins,
     confirmed_margins,
     margins_of_loop,
@@ -53,7 +53,7 @@ MAX_FORCE_N = 400.0
 """Largest authority of the search [N]."""
 LOG_FORCE_STEP = math.log(1.7)
 """Step of the search for the largest authority, in the natural logarithm of the force."""
-BISECTIONS = 5
+BISECTION_STEPS = 5
 """Number of bisections of the last step of the search, for an accuracy of two per cent."""
 LOG_REDUCTION_STEP = math.log(1.03)
 """Step by which a force is reduced after the search, in the natural logarithm of the force.
@@ -79,7 +79,7 @@ With the filters of some hands, loops with a large fraction have no margin.
 
 
 @dataclass(frozen=True, slots=True)
-class Design:
+class GainDesign:
     """Result of the design of gains.
 
     Attributes:
@@ -93,12 +93,12 @@ class Design:
     """
 
     gains: Gains
-    before: dict[tuple[str, LoopKind], Margins]
-    after: dict[tuple[str, LoopKind], Margins]
-    worst_before: Margins
-    worst_after: Margins
+    before: dict[tuple[str, LoopKind], LoopMargins]
+    after: dict[tuple[str, LoopKind], LoopMargins]
+    worst_before: LoopMargins
+    worst_after: LoopMargins
 
-    def with_unproven_before(self) -> "Design":
+    def with_unproven_before(self) -> "GainDesign":
         """Return the design with zero margins for the old gains.
 
         This is for old gains with which the hand did not come to rest in simulation.
@@ -245,7 +245,9 @@ def model_with_gains(model: HandModel, gains: Gains) -> HandModel:
     return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
 
 
-def worst_margins(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> Margins:
+def worst_margins(
+    model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind
+) -> LoopMargins:
     """Return the smallest value of each margin over all plants, loops, and tendons that differ.
 
     Eigenvalues of the closed loops confirm the margins.
@@ -277,9 +279,9 @@ def _each_margin(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
     kinds: Iterable[LoopKind],
-    judge: Callable[[System], Margins] = margins_of_loop,
+    judge: Callable[[LinearSystem], LoopMargins] = margins_of_loop,
     tendons: Iterable[int] | None = None,
-) -> Iterator[Margins]:
+) -> Iterator[LoopMargins]:
     """Yield the margins of each loop, tendon, and plant.
 
     Without `tendons`, one of each group of equal tendons is used.
@@ -312,7 +314,7 @@ def design_gains(
     model: HandModel,
     plants: tuple[PlantFactors, ...],
     passes_test: Callable[[HandModel], bool] = lambda _: True,
-) -> Design:
+) -> GainDesign:
     """Design gains with the largest disturbance rejection and the largest authority that keep the margins.
 
     Args:
@@ -337,7 +339,7 @@ def design_gains(
         for tried in _with_decreasing_authority(candidate, plants):
             after = worst_margins(tried, plants)
             if after.are_sufficient and passes_test(tried):
-                return Design(
+                return GainDesign(
                     tried.gains,
                     all_margins(model),
                     all_margins(tried),
@@ -407,13 +409,13 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
     larger forces are not tried.
     """
 
-    def keeps(log_force: float) -> bool:
+    def keeps_margins(log_force: float) -> bool:
         return keeps_required_margins(_with_force(model, kind, _rounded_force(log_force)), plants, (kind,), (tendon,))
 
     best = None
     at = math.log(MIN_FORCE_N)
     while at < math.log(MAX_FORCE_N):
-        if keeps(at):
+        if keeps_margins(at):
             best = at
         elif best is not None:
             break
@@ -421,9 +423,9 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
     if best is None:
         return None
     high = min(at, math.log(MAX_FORCE_N))
-    for _ in range(BISECTIONS):
+    for _ in range(BISECTION_STEPS):
         middle = (best + high) / 2.0
-        if keeps(middle):
+        if keeps_margins(middle):
             best = middle
         else:
             high = middle
@@ -473,7 +475,7 @@ def design_with_poles(
     motion_hz: float,
     tension_hz: float,
     damping: float,
-) -> Design:
+) -> GainDesign:
     """Return the design whose loops have their poles at given frequencies, and its margins.
 
     Raises:
@@ -483,4 +485,4 @@ def design_with_poles(
     moved = model_with_gains(moved, gains_with_poles(moved, LoopKind.TENSION, tension_hz, damping))
     before = worst_margins(model, plants)
     after = worst_margins(moved, plants)
-    return Design(moved.gains, all_margins(model), all_margins(moved), before, after)
+    return GainDesign(moved.gains, all_margins(model), all_margins(moved), before, after)

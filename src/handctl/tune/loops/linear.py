@@ -27,15 +27,15 @@ from scipy.optimize import linprog
 from handctl.controller.state import layout_of_state
 from handctl.core import block as s
 from handctl.core import stages
-from handctl.core.estimation.filter_stack import Regime
+from handctl.core.estimation.filter_stack import TendonRegime
 from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.goals import sample_trajectories, write_goals
 from handctl.core.law.loads import write_tension_goals
-from handctl.core.law.trajectory import Sample
+from handctl.core.law.trajectory import SampledTrajectory
 from handctl.core.model import HandModel
-from handctl.core.schema import Block, Layout
+from handctl.core.schema import BlockArray, BlockLayout
 from handctl.core.types import Mode
 from handctl.hand.digit import DigitModel
 
@@ -57,7 +57,7 @@ OPERATING_ANGLE_RAD = 0.6
 """Joint angle of the operating point, between the stops [rad]."""
 DIFFERENCE_STEPS = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
 """Steps of the finite differences: travel [m], tension [N], and states as a fraction of their typical size."""
-UNLIMITED = 1e12
+UNREACHABLE_LIMIT = 1e12
 """Limit of motor torque [N m] and force [N] that is too large to be reached with any gains."""
 MOVING_TENSION_N = 1e4
 """Expected tension of a moving digit, chosen far outside of its friction band [N].
@@ -80,7 +80,7 @@ class LoopKind(enum.StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class System:
+class LinearSystem:
     """Discrete linear system x' = A x + B u, y = C x + D u, over one control period.
 
     Attributes:
@@ -121,7 +121,9 @@ NOMINAL_FACTORS = PlantFactors()
 """Factors of a plant that equals the hand file."""
 
 
-def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS) -> System:
+def plant_system(
+    model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS
+) -> LinearSystem:
     """Return the sampled linear system of rotor, tendon, and digit.
 
     The input is the commanded motor force [N]. The outputs are travel [m], tension [N], and
@@ -176,10 +178,10 @@ def plant_system(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFa
     C[1] = tendon_force
     if kind == LoopKind.MOTION:
         C[2, 2] = 1.0
-    return System(discrete[:n, :n], discrete[:n, n:], C, np.zeros((3, 1)), model.period)
+    return LinearSystem(discrete[:n, :n], discrete[:n, n:], C, np.zeros((3, 1)), model.period)
 
 
-def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> System:
+def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> LinearSystem:
     """Return the linear system of filter and control law of a tendon.
 
     The inputs are the measurements of the previous tick. The output is the commanded motor force
@@ -201,15 +203,15 @@ def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> System:
     J = np.column_stack(columns)
     E = np.column_stack(entries)
     assert len(centre) == n + 1
-    return System(J[:n], E[:n], J[n:], E[n:], model.period)
+    return LinearSystem(J[:n], E[:n], J[n:], E[n:], model.period)
 
 
-def open_loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS) -> System:
+def open_loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS) -> LinearSystem:
     """Return the open loop of a tendon, see `join_to_open_loop`."""
     return join_to_open_loop(plant_system(model, tendon, kind, factors), controller_system(model, tendon, kind))
 
 
-def join_to_open_loop(P: System, K: System) -> System:
+def join_to_open_loop(P: LinearSystem, K: LinearSystem) -> LinearSystem:
     """Return the open loop of a plant P and a controller K, broken at the motor force.
 
     The output is the force that the controller commands, with the opposite sign. Therefore the
@@ -226,10 +228,10 @@ def join_to_open_loop(P: System, K: System) -> System:
     A[p + y :, p + y :] = K.A  # the filter also uses the force that was commanded
     B = np.vstack([P.B, np.zeros((y + n, 1))])
     C = np.hstack([np.zeros((1, p)), K.D, K.C])
-    return System(A, B, -C, np.zeros((1, 1)), P.period)
+    return LinearSystem(A, B, -C, np.zeros((1, 1)), P.period)
 
 
-def _without_constants(K: System) -> System:
+def _without_constants(K: LinearSystem) -> LinearSystem:
     """Return a system without its constant states, such as a setpoint.
 
     Constant states never deviate from the operating point, and their poles at 1 do not affect
@@ -240,10 +242,10 @@ def _without_constants(K: System) -> System:
     varying = np.flatnonzero(
         (np.abs(A).max(axis=1) > CONSTANT_TOLERANCE) | (np.abs(B).max(axis=1) > CONSTANT_TOLERANCE)
     )
-    return System(K.A[np.ix_(varying, varying)], K.B[varying], K.C[:, varying], K.D, K.period)
+    return LinearSystem(K.A[np.ix_(varying, varying)], K.B[varying], K.C[:, varying], K.D, K.period)
 
 
-_Tick = Callable[[Matrix, Matrix], Matrix]
+_TickFunction = Callable[[Matrix, Matrix], Matrix]
 """Function that executes one tick of a tendon: from (state, reading) to the next state, followed by the force."""
 
 
@@ -252,14 +254,14 @@ def _central_difference(function: Callable[[float], Matrix], step: float) -> Mat
     return np.asarray((function(step) - function(-step)) / (2.0 * step))
 
 
-def _tick_with_state(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+def _tick_with_state(tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
     """Return the result of a tick in which state j is changed by a step."""
     moved = state.copy()
     moved[j] += step
     return tick(moved, reading)
 
 
-def _tick_with_reading(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+def _tick_with_reading(tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
     """Return the result of a tick in which reading j is changed by a step."""
     moved = reading.copy()
     moved[j] += step
@@ -284,7 +286,7 @@ The sizes are powers of two. Thus the derivative of a copied state is exactly on
 """
 
 
-class _Bench:
+class _LinearizationBench:
     """Filter and linear control law of a hand, which can be applied to a block of state.
 
     Attributes:
@@ -294,14 +296,14 @@ class _Bench:
 
     def __init__(self, model: HandModel) -> None:
         """Store the model without limits and motor friction."""
-        unlimited = np.full(model.tendon_count, UNLIMITED)
+        unlimited = np.full(model.tendon_count, UNREACHABLE_LIMIT)
         space = replace(model.space, coulomb=np.zeros_like(unlimited))
         self.model = replace(model, torque_limit=unlimited, space=space)
-        self.layout: Layout = layout_of_state(model, 1)
+        self.layout: BlockLayout = layout_of_state(model, 1)
         self._constants = HandConstants(self.model, {})
         self._constant_args = self._constants.block, self._constants.layout.places
 
-    def estimate(self, block: Block) -> None:
+    def estimate(self, block: BlockArray) -> None:
         """Run the correction and prediction of the filter.
 
         No contact is detected, because no torque acts yet.
@@ -311,16 +313,16 @@ class _Bench:
         predict_filter_states(self.model, self.layout, block)
         stages.conclude_estimate(block, self.layout.places, *self._constant_args)
 
-    def act(self, block: Block) -> None:
+    def act(self, block: BlockArray) -> None:
         """Calculate the torque commands from the goals and the estimates."""
         self.layout.view(block, "mode")[...] = Mode.ACTIVE
         write_tension_goals(self.model, self.layout, self._constants, block)
         stages.compute_motor_torques(block, self.layout.places, *self._constant_args, 0.0, 0, 1)
 
 
-def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Tick, Matrix, Matrix, Matrix]:
+def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
     """Return the tick function of a tendon, its state and reading at the operating point, and the state steps."""
-    bench = _Bench(model)
+    bench = _LinearizationBench(model)
     point = _operating_block(bench, tendon, kind)
 
     def tick(values: Matrix, reading: Matrix) -> Matrix:
@@ -341,7 +343,7 @@ def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Ti
     )
 
 
-def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
+def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) -> BlockArray:
     """Return the block of state at the operating point.
 
     Every digit is half closed, and every tendon is taut. In a motion loop the tendon winds, in a
@@ -364,7 +366,7 @@ def _operating_block(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     table[s.MEASURED_TRAVEL] = table[s.TRAVEL]
     seen = np.isfinite(_joint_gain(model))
     table[s.MEASURED_EXCURSION] = np.where(seen, table[s.EXCURSION], math.nan)
-    layout.view(block, "regime")[...] = Regime.FREE if moving else Regime.HELD
+    layout.view(block, "regime")[...] = TendonRegime.FREE if moving else TendonRegime.HELD
     layout.view(block, "stopped")[...] = 0
     layout.view(block, "planned_contact")[...] = not moving
     layout.view(block, "started")[...] = 1
@@ -430,14 +432,14 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
 
 def _joint_gain(model: HandModel) -> Matrix:
     """Return 1 for each tendon whose excursion joint encoders measure, and NaN for all others, (N,)."""
-    seen = [bool(np.any(blocks[Regime.FREE].K[:, 2])) for blocks in model.filter.blocks]
+    seen = [bool(np.any(blocks[TendonRegime.FREE].K[:, 2])) for blocks in model.filter.blocks]
     return np.where(seen, 1.0, math.nan)
 
 
 def _hold_goal(tendons: slice) -> DigitGoal:
     """Return a goal that holds the tension of the operating point."""
     n = tendons.stop - tendons.start
-    return DigitGoal(Kind.TENSION, tension=np.full(n, OPERATING_TENSION_N), rate=0.0, force_limit=UNLIMITED)
+    return DigitGoal(GoalKind.TENSION, tension=np.full(n, OPERATING_TENSION_N), rate=0.0, force_limit=UNREACHABLE_LIMIT)
 
 
 def _move_goal(digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int) -> DigitGoal:
@@ -448,4 +450,4 @@ def _move_goal(digit: DigitModel, position: Matrix, rate: Matrix, reached: Matri
         direction = arms[i] / (arms[i] @ arms[i])
         position = position + direction * (reached[i] - digit.excursion_at(q)[i])
         rate = rate + direction * (speed[i] - arms[i] @ rate)
-    return DigitGoal(Kind.MOTION, Sample(position, rate, np.zeros_like(position)))
+    return DigitGoal(GoalKind.MOTION, SampledTrajectory(position, rate, np.zeros_like(position)))

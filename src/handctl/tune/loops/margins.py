@@ -17,23 +17,23 @@ from numpy.typing import NDArray
 from handctl.core.model import HandModel
 from handctl.tune.loops.linear import (
     NOMINAL_FACTORS,
+    LinearSystem,
     LoopKind,
     Matrix,
     PlantFactors,
-    System,
     open_loop,
     plant_system,
 )
 
-GAIN_MARGIN_DB = 6.0
+MIN_GAIN_MARGIN_DB = 6.0
 """Smallest gain margin allowed for tuned gains on any plant of an ensemble [dB]."""
-PHASE_MARGIN_DEG = 45.0
+MIN_PHASE_MARGIN_DEG = 45.0
 """Smallest phase margin allowed for tuned gains on any plant of an ensemble [deg]."""
-LOWEST_HZ = 0.3
+LOWEST_FREQUENCY_HZ = 0.3
 """Lowest frequency of the calculated frequency responses [Hz]."""
-SEARCH_POINTS = 300
+SEARCH_GRID_POINTS = 300
 """Number of frequencies of a response that is calculated for a search."""
-FINE_POINTS = 3000
+FINE_GRID_POINTS = 3000
 """Number of frequencies of a response that is calculated for reported margins."""
 NO_GAIN = 1e-6
 """Largest gain over all frequencies at which a loop counts as open and has no margins."""
@@ -48,7 +48,7 @@ DISK_DIRECTIONS = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Margins:
+class LoopMargins:
     """Margins of a control loop.
 
     Attributes:
@@ -74,7 +74,7 @@ class Margins:
     @property
     def are_sufficient(self) -> bool:
         """Return True if the margins are large enough for tuned gains."""
-        return self.stable and self.gain_db >= GAIN_MARGIN_DB and self.phase_deg >= PHASE_MARGIN_DEG
+        return self.stable and self.gain_db >= MIN_GAIN_MARGIN_DB and self.phase_deg >= MIN_PHASE_MARGIN_DEG
 
     @property
     def shortfall(self) -> float:
@@ -84,17 +84,17 @@ class Margins:
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
-        return max(1.0 - self.gain_db / GAIN_MARGIN_DB, 1.0 - self.phase_deg / PHASE_MARGIN_DEG)
+        return max(1.0 - self.gain_db / MIN_GAIN_MARGIN_DB, 1.0 - self.phase_deg / MIN_PHASE_MARGIN_DEG)
 
 
-def unproven_margins(linear_margins: Margins) -> Margins:
+def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
     """Return zero margins, in place of margins that a simulation contradicts."""
     return _zero_margins(linear_margins.crossover_hz, linear_margins.peak, stable=False)
 
 
-def smaller_margins(first: Margins, second: Margins) -> Margins:
+def smaller_margins(first: LoopMargins, second: LoopMargins) -> LoopMargins:
     """Return the smaller of two values of each margin, and the larger crossover and peak."""
-    return Margins(
+    return LoopMargins(
         gain_db=min(first.gain_db, second.gain_db),
         phase_deg=min(first.phase_deg, second.phase_deg),
         disk=min(first.disk, second.disk),
@@ -105,12 +105,12 @@ def smaller_margins(first: Margins, second: Margins) -> Margins:
     )
 
 
-def frequency_grid(period: float, points: int = SEARCH_POINTS) -> Matrix:
-    """Return angular frequencies (points,) from `LOWEST_HZ` to just below half of the sampling rate [rad/s]."""
-    return np.geomspace(2.0 * math.pi * LOWEST_HZ, 0.999 * math.pi / period, points)
+def frequency_grid(period: float, points: int = SEARCH_GRID_POINTS) -> Matrix:
+    """Return angular frequencies (points,) from `LOWEST_FREQUENCY_HZ` to almost half of the sampling rate [rad/s]."""
+    return np.geomspace(2.0 * math.pi * LOWEST_FREQUENCY_HZ, 0.999 * math.pi / period, points)
 
 
-def margins_of_loop(system: System, points: int = SEARCH_POINTS) -> Margins:
+def margins_of_loop(system: LinearSystem, points: int = SEARCH_GRID_POINTS) -> LoopMargins:
     """Return the margins of an open loop L, given that the closed loop has the denominator 1 + L.
 
     An unstable loop and a loop without gain have zero margins.
@@ -124,7 +124,7 @@ def margins_of_loop(system: System, points: int = SEARCH_POINTS) -> Margins:
     sensitivity = 1.0 / (1.0 + L)
     factors = _gain_factors(L)
     angles = _phase_angles(L, omega)
-    return Margins(
+    return LoopMargins(
         gain_db=min((20.0 * abs(math.log10(gain)) for gain in factors), default=math.inf),
         phase_deg=min((math.degrees(angle) for angle, _ in angles), default=180.0),
         disk=1.0 / float(np.abs(sensitivity - 0.5).max()),
@@ -135,12 +135,12 @@ def margins_of_loop(system: System, points: int = SEARCH_POINTS) -> Margins:
     )
 
 
-def _zero_margins(crossover_hz: float, peak: float, stable: bool) -> Margins:
+def _zero_margins(crossover_hz: float, peak: float, stable: bool) -> LoopMargins:
     """Return margins that are all zero."""
-    return Margins(0.0, 0.0, 0.0, 0.0, crossover_hz, peak, stable)
+    return LoopMargins(0.0, 0.0, 0.0, 0.0, crossover_hz, peak, stable)
 
 
-def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
+def is_stable(system: LinearSystem, factor: complex = 1.0, delay: int = 0) -> bool:
     """Return True if all eigenvalues of the closed loop are inside the unit circle.
 
     Args:
@@ -160,13 +160,13 @@ def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
     return bool(np.isfinite(A).all() and np.abs(np.linalg.eigvals(A)).max() < 1.0)
 
 
-def confirmed_margins(system: System) -> Margins:
+def confirmed_margins(system: LinearSystem) -> LoopMargins:
     """Return margins that the eigenvalues of the closed loop confirm.
 
     If an eigenvalue leaves the unit circle within a margin, the margin is reduced. The frequency
     response alone would miss a resonance between two of its frequencies.
     """
-    result = margins_of_loop(system, FINE_POINTS)
+    result = margins_of_loop(system, FINE_GRID_POINTS)
     if not result.stable or result.phase_deg == 0.0:
         return result
     ticks = int(min(result.delay_s, MAX_DELAY_S) / system.period)
@@ -190,7 +190,7 @@ def confirmed_margins(system: System) -> Margins:
     )
 
 
-def _stable_with_all(system: System, factors: Sequence[complex] | NDArray[np.complex128]) -> bool:
+def _stable_with_all(system: LinearSystem, factors: Sequence[complex] | NDArray[np.complex128]) -> bool:
     """Return True if the loop is stable with its gain multiplied by each of the factors."""
     return all(is_stable(system, complex(factor)) for factor in factors)
 
@@ -237,7 +237,7 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
     return list(zip(angle.tolist(), (omega[i] * (omega[i + 1] / omega[i]) ** fraction).tolist(), strict=True))
 
 
-def all_margins(model: HandModel, factors: PlantFactors = NOMINAL_FACTORS) -> dict[tuple[str, LoopKind], Margins]:
+def all_margins(model: HandModel, factors: PlantFactors = NOMINAL_FACTORS) -> dict[tuple[str, LoopKind], LoopMargins]:
     """Return the confirmed margins of both loops of every tendon."""
     names = model.hand.tendon_names
     return {
@@ -248,8 +248,8 @@ def all_margins(model: HandModel, factors: PlantFactors = NOMINAL_FACTORS) -> di
 
 
 def worst_loop(
-    margins_by_loop: dict[tuple[str, LoopKind], Margins],
-) -> tuple[tuple[str, LoopKind], Margins]:
+    margins_by_loop: dict[tuple[str, LoopKind], LoopMargins],
+) -> tuple[tuple[str, LoopKind], LoopMargins]:
     """Return the name (tendon and kind) and the margins of the loop with the largest shortfall of a margin."""
     return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
 

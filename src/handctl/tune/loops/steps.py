@@ -14,27 +14,27 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.description import Hand
-from handctl.programs.exercise import HOME_ANGLE_RAD, Exercise, ExerciseStage
+from handctl.programs.exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
 from handctl.report.truth import TruthRecord
 from handctl.tune.loops.design import distinct_tendons, linear_factors, weakest_plant
 from handctl.tune.loops.linear import LoopKind, Matrix, PlantFactors, open_loop
 from handctl.tune.scoring import GroundTruth, simulate_program
-from handctl.tune.search.ensemble import MIN_SPREAD
+from handctl.tune.search.ensemble import MIN_FACTOR_SPREAD
 
-STEP_RAD = 0.15
+ANGLE_STEP_RAD = 0.15
 """Step of the joint angles [rad]."""
 HOLD_TENSION_N = 30.0
 """Tension of the tendons before the tension step [N]."""
-STEP_N = 10.0
+TENSION_STEP_N = 10.0
 """Step of the tensions [N]."""
 OSCILLATION_ANGLE_RAD = 1e-3
 """Angle of an eigenvalue above which the eigenvalue counts as oscillating [rad per tick].
 
 The value is 0.08 Hz at a control rate of 500 Hz.
 """
-REST_S = 0.5
+REST_DURATION_S = 0.5
 """Time for which the goals stay constant after a step [s]."""
-EVALUATED_S = 0.25
+EVALUATED_DURATION_S = 0.25
 """Time at the end of this rest in which oscillations are measured [s]."""
 MAX_ANGLE_SWING_RAD = 0.01
 """Largest oscillation of a mean joint angle at which a digit counts as at rest, peak to peak [rad]."""
@@ -49,7 +49,7 @@ unstable loop, a held tension oscillates by 2.9 N or more, or the run ends with 
 """
 
 
-class Steps(Exercise):
+class StepExercise(ExerciseProgram):
     """Exercise that tightens the tendons, then steps the angles in free motion, then the tensions of closed digits."""
 
     @property
@@ -57,14 +57,14 @@ class Steps(Exercise):
         """Return all stages of the exercise in order."""
         return (
             ExerciseStage("settle", 0.5, HOME_ANGLE_RAD),
-            ExerciseStage("move", 0.1 + REST_S, HOME_ANGLE_RAD + STEP_RAD, rest=REST_S),
+            ExerciseStage("move", 0.1 + REST_DURATION_S, HOME_ANGLE_RAD + ANGLE_STEP_RAD, rest=REST_DURATION_S),
             ExerciseStage("close", 0.8, tension=HOLD_TENSION_N),
-            ExerciseStage("hold", REST_S, tension=HOLD_TENSION_N + STEP_N),
+            ExerciseStage("hold", REST_DURATION_S, tension=HOLD_TENSION_N + TENSION_STEP_N),
         )
 
 
 @dataclass(frozen=True, slots=True)
-class Swing:
+class StepOscillation:
     """Largest oscillation of any digit or tendon after the steps.
 
     Attributes:
@@ -96,7 +96,7 @@ class Swing:
         )
         return small and not self.failure
 
-    def minus(self, plant_swings_N: tuple[float, ...]) -> "Swing":
+    def minus_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
         """Return the oscillation of the held tensions minus the oscillation of the plant itself [N]."""
         remaining = (
             max(0.0, swing - plant_swing) for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
@@ -111,7 +111,7 @@ class Swing:
         return f"swings by {angle:.2f} deg, {self.free_N:.1f} N free and {self.largest_hold_swing:.1f} N held"
 
 
-def simulate_swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Swing:
+def simulate_swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> StepOscillation:
     """Run both steps on a simulated plant, and return the largest oscillations.
 
     Args:
@@ -120,19 +120,19 @@ def simulate_swing(hand: Hand, model: HandModel, factors: Mapping[str, float], s
         factors: factors of the plant relative to the description.
         seed: seed of the simulated noise.
     """
-    ticks, truth, failure = simulate_program(hand, model, Steps(), factors, seed)
+    ticks, truth, failure = simulate_program(hand, model, StepExercise(), factors, seed)
     active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == Mode.ACTIVE]
     ends = {name: max((t for t, phase in active if phase == name), default=None) for name in ("move", "hold")}
     if failure or ends["hold"] is None or ends["move"] is None:
-        return Swing(np.inf, np.inf, (np.inf,) * model.tendon_count, failure or "never active")
+        return StepOscillation(np.inf, np.inf, (np.inf,) * model.tendon_count, failure or "never active")
     angle, free = _measure_swing(hand, truth, model, ends["move"])
     _, hold = _measure_swing(hand, truth, model, ends["hold"])
-    return Swing(float(angle.max()), float(free.max()), tuple(hold.tolist()))
+    return StepOscillation(float(angle.max()), float(free.max()), tuple(hold.tolist()))
 
 
 def _measure_swing(hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int) -> tuple[Matrix, Matrix]:
-    """Return the oscillations of angles and tensions during `EVALUATED_S` before `end_ns`."""
-    times = np.arange(end_ns - round(EVALUATED_S * 1e9), end_ns, round(model.period * 1e9), dtype=np.int64)
+    """Return the oscillations of angles and tensions during `EVALUATED_DURATION_S` before `end_ns`."""
+    times = np.arange(end_ns - round(EVALUATED_DURATION_S * 1e9), end_ns, round(model.period * 1e9), dtype=np.int64)
     real = GroundTruth.of(truth, hand, times)
     return _peak_to_peak(real.angle), _peak_to_peak(real.tension)
 
@@ -149,23 +149,23 @@ def _peak_to_peak(values: Matrix) -> Matrix:
     return np.asarray(np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0))
 
 
-def is_ringing(model: HandModel, factors: PlantFactors) -> bool:
+def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if a linear tension loop still oscillates when the oscillations after a step are measured.
 
     The oscillating eigenvalues are the same at every tension below the knee of the tendon. The
-    measurement begins `REST_S - EVALUATED_S` after the step. By then, the oscillation must be below
+    measurement begins `REST_DURATION_S - EVALUATED_DURATION_S` after the step. By then, the oscillation must be below
     `MAX_HOLD_SWING_N`.
 
     Args:
         model: model with the gains.
         factors: linear factors of the plant.
     """
-    ticks = (REST_S - EVALUATED_S) / model.period
+    ticks = (REST_DURATION_S - EVALUATED_DURATION_S) / model.period
     for i in distinct_tendons(model):
         system = open_loop(model, i, LoopKind.TENSION, factors)
         poles = np.linalg.eigvals(system.A - system.B @ system.C)
         size = float(np.abs(poles[np.abs(np.angle(poles)) > OSCILLATION_ANGLE_RAD]).max(initial=0.0))
-        if not size < 1.0 or STEP_N * size**ticks > MAX_HOLD_SWING_N:
+        if not size < 1.0 or TENSION_STEP_N * size**ticks > MAX_HOLD_SWING_N:
             return True
     return False
 
@@ -185,7 +185,7 @@ CHATTER_SEEDS = 3
 
 The chatter of pressed links varies by a factor of two between seeds of the noise.
 """
-MIN_FRICTION = {"friction": 1.0 - MIN_SPREAD["friction"]}
+MIN_FRICTION = {"friction": 1.0 - MIN_FACTOR_SPREAD["friction"]}
 """Factors of a plant that is nominal except for its friction, which is the lowest of any ensemble."""
 
 
@@ -241,8 +241,12 @@ class RestTest:
             if result.at_rest:
                 continue
             # A simulation without feedback shows how much the plant itself oscillates.
-            ringing = is_ringing(model, linear_factors(factors))
-            if result.failure or ringing or not result.minus(self._plant_swing(model, name, factors, seed)).at_rest:
+            ringing = is_loop_ringing(model, linear_factors(factors))
+            if (
+                result.failure
+                or ringing
+                or not result.minus_plant_swings(self._plant_swing(model, name, factors, seed)).at_rest
+            ):
                 return f": {name} {result}{' of a loop that oscillates' if ringing else ''}"
         return ""
 

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.stats import qmc
 
-from handctl.core.identified import Identified
+from handctl.core.identified import IdentifiedParameters
 
-MIN_SPREAD = {
+MIN_FACTOR_SPREAD = {
     "stiffness": 0.2,
     "friction": 0.5,
     "mass": 0.2,
@@ -24,7 +24,7 @@ The reason is that stiffness and friction of a tendon change during use. The key
 option `perturb` of the simulator.
 """
 
-MAX_SPREAD = 0.9
+MAX_FACTOR_SPREAD = 0.9
 """Largest half width of the range of a factor. No real plant has a factor near zero."""
 
 
@@ -37,13 +37,14 @@ def draw_ensemble(count: int, seed: int, spread: Mapping[str, float] | None = No
         count: number of plants, including the nominal plant.
         seed: seed of the sequence.
         spread: half width of the range of each factor, for example from an identification. Values
-            below those of `MIN_SPREAD` are increased to them.
+            below those of `MIN_FACTOR_SPREAD` are increased to them.
 
     Returns:
         `count` tables, each with the factor of each key.
     """
     half = {
-        key: min(MAX_SPREAD, max(min_spread, (spread or {}).get(key, 0.0))) for key, min_spread in MIN_SPREAD.items()
+        key: min(MAX_FACTOR_SPREAD, max(min_spread, (spread or {}).get(key, 0.0)))
+        for key, min_spread in MIN_FACTOR_SPREAD.items()
     }
     # A Sobol sequence is balanced if its length is a power of two. Therefore the length is rounded
     # up.
@@ -65,7 +66,7 @@ FACTOR_OF_PARAMETER = {
 """Key of the factor in the ensemble for each identified parameter."""
 
 
-def ensemble_widths(identified: Mapping[str, Identified]) -> dict[str, float]:
+def ensemble_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str, float]:
     """Return the half width of the range of each factor that covers all 95 % intervals of an identification.
 
     Args:

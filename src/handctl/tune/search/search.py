@@ -18,9 +18,9 @@ from typing import Any
 from handctl.core.gains.bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
-from handctl.tune.scoring import Score
-from handctl.tune.search.space import SPACE, clamped_gains
-from handctl.tune.search.workers import Workers
+from handctl.tune.scoring import GainScore
+from handctl.tune.search.space import GAIN_RANGES, clamped_gains
+from handctl.tune.search.workers import SearchWorkers
 
 BATCH_SIZE = 8
 """Number of trials in a batch. Further workers would be idle."""
@@ -86,15 +86,15 @@ class SearchPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class SearchTrial:
     """Finished trial of a search."""
 
     number: int
     values: dict[str, float]
-    score: Score
+    score: GainScore
 
     @property
-    def feasible(self) -> bool:
+    def is_feasible(self) -> bool:
         """Return True if the trial finished the exercise and keeps the margins."""
         return not self.score.failure and self.score.shortfall <= 0.0
 
@@ -109,14 +109,14 @@ class SearchResult:
         front: numbers of the Pareto-optimal feasible trials.
     """
 
-    trials: tuple[Trial, ...]
-    best: Trial | None
+    trials: tuple[SearchTrial, ...]
+    best: SearchTrial | None
     front: tuple[int, ...]
 
     @staticmethod
-    def of(trials: tuple[Trial, ...]) -> "SearchResult":
+    def of(trials: tuple[SearchTrial, ...]) -> "SearchResult":
         """Return the result of a search, given its finished trials."""
-        feasible = [trial for trial in trials if trial.feasible]
+        feasible = [trial for trial in trials if trial.is_feasible]
         best = (
             min(feasible, key=lambda trial: (trial.score.cost(_cost_reference(trials)), trial.number))
             if feasible
@@ -127,7 +127,7 @@ class SearchResult:
         ]
         return SearchResult(trials, best, tuple(front))
 
-    def cost(self, trial: Trial) -> float:
+    def cost(self, trial: SearchTrial) -> float:
         """Return the cost of a trial relative to the first trial.
 
         If the first trial failed, the first feasible trial is the reference.
@@ -135,20 +135,22 @@ class SearchResult:
         return trial.score.cost(_cost_reference(self.trials))
 
 
-def _cost_reference(trials: tuple[Trial, ...]) -> Score:
+def _cost_reference(trials: tuple[SearchTrial, ...]) -> GainScore:
     """Return the score to which costs are relative."""
     first = trials[0].score
-    feasible = (trial.score for trial in trials if trial.feasible)
+    feasible = (trial.score for trial in trials if trial.is_feasible)
     return next(feasible, first) if first.failure else first
 
 
-def _dominates(score: Score, other_score: Score) -> bool:
+def _dominates(score: GainScore, other_score: GainScore) -> bool:
     """Return True if a score is better than another in at least one objective, and worse in none."""
     pairs = list(zip(score.objectives, other_score.objectives, strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 
-def run_search(plan: SearchPlan, storage: Path, workers: Workers, show: Callable[[SearchResult], None]) -> SearchResult:
+def run_search(
+    plan: SearchPlan, storage: Path, workers: SearchWorkers, show: Callable[[SearchResult], None]
+) -> SearchResult:
     """Run a search, or resume an interrupted one.
 
     Args:
@@ -243,7 +245,7 @@ def _truncate_partial_line(path: Path) -> None:
         file.truncate(content.rfind(b"\n") + 1)
 
 
-def _run_batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[SearchResult], None]) -> None:
+def _run_batch(study: Any, plan: SearchPlan, workers: SearchWorkers, show: Callable[[SearchResult], None]) -> None:
     """Evaluate the trials of the present batch that have no score, and report their scores in order."""
     finished_count = len(_finished_trials(study))
     trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
@@ -253,7 +255,7 @@ def _run_batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[S
     for i, score in workers.scores(jobs):
         scores[i] = score
         while reported in scores:
-            _report_score(study, trials[reported], Score(**scores[reported]))
+            _report_score(study, trials[reported], GainScore(**scores[reported]))
             reported += 1
             show(SearchResult.of(_finished_trials(study)))
 
@@ -271,14 +273,14 @@ def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]
     still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
     # If the whole batch was requested before, its open trials have the right number and all
     # parameters.
-    if len(still_open) == count and all(len(trial.params) == len(SPACE) for trial in still_open):
+    if len(still_open) == count and all(len(trial.params) == len(GAIN_RANGES) for trial in still_open):
         return [OptunaTrial(study, trial._trial_id) for trial in still_open]
     _close_open_trials(study)
     if finished_count == 0:
         for gains in (plan.gains, *plan.others):
             study.enqueue_trial(clamped_gains(gains))
-    study.sampler = _sampler(plan.seed, finished_count // BATCH_SIZE)
-    return [study.ask(_distributions()) for _ in range(count)]
+    study.sampler = _make_sampler(plan.seed, finished_count // BATCH_SIZE)
+    return [study.ask(_gain_distributions()) for _ in range(count)]
 
 
 def _close_open_trials(study: Any) -> None:
@@ -291,7 +293,7 @@ def _close_open_trials(study: Any) -> None:
         study.tell(trial.number, state=TrialState.FAIL)
 
 
-def _report_score(study: Any, trial: Any, score: Score) -> None:
+def _report_score(study: Any, trial: Any, score: GainScore) -> None:
     """Report the score of a trial to the study."""
     # The attribute is set before the state. Thus every finished trial has a score.
     trial.set_user_attr("score", asdict(score))
@@ -300,7 +302,7 @@ def _report_score(study: Any, trial: Any, score: Score) -> None:
     study.tell(trial, list(score.objectives))
 
 
-def _sampler(seed: int, batch: int) -> Any:
+def _make_sampler(seed: int, batch: int) -> Any:
     """Return the sampler of a batch."""
     from optuna.samplers import RandomSampler, TPESampler
 
@@ -311,18 +313,21 @@ def _sampler(seed: int, batch: int) -> Any:
     return TPESampler(seed=batch_seed, multivariate=True, constant_liar=True)
 
 
-def _distributions() -> dict[str, Any]:
+def _gain_distributions() -> dict[str, Any]:
     """Return the search space as distributions of Optuna."""
     from optuna.distributions import FloatDistribution
 
     return {
-        key: FloatDistribution(gain_range.low, gain_range.high, log=gain_range.log) for key, gain_range in SPACE.items()
+        key: FloatDistribution(gain_range.low, gain_range.high, log=gain_range.log)
+        for key, gain_range in GAIN_RANGES.items()
     }
 
 
-def _finished_trials(study: Any) -> tuple[Trial, ...]:
+def _finished_trials(study: Any) -> tuple[SearchTrial, ...]:
     """Return the finished trials of a study in order."""
     from optuna.trial import TrialState
 
     done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    return tuple(Trial(i, dict(trial.params), Score(**trial.user_attrs["score"])) for i, trial in enumerate(done))
+    return tuple(
+        SearchTrial(i, dict(trial.params), GainScore(**trial.user_attrs["score"])) for i, trial in enumerate(done)
+    )

@@ -17,7 +17,7 @@ class GainRange(NamedTuple):
     log: bool
 
 
-SPACE = {
+GAIN_RANGES = {
     "motion.position_error_m": GainRange(2e-4, 6e-3, True),
     "motion.speed_error_m_s": GainRange(0.02, 0.4, True),
     "motion.disturbance_rejection": GainRange(0.0, 1.0, False),
@@ -37,4 +37,4 @@ The force of Bryson's rule is fixed, because only ratios of weights have an effe
 def clamped_gains(gains: Gains) -> dict[str, float]:
     """Return gains as a point of the search space, clamped to the ranges."""
     values = values_by_key(gains)
-    return {key: min(max(values[key], gain_range.low), gain_range.high) for key, gain_range in SPACE.items()}
+    return {key: min(max(values[key], gain_range.low), gain_range.high) for key, gain_range in GAIN_RANGES.items()}

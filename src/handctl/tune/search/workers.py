@@ -16,20 +16,20 @@ from handctl.errors import ConfigError
 from handctl.extras import require_extra
 from handctl.tune.scoring import evaluate_job
 
-Job = dict[str, Any]
-Result = dict[str, Any]
+ScoreJob = dict[str, Any]
+ScoreResult = dict[str, Any]
 
-ATTEMPTS = 3
+MAX_JOB_ATTEMPTS = 3
 """Number of attempts at a job.
 
 If a worker dies in every attempt, the search ends and reports the job as the cause.
 """
 
 
-class Workers(Protocol):
+class SearchWorkers(Protocol):
     """Interface of the workers that calculate scores."""
 
-    def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
+    def scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield index and score of each job, in the order in which the jobs are finished."""
         ...
 
@@ -41,8 +41,8 @@ class Workers(Protocol):
 class InProcessWorkers:
     """Workers of which all jobs run in this process, one after the other."""
 
-    def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """Yield index and score of each job. See `Workers`."""
+    def scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
+        """Yield index and score of each job. See `SearchWorkers`."""
         for i, job in enumerate(jobs):
             yield i, evaluate_job(job)
 
@@ -81,8 +81,8 @@ class ProcessPool:
             start_new_session=True,
         )
 
-    def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """Yield index and score of each job. See `Workers`.
+    def scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
+        """Yield index and score of each job. See `SearchWorkers`.
 
         Raises:
             ConfigError: A job is invalid, or every worker that tries a job dies.
@@ -103,8 +103,8 @@ class ProcessPool:
                     continue
                 self._replace(slot)
                 attempts[i] += 1
-                if attempts[i] == ATTEMPTS:
-                    raise ConfigError(f"a worker died {ATTEMPTS} times on one trial", "tune search", "--jobs 1")
+                if attempts[i] == MAX_JOB_ATTEMPTS:
+                    raise ConfigError(f"a worker died {MAX_JOB_ATTEMPTS} times on one trial", "tune search", "--jobs 1")
                 # The job of a dead worker is repeated next. Thus the order of the results changes
                 # little.
                 waiting.appendleft(i)
@@ -115,7 +115,7 @@ class ProcessPool:
         ready, _, _ = select.select(list(outputs), [], [])
         return [outputs[output] for output in ready]
 
-    def _send_job(self, slot: int, job: Job) -> None:
+    def _send_job(self, slot: int, job: ScoreJob) -> None:
         """Send a job to a worker. A dead worker is replaced first."""
         if self._processes[slot].poll() is not None:
             self._replace(slot)
@@ -140,7 +140,7 @@ class ProcessPool:
             worker.communicate()
 
 
-class Cluster:
+class DaskCluster:
     """Connection to an existing Dask cluster."""
 
     def __init__(self, address: str) -> None:
@@ -161,10 +161,10 @@ class Cluster:
         except (OSError, ValueError) as error:
             raise ConfigError(f"no cluster answers: {error}", f"--scheduler {address}", "tcp://HOST:PORT") from None
 
-    def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
+    def scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield index and score of each job.
 
-        See `Workers`. Dask repeats the jobs of a lost worker.
+        See `SearchWorkers`. Dask repeats the jobs of a lost worker.
         """
         from distributed import as_completed
 
@@ -183,14 +183,14 @@ def _read_output(worker: "subprocess.Popen[bytes]") -> IO[bytes]:
     return worker.stdout
 
 
-def _check_result(result: Result) -> Result:
+def _check_result(result: ScoreResult) -> ScoreResult:
     if "error" in result:
         raise ConfigError(str(result["error"]), "tune search")
     return result
 
 
-def make_workers(count: int, scheduler: str | None) -> Workers:
+def make_workers(count: int, scheduler: str | None) -> SearchWorkers:
     """Return workers: a number of processes on this machine, or the cluster of a Dask scheduler."""
     if scheduler:
-        return Cluster(scheduler)
+        return DaskCluster(scheduler)
     return InProcessWorkers() if count == 1 else ProcessPool(count)

@@ -8,22 +8,22 @@ from numpy.typing import NDArray
 from rerun import ComponentColumn, TimeColumn
 from rerun.chunk import Chunk
 
-TIMELINE = "run_time"
+RUN_TIME_TIMELINE = "run_time"
 """Name of the timeline with the time since the start of the run, as in `RunLog.times`."""
-LOG_TIME = "message_log_time"
+LOG_TIME_TIMELINE = "message_log_time"
 """Name of the timeline on which Rerun's MCAP reader puts log times."""
-_INDEX = b"index"
+_INDEX_KIND = b"index"
 
-Times = NDArray[np.int64]
-Floats = NDArray[np.float64]
+TimesNs = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
 
 
-def times_since_start(chunk: Chunk, offset_ns: int) -> Times:
+def times_since_start(chunk: Chunk, offset_ns: int) -> TimesNs:
     """Return the time since the start of the run of each row in a chunk (n,) [ns]."""
-    return np.asarray(chunk.to_record_batch().column(LOG_TIME).cast(pa.int64())) - offset_ns
+    return np.asarray(chunk.to_record_batch().column(LOG_TIME_TIMELINE).cast(pa.int64())) - offset_ns
 
 
-def timed_chunk(entity: str, times: Times, columns: Iterable[ComponentColumn]) -> Chunk:
+def timed_chunk(entity: str, times: TimesNs, columns: Iterable[ComponentColumn]) -> Chunk:
     """Create a chunk whose rows have times.
 
     Args:
@@ -31,7 +31,9 @@ def timed_chunk(entity: str, times: Times, columns: Iterable[ComponentColumn]) -
         times: (n,) time of each row since the start of the run [ns].
         columns: components of the entity, with a value for each row.
     """
-    return Chunk.from_columns(entity, [TimeColumn(TIMELINE, duration=times.astype("timedelta64[ns]"))], columns)
+    return Chunk.from_columns(
+        entity, [TimeColumn(RUN_TIME_TIMELINE, duration=times.astype("timedelta64[ns]"))], columns
+    )
 
 
 def static_chunk(entity: str, columns: Iterable[ComponentColumn]) -> Chunk:
@@ -44,21 +46,21 @@ def chunk_on_run_time(chunk: Chunk, offset_ns: int) -> Chunk:
 
     A chunk without times stays unchanged.
     """
-    if LOG_TIME not in chunk.timeline_names:
+    if LOG_TIME_TIMELINE not in chunk.timeline_names:
         return chunk
     batch = chunk.to_record_batch()
     fields = []
     columns = []
     for field, column in zip(batch.schema, batch.columns, strict=True):
-        if field.name == LOG_TIME:
+        if field.name == LOG_TIME_TIMELINE:
             column = pa.array(times_since_start(chunk, offset_ns)).cast(pa.duration("ns"))
             field = pa.field(
-                TIMELINE,
+                RUN_TIME_TIMELINE,
                 column.type,
-                metadata=field.metadata | {b"rerun:index_name": TIMELINE.encode()},
+                metadata=field.metadata | {b"rerun:index_name": RUN_TIME_TIMELINE.encode()},
             )
         # Rerun marks each timeline as an index. All timelines except that of the run are removed.
-        elif (field.metadata or {}).get(b"rerun:kind") == _INDEX:
+        elif (field.metadata or {}).get(b"rerun:kind") == _INDEX_KIND:
             continue
         fields.append(field)
         columns.append(column)
@@ -79,6 +81,6 @@ def decoded_messages(chunk: Chunk) -> pa.StructArray | None:
     return None
 
 
-def column_as_array(column: pa.ListArray) -> Floats:
+def column_as_array(column: pa.ListArray) -> FloatArray:
     """Return a column of n lists of equal length as an array (n, width)."""
     return np.asarray(column.flatten(), np.float64).reshape(len(column), -1)

@@ -4,23 +4,23 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.components import BackgroundKind, Corner2D, LinkAxis, PanelState
 
-from handctl.view.scene.arrow import TIMELINE
+from handctl.view.scene.arrow import RUN_TIME_TIMELINE
 from handctl.view.scene.run_info import RunInfo
 
-LINKED = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
+LINKED_TIME_AXIS = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
 NO_LEGEND = rrb.PlotLegend(visible=False)
 ROW_HEIGHTS = [0.34, 0.44, 0.22]
 """Heights of the rows in the right column of the dashboard, as fractions of the column."""
-HEADROOM = 1.06
+TENSION_AXIS_HEADROOM = 1.06
 """Upper end of the tension plot, as a multiple of the largest tension limit."""
-LAST_SECONDS = rrb.VisibleTimeRange(
-    TIMELINE,
+LIVE_TIME_RANGE = rrb.VisibleTimeRange(
+    RUN_TIME_TIMELINE,
     start=rrb.TimeRangeBoundary.cursor_relative(seconds=-12),
     end=rrb.TimeRangeBoundary.cursor_relative(seconds=0),
 )
 """Time range that the plots show in the live view: the last twelve seconds."""
-Window = list[rrb.VisibleTimeRange] | None
-BACKGROUND = (17, 21, 27)
+PlotTimeRange = list[rrb.VisibleTimeRange] | None
+BACKGROUND_RGB = (17, 21, 27)
 """Background colour of the view of the hand: red, green, blue, 0 to 255."""
 CAMERA_POSITION = (1.5, -0.75, 1.0)
 """Position of the camera relative to the hand, in lengths of the longest digit.
@@ -39,7 +39,7 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
         run: run and hand to show.
         live: True to show only the last seconds, and to move on with the run.
     """
-    window = [LAST_SECONDS] if live else None
+    window = [LIVE_TIME_RANGE] if live else None
     left = rrb.Vertical(_hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26])
     right = rrb.Vertical(
         _force_plots(run, window), _angle_plots(run, window), _state_lanes(window), row_shares=ROW_HEIGHTS
@@ -49,7 +49,7 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
         rrb.TopPanel(state=PanelState.Hidden),
         rrb.BlueprintPanel(state=PanelState.Collapsed),
         rrb.SelectionPanel(state=PanelState.Collapsed),
-        rrb.TimePanel(state=PanelState.Collapsed, timeline=TIMELINE, play_state="following" if live else None),
+        rrb.TimePanel(state=PanelState.Collapsed, timeline=RUN_TIME_TIMELINE, play_state="following" if live else None),
         auto_layout=False,
         auto_views=False,
     )
@@ -64,7 +64,7 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
         name=f"{run.hand.name}, {run.name}: {shown}",
         contents=["+ /hand/**", "+ /force/**", "+ /true/**", "+ /tf/**", "+ /tf_static/**"],
         spatial_information=rrb.SpatialInformation(target_frame="palm"),
-        background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND),
+        background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND_RGB),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             position=middle + run.reach * np.array(CAMERA_POSITION), look_target=middle, eye_up=(0, 0, 1)
@@ -72,33 +72,33 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
     )
 
 
-def _force_plots(run: RunInfo, window: Window) -> rrb.Horizontal:
+def _force_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
     """Return the plots of tendon tensions and fingertip forces."""
     tensions = rrb.TimeSeriesView(
         name="Tendon tension [N], 1-sigma band",
         contents="/tension/**",
-        axis_x=LINKED,
+        axis_x=LINKED_TIME_AXIS,
         time_ranges=window,
-        axis_y=rrb.ScalarAxis(range=(0.0, HEADROOM * run.limits[-1])),
+        axis_y=rrb.ScalarAxis(range=(0.0, TENSION_AXIS_HEADROOM * run.limits[-1])),
         plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
     )
     tips = rrb.TimeSeriesView(
         name="Fingertip force [N]",
         contents="/controller/tip_force",
-        axis_x=LINKED,
+        axis_x=LINKED_TIME_AXIS,
         time_ranges=window,
         plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
     )
     return rrb.Horizontal(tensions, tips, column_shares=[0.6, 0.4])
 
 
-def _angle_plots(run: RunInfo, window: Window) -> rrb.Grid:
+def _angle_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Grid:
     """Return a plot of the joint angles of each digit."""
     views = [
         rrb.TimeSeriesView(
             name=f"{digit.name} joint angles [deg], 1-sigma band, grey: command",
             contents=f"/angle/{digit.name}/**",
-            axis_x=LINKED,
+            axis_x=LINKED_TIME_AXIS,
             time_ranges=window,
             plot_legend=NO_LEGEND,
         )
@@ -107,31 +107,31 @@ def _angle_plots(run: RunInfo, window: Window) -> rrb.Grid:
     return rrb.Grid(*views, grid_columns=2)
 
 
-def _state_lanes(window: Window) -> rrb.StateTimelineView:
+def _state_lanes(window: PlotTimeRange) -> rrb.StateTimelineView:
     """Return the lanes that show grasp phase, mode of the hand and safety action over time."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety",
         contents="/state/**",
-        time_view=LINKED,
+        time_view=LINKED_TIME_AXIS,
         time_ranges=window,
     )
 
 
-def _timing_plots(run: RunInfo, window: Window) -> rrb.Horizontal:
+def _timing_plots(run: RunInfo, window: PlotTimeRange) -> rrb.Horizontal:
     """Return the plots of the lateness of the ticks and of the bus loads."""
     late = "Tick late: never, in virtual time" if run.header.deterministic else "Tick late [us]"
     return rrb.Horizontal(
         rrb.TimeSeriesView(
             name=late,
             contents="/loop/**",
-            axis_x=LINKED,
+            axis_x=LINKED_TIME_AXIS,
             time_ranges=window,
             plot_legend=NO_LEGEND,
         ),
         rrb.TimeSeriesView(
             name="Bus load, 0.1 s [%]",
             contents="/bus/**",
-            axis_x=LINKED,
+            axis_x=LINKED_TIME_AXIS,
             time_ranges=window,
             axis_y=rrb.ScalarAxis(range=(0.0, 105.0)),
         ),
@@ -143,5 +143,5 @@ def _log_view() -> rrb.TextLogView:
     return rrb.TextLogView(
         name="Log",
         contents="/rosout",
-        columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]),
+        columns=rrb.TextLogColumns(timeline_columns=[RUN_TIME_TIMELINE], text_log_columns=["loglevel", "body"]),
     )

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from handctl.drives.frame import EXTENDED, FDF
 from handctl.drives.frame_time import frame_time_s
-from handctl.view.scene.arrow import Floats
+from handctl.view.scene.arrow import FloatArray
 from handctl.view.scene.run_info import RunInfo
 
 MAX_PAYLOAD = 64
@@ -46,7 +46,7 @@ class FrameLoad:
         self._t = np.empty(0, np.int64)
         self._spent = np.empty((0, len(self._times)), np.int64)
 
-    def of(self, ticks: pa.StructArray) -> Floats:
+    def of(self, ticks: pa.StructArray) -> FloatArray:
         """Return the load of each bus at each of the next n ticks (n, buses), from 0 to 1."""
         now = np.asarray(ticks.field("t_ns"))
         t = np.concatenate([self._t, now])

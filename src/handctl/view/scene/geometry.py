@@ -6,12 +6,12 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.digit_colours import colour_numbers
-from handctl.hand.link_frames import quaternion
+from handctl.hand.link_frames import quaternion_of_rotation
 from handctl.view.scene import palette
 from handctl.view.scene.arrow import static_chunk
 from handctl.view.scene.run_info import RunInfo
 
-_SHAPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3D]] = {
+_SHAPE_ARCHETYPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3D]] = {
     "Boxes3D": rr.Boxes3D,
     "Cylinders3D": rr.Cylinders3D,
     "Ellipsoids3D": rr.Ellipsoids3D,
@@ -41,7 +41,7 @@ def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
         return
     yield chunk.with_entity_path(path)
     archetypes = {field.name.split(":")[0] for field in chunk.to_record_batch().schema}
-    for archetype, shape in _SHAPES.items():
+    for archetype, shape in _SHAPE_ARCHETYPES.items():
         if archetype in archetypes:
             style = shape.columns(fill_mode=[rr.components.FillMode.Solid], colors=[link_colour(link, run)])
             yield static_chunk(path, style)
@@ -57,7 +57,7 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
         )
         yield static_chunk(path, asset)
         pose = rr.InstancePoses3D.columns(
-            translations=[mesh.position], quaternions=[quaternion(mesh.rotation)], scales=[mesh.scale]
+            translations=[mesh.position], quaternions=[quaternion_of_rotation(mesh.rotation)], scales=[mesh.scale]
         )
         yield static_chunk(path, pose)
         yield static_chunk(path, rr.CoordinateFrame.columns(frame=[link]))
@@ -70,4 +70,4 @@ def link_colour(link: str, run: RunInfo) -> palette.Colour:
         for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit, strict=True)
         for i, shade in enumerate(palette.joint_colours(index, len(digit.joints)))
     }
-    return colours.get(link, palette.PALM)
+    return colours.get(link, palette.PALM_COLOUR)

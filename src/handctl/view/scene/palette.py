@@ -20,10 +20,10 @@ class Colour(NamedTuple):
 
 WHITE = Colour(255, 255, 255)
 BLACK = Colour(13, 16, 17)
-PALM = Colour(96, 104, 116)
-LIMIT = Colour(255, 72, 66)
-NEUTRAL = Colour(168, 180, 196)
-DIGITS = (
+PALM_COLOUR = Colour(96, 104, 116)
+LIMIT_COLOUR = Colour(255, 72, 66)
+NEUTRAL_COLOUR = Colour(168, 180, 196)
+DIGIT_PALETTE = (
     Colour(84, 160, 255),
     Colour(255, 166, 64),
     Colour(76, 206, 136),
@@ -37,7 +37,7 @@ The colours suit a dark background. People with red-green colour blindness can t
 apart.
 """
 
-STATES = {
+PHASE_COLOURS = {
     "idle": Colour(84, 90, 100),
     "silent": Colour(84, 90, 100),
     "done": Colour(84, 90, 100),
@@ -61,7 +61,7 @@ STATES = {
     "cut": Colour(255, 72, 66),
 }
 """Colours of the grasp phases and of the modes of the hand, by name."""
-ACTIONS = {
+ACTION_COLOURS = {
     "pass": Colour(66, 74, 84),
     "warn": Colour(206, 206, 92),
     "hold": Colour(255, 166, 64),
@@ -73,7 +73,7 @@ ACTIONS = {
 
 def digit_colour(index: int) -> Colour:
     """Return the colour with a given number. For a digit, ``colour_numbers`` gives this number."""
-    return DIGITS[index % len(DIGITS)]
+    return DIGIT_PALETTE[index % len(DIGIT_PALETTE)]
 
 
 def joint_colours(index: int, number: int) -> list[Colour]:
@@ -81,6 +81,6 @@ def joint_colours(index: int, number: int) -> list[Colour]:
     return [digit_colour(index).mixed(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)]
 
 
-def dimmed(colour: Colour) -> Colour:
+def dimmed_colour(colour: Colour) -> Colour:
     """Return the dimmed colour for a command that is drawn next to an estimate."""
     return colour.mixed(BLACK, 0.45)

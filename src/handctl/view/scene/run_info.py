@@ -16,7 +16,7 @@ from handctl.log.read.log_hand import described_hand
 from handctl.printing import printable_text
 from handctl.report.truth import TruthRecord
 
-Floats = NDArray[np.float64]
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class RunInfo:
         """Return the application id for Rerun. Rerun stores one layout for each id."""
         return f"handctl_{self.hand.name}"
 
-    def fields(self, table: Floats) -> dict[str, Floats]:
+    def fields(self, table: FloatArray) -> dict[str, FloatArray]:
         """Return rows of the topic /controller/values, divided into telemetry fields.
 
         Args:

@@ -27,12 +27,12 @@ def style_chunks(run: RunInfo) -> Iterator[Chunk]:
     yield from _angle_styles(run)
     yield from _force_styles(run)
     yield from _state_styles()
-    yield _line_style("/loop/late", ["late"], [palette.NEUTRAL], 1.2)
+    yield _line_style("/loop/late", ["late"], [palette.NEUTRAL_COLOUR], 1.2)
     buses = run.hand.bus_names
     yield _line_style(
         "/bus/load",
         buses,
-        [palette.digit_colour(i).mixed(palette.NEUTRAL, 0.4) for i in range(len(buses))],
+        [palette.digit_colour(i).mixed(palette.NEUTRAL_COLOUR, 0.4) for i in range(len(buses))],
         1.4,
     )
     for name, axis in TELEMETRY_AXES.items():
@@ -72,11 +72,11 @@ def _tension_styles(run: RunInfo) -> Iterator[Chunk]:
     yield _line_style(
         "/tension/command",
         ["command"] * len(names),
-        [palette.dimmed(colour) for colour in colours],
+        [palette.dimmed_colour(colour) for colour in colours],
         COMMAND_WIDTH,
     )
     limits = [f"limit {limit:g} N" for limit in run.limits]
-    yield _line_style("/tension/limit", limits, [palette.LIMIT] * len(limits), LIMIT_WIDTH)
+    yield _line_style("/tension/limit", limits, [palette.LIMIT_COLOUR] * len(limits), LIMIT_WIDTH)
 
 
 def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
@@ -89,7 +89,7 @@ def _angle_styles(run: RunInfo) -> Iterator[Chunk]:
         yield _line_style(
             f"/angle/{digit.name}/command",
             command_names,
-            [palette.NEUTRAL] * len(names),
+            [palette.NEUTRAL_COLOUR] * len(names),
             COMMAND_WIDTH,
         )
 
@@ -108,9 +108,9 @@ def _force_styles(run: RunInfo) -> Iterator[Chunk]:
 def _state_styles() -> Iterator[Chunk]:
     """Yield the names and colours of the states in the lanes of the dashboard."""
     for lane, colours in (
-        ("phase", palette.STATES),
-        ("mode", palette.STATES),
-        ("safety", palette.ACTIONS),
+        ("phase", palette.PHASE_COLOURS),
+        ("mode", palette.PHASE_COLOURS),
+        ("safety", palette.ACTION_COLOURS),
     ):
         names = list(colours)
         style = rr.StateConfiguration.columns(values=names, labels=names, colors=list(colours.values()))

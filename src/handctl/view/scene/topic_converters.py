@@ -13,7 +13,7 @@ from rerun.chunk import Chunk
 
 from handctl.core.types import TELEMETRY_AXES
 from handctl.view.scene.arrow import (
-    Floats,
+    FloatArray,
     chunk_on_run_time,
     column_as_array,
     decoded_messages,
@@ -31,7 +31,7 @@ ARROW_RADIUS = 0.0013
 MIN_FORCE = 0.05
 """Smallest force drawn as an arrow [N]."""
 
-Converter = Callable[[Chunk], Iterator[Chunk]]
+ChunkConverter = Callable[[Chunk], Iterator[Chunk]]
 """Function that converts a chunk of one topic to chunks for the dashboard."""
 
 STATE_TOPICS = {
@@ -54,7 +54,7 @@ class TopicConverters:
         self._run = run
         self._offset = run.header.offset_ns
         self._load = FrameLoad(run)
-        self._converters: dict[str, Converter] = {
+        self._converters: dict[str, ChunkConverter] = {
             "/controller/values": self._convert_values,
             "/cycle": self._convert_cycle,
             "/tick": self._convert_tick,
@@ -128,7 +128,7 @@ class TopicConverters:
             yield timed_chunk(entity, times_since_start(chunk, self._offset), rr.StateChange.columns(state=names))
 
 
-def lines_with_band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
+def lines_with_band(values: FloatArray, sigma: FloatArray) -> rr.ComponentColumnList:
     """Return values (n, lines) as plot lines with a band of one standard deviation.
 
     Where the standard deviation is unknown, there is no band.
@@ -137,12 +137,12 @@ def lines_with_band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
     return measured.partition([values.shape[1]] * len(values))
 
 
-def plot_lines(values: Floats) -> rr.ComponentColumnList:
+def plot_lines(values: FloatArray) -> rr.ComponentColumnList:
     """Return values (n, lines) as plot lines."""
     return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
 
 
-def force_arrows(force: Floats) -> rr.ComponentColumnList:
+def force_arrows(force: FloatArray) -> rr.ComponentColumnList:
     """Return the forces of the object on a fingertip (n,) [N] as arrows in the frame of the tip."""
     shown = np.where(force >= MIN_FORCE, force, 0.0)
     vectors = np.zeros((len(force), 3))

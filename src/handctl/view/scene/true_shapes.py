@@ -15,7 +15,7 @@ from handctl.view.scene.run_info import RunInfo
 
 POSE_PERIOD_NS = 20_000_000
 """Interval between the poses [ns]. The transforms of the links have the same interval."""
-COLOURS = {"object": Colour(216, 206, 186), "table": Colour(112, 122, 134)}
+SHAPE_COLOURS = {"object": Colour(216, 206, 186), "table": Colour(112, 122, 134)}
 POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 """Names of the truth file's columns with the object's pose.
 
@@ -36,8 +36,8 @@ def true_shape_chunks(run: RunInfo) -> Iterator[Chunk]:
     offset = run.header.truth_offset_ns
     times = np.arange(int(run.truth.t_ns[0]), int(run.truth.t_ns[-1]), POSE_PERIOD_NS)
     times = times[times >= offset]
-    for name in COLOURS.keys() & shapes.keys():
-        yield static_chunk(f"/true/{name}", _solid_shape(shapes[name], COLOURS[name]))
+    for name in SHAPE_COLOURS.keys() & shapes.keys():
+        yield static_chunk(f"/true/{name}", _solid_shape(shapes[name], SHAPE_COLOURS[name]))
         yield static_chunk(f"/true/{name}", rr.CoordinateFrame.columns(frame=[f"true_{name}"]))
         place = _object_pose if name == "object" else _table_pose
         translation, rotation = place(run.truth, shapes[name], times)
