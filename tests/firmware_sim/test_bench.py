@@ -89,12 +89,12 @@ def speed_at(
 
 
 @pytest.mark.parametrize("kind", sorted(mit_bench.MOTOR_TYPE_RANGES))
-@pytest.mark.parametrize("inertia", [None, 2e-5], ids=["free shaft_of_mit_motor", "light shaft_of_mit_motor"])
+@pytest.mark.parametrize("inertia", [None, 2e-5], ids=["free shaft", "light shaft"])
 def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(kind: str, inertia: float | None) -> None:
     """Regression: 1 N m drove a DM4310 motor to 76 rad/s, although its no-load speed is 21 rad/s."""
-    shaft_of_mit_motor = mit_bench.shaft_of_mit_motor(kind)
+    shaft = mit_bench.shaft_of_mit_motor(kind)
     for sign in (1.0, -1.0):
-        _, speed = speed_at("mit", sign * 0.1 * shaft_of_mit_motor.peak, kind, inertia)
+        _, speed = speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
         assert 0.9 * shaft_of_mit_motor.top_speed < sign * speed <= shaft_of_mit_motor.top_speed
 
 

@@ -47,16 +47,20 @@ class Window(Monitor):
         return tuple(int(lost[1, node]) << losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1))  # type: ignore
 
 
+HALF_WINDOW = LOSS_WINDOW_TICKS // 2
+
+
 @pytest.mark.parametrize(("before", "now", "after"), [
     ((0, 0), (False, False), (0, 0)),
     ((0, 0), (True, False), (0b1, 0b0)),
     ((0, 0), (True, True), (0b1, 0b1)),
     ((0b1, 0b0), (False, True), (0b10, 0b1)),
     ((0b101, 0b1), (True, True), (0b1011, 0b11)),
-    ((1 << (LOSS_WINDOW_TICKS - 1), 0), (False, False), (0, 0)),                # the bit of the oldest tick leaves the window
+    # The bit of the oldest tick leaves the window.
+    ((1 << (LOSS_WINDOW_TICKS - 1), 0), (False, False), (0, 0)),
     ((1 << (LOSS_WINDOW_TICKS - 1), 0), (True, False), (1, 0)),
     ((1 << (LOSS_WINDOW_TICKS - 2), 0), (False, False), (1 << (LOSS_WINDOW_TICKS - 1), 0)),
-    ((1 << (LOSS_WINDOW_TICKS // 2 - 1), 1 << (LOSS_WINDOW_TICKS // 2)), (False, True), (1 << LOSS_WINDOW_TICKS // 2, 1 << LOSS_WINDOW_TICKS // 2 + 1 | 1)),
+    ((1 << (HALF_WINDOW - 1), 1 << HALF_WINDOW), (False, True), (1 << HALF_WINDOW, 1 << HALF_WINDOW + 1 | 1)),
 ])  # fmt: skip
 def test_window_shifts_by_one_bit_per_tick(before, now, after):
     assert Window(*before).count(*now) == after
