@@ -25,26 +25,26 @@ def run_dir() -> Path:
     """
     if named := os.environ.get("HANDCTL_RUN_DIR"):
         folder = Path(named)
-        own_parts = 1
+        path_parts = 1
     elif base := os.environ.get("XDG_RUNTIME_DIR"):
         folder = Path(base, "handctl")
-        own_parts = 1
+        path_parts = 1
     else:
         folder = Path(tempfile.gettempdir(), f"handctl-{os.geteuid()}", "handctl")
-        own_parts = 2
+        path_parts = 2
     folder = Path(os.path.abspath(folder))
-    folder = Path(os.path.realpath(_parent_dir(folder, own_parts)), *folder.parts[-own_parts:])
+    folder = Path(os.path.realpath(_parent_dir(folder, path_parts)), *folder.parts[-path_parts:])
     try:
         for path in [*reversed(folder.parents), folder][
             1:
         ]:  # top down: in a checked directory, no other user can replace an entry.
-            _check_directory(path, mine=len(folder.parts) - len(path.parts) < own_parts)
+            _check_directory(path, mine=len(folder.parts) - len(path.parts) < path_parts)
     except OSError as error:
         raise SimulatorError(f"run directory {folder}: {error.strerror}; HANDCTL_RUN_DIR names another") from error
     return folder
 
 
-def _parent_dir(folder: Path, own_parts: int) -> Path:
+def _parent_dir(folder: Path, path_parts: int) -> Path:
     """Return the directory above the private directories of the run directory.
 
     In the path of this directory, only links of the system are allowed.
@@ -52,7 +52,7 @@ def _parent_dir(folder: Path, own_parts: int) -> Path:
     Raises:
         SimulatorError: a directory in the path is a link that belongs to a user.
     """
-    parent = folder.parents[own_parts - 1]
+    parent = folder.parents[path_parts - 1]
     for path in (*parent.parents, parent):
         if path.is_symlink() and path.lstat().st_uid:
             raise _path_error(path, "is a link of a user")

@@ -22,7 +22,7 @@ from firmware_sim.nodes.robstride.node import RobstrideNode
 from firmware_sim.nodes.sensors import CHANNELS_PER_FRAME, JOINT_OFFSET
 
 UndoFunction = Callable[[], None]
-BEYOND_RANGE_N = 1e4
+OUTSIDE_RANGE_N = 1e4
 """Tension beyond the range of every load cell [N]."""
 BLOCKED_JOINT_DAMPING = 1e3
 """Damping of a blocked joint [N m s/rad]."""
@@ -99,7 +99,7 @@ def _reading_change(active: ActiveFault, now: Callable[[], int]) -> Callable[[fl
         elif fault.kind == "noise":
             changed = value + rng.gauss(0.0, fault.size)
         else:
-            changed = math.copysign(BEYOND_RANGE_N, fault.size)
+            changed = math.copysign(OUTSIDE_RANGE_N, fault.size)
         if changed != value:
             active.note_effect(now())
         return changed
@@ -271,9 +271,9 @@ def _start_exchange(world: Any, active: ActiveFault) -> UndoFunction:
     motors = [world.plant.motors[name] for name in names]
     swapped = active.fault.kind == "swap"
     for i, node in enumerate(nodes):
-        own_motor = motors[i]
+        motor_of_node = motors[i]
         other_motor = motors[1 - i]
-        node.motor = _CrossedMotor(other_motor, own_motor) if swapped else _CrossedMotor(own_motor, other_motor)
+        node.motor = _CrossedMotor(other_motor, motor_of_node) if swapped else _CrossedMotor(motor_of_node, other_motor)
     active.note_effect(world.t_ns)
 
     def undo() -> None:

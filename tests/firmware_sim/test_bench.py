@@ -95,7 +95,7 @@ def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(kind: str, inerti
     shaft = mit_bench.shaft_of_mit_motor(kind)
     for sign in (1.0, -1.0):
         _, speed = speed_at("mit", sign * 0.1 * shaft.peak, kind, inertia)
-        assert 0.9 * shaft_of_mit_motor.top_speed < sign * speed <= shaft_of_mit_motor.top_speed
+        assert 0.9 * shaft.top_speed < sign * speed <= shaft.top_speed
 
 
 def test_a_dm4310_turns_at_200_rpm_at_one_newton_metre() -> None:

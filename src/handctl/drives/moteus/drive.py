@@ -88,7 +88,7 @@ class MoteusDrive:
         object.__setattr__(
             self, "feedback", SignalTable(codec.feedback_message(self.node_id, self.direction, self.zero))
         )
-        configuration = items.CONFIGURATION if self.gains is None else items.position_configuration(self.gains)
+        configuration = items.REQUIRED_CONFIGURATION if self.gains is None else items.position_configuration(self.gains)
         required = items.required_settings(self.torque_limit, self.timeout_s, configuration)
         object.__setattr__(self, "configuration", configuration)
         object.__setattr__(self, "required", required)
