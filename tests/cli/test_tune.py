@@ -91,7 +91,7 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, acce
     run = {"through": True, "returned": None, "failure": "", "rounds": rounds, "judged_by": "truth"}
     run |= {"log": "l", "picture": "p"}
     args = Namespace(candidate="new.toml", hand="jamia", accept_worse=accept, json=False)
-    assert _report_verification(args, [run] * 3, SimpleNamespace(exit=0)) == code
+    assert _report_verification(args, [run] * 3, SimpleNamespace(exit_code=0)) == code
     said = capsys.readouterr().out
     assert "tracking: worse, 1.00 -> 3.00 deg" in said
     assert ("gains apply" in said) == accept

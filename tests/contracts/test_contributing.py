@@ -17,7 +17,7 @@ PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 READ_BACK = """
 import json, sys
 import lively
-from handctl.log.record import FRAMING, pack_tick_record
+from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 from rosbags.highlevel import AnyReader
 from pathlib import Path
@@ -25,7 +25,7 @@ from pathlib import Path
 run, path = lively.header(), Path("run.mcap")
 writer = LogWriter(path, run, lambda event, number: None, 1)
 for tick in lively.ticks(run):
-    writer.add(pack_tick_record(*tick)[FRAMING.size :])
+    writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
 writer.finish("finished", 0)
 with AnyReader([path]) as reader:
     peaks = [reader.deserialize(raw, connection.msgtype).tension

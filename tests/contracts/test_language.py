@@ -47,7 +47,7 @@ def tree(tmp_path: Path) -> Path:
 
 def test_the_script_counts_names_docstrings_and_shape(language: ModuleType, tree: Path) -> None:
     tally = language.count_all(tree)["src"]
-    counted = {count: tally.counts[count] for count in language.PER}
+    counted = {count: tally.counts[count] for count in language.QUANTITY_PER_COUNT}
     assert counted == {
         "names": 5,  # told twice, most, Wishes twice
         "openers": 1,

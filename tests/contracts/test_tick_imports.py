@@ -13,7 +13,7 @@ from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.session.plan import RunPlan
 from handctl.session.run import make_controller
-from handctl.session.simulate import Simulator
+from handctl.session.simulate import SimulatorSettings
 
 hand = load_hand(sys.argv[1])
 controller = make_controller(RunPlan(hand, Gains(), 200.0, ()), LiveProgram(), None, True)
@@ -27,7 +27,7 @@ requests = [
     {"do": "grasp", "task": {"schema": 1, "name": "x", "phase": [follow]}},
     {"do": "stop"},
 ]
-with Simulator(hand.name, homed=True).against(controller) as run:
+with SimulatorSettings(hand.name, homed=True).against(controller) as run:
     run.tick()  # the loop warms up with one tick
     before = set(sys.modules)
     assert run.until(lambda out: out.phase == "live", 10.0)

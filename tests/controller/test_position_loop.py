@@ -26,7 +26,7 @@ from handctl.core.hand_constants import servo_constants
 from handctl.core.law.servo import LIMIT_MARGIN_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from handctl.core.wire import Wire
+from handctl.core.wire import WireTables
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content, load_hand
@@ -391,7 +391,7 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: 
     controller = make_controller(hand, packaged_gains("jamia"), rate_hz, to_and_fro(hand, 1, 1.0), None, True)
     drives = make_drives(hand)
     steps, loop = servo_steps(model, drives), servo_constants(model)
-    wire = Wire(drives, controller.sensors, [True] * 4, model.torque_gain)
+    wire = WireTables(drives, controller.sensors, [True] * 4, model.torque_gain)
     for n in range(4):
         rows = wire.servo_reals[wire.servos[n, 0] : wire.servos[n, 1]]
         for name, key, row in (("stiffness", "kp", 2), ("damping", "kd", 3)):

@@ -9,12 +9,12 @@ import pytest
 
 from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.moteus.text import FACTORY_CONFIGURATION
-from handctl.campaign.scenarios import FREE
+from handctl.campaign.scenarios import FREE_STAGE
 from handctl.campaign.stage import advance_to, homed_run
 from handctl.core import block as s
 from handctl.core import wire
 from handctl.core.types import Mode
-from handctl.drives.contract import DriveTarget, Phase
+from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.drive import MoteusDrive
 from handctl.drives.moteus.settings import (
@@ -24,8 +24,8 @@ from handctl.drives.moteus.settings import (
     rounded_to_float32,
     write_request,
 )
-from handctl.drives.records import WORDS, Frames
-from handctl.drives.signals import Quantity, Table
+from handctl.drives.records import WORDS_PER_RECORD, Frames
+from handctl.drives.signals import Quantity, SignalTable
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.controller.test_position_loop import loop_hand, moteus_command, moving
 from tests.drives.protocol_bench import motor_on_bench
@@ -60,7 +60,7 @@ def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
     message = drive.cyclic.position
     assert message is not None
     assert drive.cyclic.moves_target
-    table = Table(message._replace(limit=math.inf))
+    table = SignalTable(message._replace(limit=math.inf))
     can_id, data = table.pack_frame(1.7, -4.0, 0.25 * GAINS_PER_RAD[0], 0.5 * GAINS_PER_RAD[1], 0.2, 0.4)
     position, velocity, torque, kp, kd, limit = moteus_command(data)
     assert position == pytest.approx(0.3 + direction * 1.7, rel=1e-6)
@@ -69,7 +69,7 @@ def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
     assert (kp, kd) == (0.25, 0.5)
     assert limit == pytest.approx(0.4)
     assert struct.unpack_from("<f", data, 36)[0] == pytest.approx(0.05)
-    assert data[40:] == codec.QUERY
+    assert data[40:] == codec.QUERY_SUBFRAMES
     assert can_id == drive.command.message.can_id
     assert len(data) == drive.command.message.length, "the load of the bus is that of torque commands"
 
@@ -89,7 +89,7 @@ def test_a_motor_with_torque_commands_has_no_position_command_and_the_settings_o
 def test_the_settings_are_written_and_read_back_before_arming_and_not_stored() -> None:
     place = VirtualBench("moteus")
     rig = armed_rig(place)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     channel = node_of(place).channel
     for name, value in GAINS.items():
         assert channel.items[name] == pytest.approx(value, abs=1e-6)
@@ -106,7 +106,7 @@ def test_a_setting_that_does_not_read_back_keeps_the_drive_off(item: str) -> Non
     items[item] = 3.0
     hold(place, item)
     rig = armed_rig(place)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.FAULT, 3.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
     assert f"{item} reads 3 after writing, expected" in rig.state.error_text
 
 
@@ -114,7 +114,7 @@ def test_a_firmware_without_an_item_is_refused_by_name() -> None:
     place = VirtualBench("moteus")
     del node_of(place).channel.items["servo.default_accel_limit"]
     rig = armed_rig(place)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.FAULT, 3.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
     assert "servo.default_accel_limit reads ERR error reading, expected nan" in rig.state.error_text
 
 
@@ -122,9 +122,9 @@ def test_a_firmware_without_an_item_is_refused_by_name() -> None:
 def test_a_setting_that_is_lost_while_enabled_is_found(item: str) -> None:
     place = VirtualBench("moteus")
     rig = armed_rig(place)
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     node_of(place).channel.items[item] = 7.0
-    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == Phase.FAULT, 6.0)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 6.0)
     assert f"{item} reads 7" in rig.state.error_text
 
 
@@ -178,7 +178,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, valu
 
 def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Return the payloads of the commands of a block."""
-    out = np.zeros((len(tables.templates), WORDS), np.uint64)
+    out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
     first, count = wire.encode_commands(
         block, layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals, tables.templates, torque,
         tables.servos, tables.servo_templates, tables.servo_wholes, tables.servo_reals, 0, 0,
@@ -202,7 +202,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
     """The lost gains change the torque at once, and the read-back finds the lost items."""
     hand = loop_hand(protocol="moteus")
     with homed_run(hand, 500.0, seed) as course:
-        advance_to(course, FREE)
+        advance_to(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
         course.peer.inject(f"forget node={motor}")
         assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), 1.2)

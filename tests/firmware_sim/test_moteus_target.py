@@ -9,7 +9,7 @@ import pytest
 from firmware_sim.bus.frame import BRS, EXTENDED, FDF, Frame
 from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.plant.drivetrain import ENCODER_STEP
-from firmware_sim.programs.drive import Bench
+from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 
 MS = 1_000_000
@@ -24,7 +24,7 @@ class OneDrive:
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
         """Switch the drive on in position mode, without torque."""
-        self.bench = Bench([replace(drive_spec("moteus", NODE, inertia=inertia), direction=direction)])
+        self.bench = SimulatedDriveBench([replace(drive_spec("moteus", NODE, inertia=inertia), direction=direction)])
         (node,) = self.bench.nodes
         assert isinstance(node, MoteusNode)
         self.node, self.motor = node, self.bench.motors[0]

@@ -106,7 +106,7 @@ def test_an_unused_recorder_process_started_ahead_is_ended() -> None:
 
 
 def test_a_process_started_ahead_ends_with_its_controller() -> None:
-    code = "from handctl.log.write import child\nprint(child.start_process().child.pid)"
+    code = "from handctl.log.write import child\nprint(child.start_recorder_process().child.pid)"
     ended = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False)
     recorder = Path(f"/proc/{ended.stdout.strip()}")
     assert _until(lambda: not recorder.exists() or ") Z " in (recorder / "stat").read_text())
