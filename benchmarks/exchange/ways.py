@@ -85,14 +85,14 @@ class Ours:
         np = self.np
         state = self.state
         out = np.zeros(self.shape, dtype=np.uint64)
-        frames = self.controller._send(state, out, self.want, np.array(torques), self.t_ns)
+        frames = self.controller._send(state, out, 0, self.want, np.array(torques), self.t_ns)
         self.bus.send(frames[1:])  # The benchmark sends no SYNC.
 
     def receive(self):
         frames = self.bus.drain()
         state = self.state
         self.start(state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames))
-        self.controller._receive(state, frames)
+        self.controller._receive(state, frames, 0)
         return frames
 
     def close(self):

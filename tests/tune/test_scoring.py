@@ -3,12 +3,16 @@
 The exercise completes, however bad the gains are.
 """
 
+import json
+
 import pytest
 
 from benchmarks.tuning import PLANT, detuned_gains
+from handctl.core.gains.gains import packaged_gains
 from handctl.core.model import HandModel
 from handctl.hand.load import load_hand
-from handctl.tune.scoring import score_exercise
+from handctl.tune.scoring import evaluate_job, score_exercise
+from handctl.tune.search.ensemble import draw_ensemble
 
 
 @pytest.mark.parametrize("seed", [1000, 1002])
@@ -21,3 +25,16 @@ def test_motor_short_of_its_goal_is_no_stuck_encoder(seed: int) -> None:
     score = score_exercise(hand, HandModel.of(hand, detuned_gains(), 500.0), PLANT, seed)
     assert score.failure == ""
     assert 1.0 < score.tracking_deg < 3.0, "the detuned gains track badly, without a fault"
+
+
+@pytest.mark.parametrize("hand", ["jamia", "t42"])
+def test_a_trial_may_cross_a_process_boundary(hand: str) -> None:
+    """Regression: JSON has lists in place of tuples, and every trial of `tune search --jobs 2` failed."""
+    job = {
+        "hand": load_hand(hand).to_toml(),
+        "rate_hz": 500.0,
+        "gains": packaged_gains(hand).model_dump(by_alias=True),
+        "plants": list(draw_ensemble(1, 0)),
+        "seed": 1,
+    }
+    assert evaluate_job(json.loads(json.dumps(job))) == evaluate_job(job)

@@ -3,6 +3,7 @@
 A score compares the goals of an exercise with the ground truth of the simulator.
 """
 
+import json
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -85,7 +86,8 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
         A `GainScore` as a table.
     """
     hand = hand_from_content(tomllib.loads(job["hand"]), "the hand of the search")
-    gains = Gains.model_validate(job["gains"])
+    # A job that has crossed a process boundary contains lists in place of tuples.
+    gains = Gains.model_validate_json(json.dumps(job["gains"]))
     model = HandModel.of(hand, gains, float(job["rate_hz"]))
     plants = job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
