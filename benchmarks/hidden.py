@@ -16,11 +16,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from handctl.campaign.stage import CAMPAIGN_TASK, hand_with_protocol, homed_run
-from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.safety.action import Action
-from handctl.session.plan import highest_rate_of_buses
+from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun
 
 FAULT_S = 2.0
@@ -115,7 +114,7 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
     Each fault is injected in a forked copy of this process.
     """
     hand = hand_with_protocol(hand_name, protocol)
-    rate = highest_rate_of_buses(bus_loads(hand))
+    rate = default_rate(hand)
     motor = hand.motor[0]
     tendon = hand.tendon[0]
     words = {"motor": motor.name, "tendon": tendon.name, "peak": f"{motor.torque_peak_N_m / motor.torque_max_N_m:.6g}"}

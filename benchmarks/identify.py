@@ -23,7 +23,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.bounds import with_values
 from handctl.core.gains.gains import Gains, packaged_gains
 from handctl.core.identified import DIGIT_KEYS
@@ -32,7 +31,7 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.excite import ExciteProgram
 from handctl.runtime.hold_limit import HoldLimit
-from handctl.session.plan import RunPlan, highest_rate_of_buses
+from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.identify.excitation import excitation_steps, has_springs
@@ -113,7 +112,7 @@ def excite_and_fit(
         folder: folder for the log.
     """
     hand = load_hand(hand_name)
-    plan = RunPlan(hand, gains, highest_rate_of_buses(bus_loads(hand)), ())
+    plan = RunPlan(hand, gains, default_rate(hand), ())
     log = folder / f"{seed}.mcap"
     controller = make_controller(plan, ExciteProgram(excitation_steps(hand, (digit,))), None, arm_at_once=True)
     began = time.process_time()

@@ -21,12 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.tuning.tune_files import load_tuned_hand
-from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.description import Hand
-from handctl.session.plan import highest_rate_of_buses
+from handctl.session.plan import default_rate
 from handctl.tune.loops.design import linear_factors, worst_margins
 from handctl.tune.scoring import GainScore, score_exercise
 from handctl.tune.search.ensemble import draw_ensemble
@@ -84,7 +83,7 @@ def compare(
     hand, twin, spread = load_tuned_hand(hand_name, fit)
     packaged = Gains()
     detuned = detuned_gains()
-    rate = highest_rate_of_buses(bus_loads(hand))
+    rate = default_rate(hand)
     crew = make_workers(count, None)
     try:
         with tempfile.TemporaryDirectory() as passing:

@@ -8,7 +8,6 @@ import numpy as np
 
 from firmware_sim.plant.mjcf import STEP_S
 from firmware_sim.plant.plant import Plant
-from handctl.controller.bus_load import bus_loads
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -17,7 +16,7 @@ from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import HoldPhase
-from handctl.session.plan import highest_rate_of_buses
+from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task
 
@@ -30,7 +29,7 @@ DEFAULT = Gains()
 def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
     """Return the model of a hand at its default rate. Each process designs a model only once."""
     described = load_hand(hand)
-    rate = highest_rate_of_buses(bus_loads(described))
+    rate = default_rate(described)
     return HandModel.of(described, gains, rate), rate
 
 

@@ -238,8 +238,8 @@ def compute_command(rotor: Any) -> None:
     """Compute the limited torque command [N m] of the servo, from the velocity at the end of the step.
 
     The control loop of a real drive runs at 10 to 20 kHz. With the implicit form, all gains stable
-    in the drive are stable here. A drive that moves its position
-    setpoint by itself moves it to the end of the step.
+    in the drive are stable here. A drive that moves its position setpoint by itself moves it to the
+    end of the step.
     """
     servo = rotor.servo_row
     lag = rotor.lag

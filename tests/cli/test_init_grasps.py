@@ -11,11 +11,10 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.controller.bus_load import bus_loads
 from handctl.hand.load import load_hand
 from handctl.programs.default_task import default_scene
 from handctl.report.truth import read_truth
-from handctl.session.plan import highest_rate_of_buses
+from handctl.session.plan import default_rate
 from tests.cli.refused import refused
 from tests.conftest import NIGHTLY
 
@@ -74,7 +73,7 @@ def test_the_object_fits_between_the_digits(place: Path) -> None:
 @pytest.mark.parametrize(("fingers", "opposed", "links"), [(4, 1, "55,40,25"), (4, 4, "40,30"), (3, 0, "40,30")])
 def test_no_bus_is_slower_than_250_hz(place: Path, fingers: int, opposed: int, links: str) -> None:
     init("--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", "each")
-    assert highest_rate_of_buses(bus_loads(load_hand("mine.toml"))) >= 250.0
+    assert default_rate(load_hand("mine.toml")) >= 250.0
 
 
 def test_a_rate_that_leaves_no_margin_is_a_warning(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand, packaged_hands
 from handctl.programs.live import LiveProgram
-from handctl.session.plan import highest_rate_of_buses
+from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.test_stream import Client
 
@@ -35,7 +34,7 @@ STREAM_HZ = 100.0
 def model_of(name: str) -> HandModel:
     """Return the model of a packaged hand at its own rate."""
     hand = load_hand(name)
-    return HandModel.of(hand, Gains(), min(highest_rate_of_buses(bus_loads(hand)), 500.0))
+    return HandModel.of(hand, Gains(), min(default_rate(hand), 500.0))
 
 
 def noise(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:

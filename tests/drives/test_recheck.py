@@ -10,7 +10,6 @@ import pytest
 
 from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
 from handctl.drives import readback
 from handctl.drives.causes import DriveFaultCause
@@ -19,7 +18,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import MitProgress
-from handctl.session.plan import highest_rate_of_buses
+from handctl.session.plan import default_rate
 
 TICK_NS = 2_000_000
 SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
@@ -106,7 +105,7 @@ def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
 @pytest.mark.parametrize("protocol", sorted(set(ALL_PROTOCOLS) - {"moteus"}))
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
     hand = hand_with_protocol("jamia", protocol)
-    with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
+    with homed_run(hand, default_rate(hand), seed) as course:
         advance_to(course, FREE_STAGE)
         course.peer.inject(f"forget node={hand.motor[seed % 4].name}")
         end_s = course.k * course.period_ns * 1e-9 + 1.01
@@ -123,7 +122,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     If this shows before its settings are read again, N14 is the first fault.
     """
     hand = hand_with_protocol("jamia", "moteus")
-    with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
+    with homed_run(hand, default_rate(hand), seed) as course:
         advance_to(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
         course.peer.inject(f"forget node={motor}")

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from handctl.campaign.stage import hand_with_protocol
-from handctl.controller.bus_load import bus_loads, split_motors_over_buses
+from handctl.controller.bus_load import bus_loads, with_more_buses
 from handctl.controller.setup import make_drives
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -90,11 +90,6 @@ def test_the_bus_load_has_the_sync_without_sensors() -> None:
 def test_each_bus_of_a_split_has_room_for_its_sync() -> None:
     for rate in range(200, 1000, 80):
         hand = hand_with_protocol("jamia11", "cia402")
-        buses = split_motors_over_buses(hand, rate)
-        bus_of = {name: f"bus{i}" for i, names in enumerate(buses) for name in names}
-        wires = tuple(hand.bus[0].model_copy(update={"name": f"bus{i}"}) for i in range(len(buses)))
-        node = hand.sensor_node.model_copy(update={"bus": "bus0"})
-        motors = tuple(motor.model_copy(update={"bus": bus_of[motor.name]}) for motor in hand.motor)
-        changed = hand.model_copy(update={"bus": wires, "sensor_node": node, "motor": motors})
+        changed = with_more_buses(hand, rate)
         loads = bus_loads(hand_from_content(tomllib.loads(changed.to_toml()), "split"))
         assert max(load.at(rate) for load in loads) <= MAX_BUS_LOAD, rate

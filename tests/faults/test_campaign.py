@@ -34,13 +34,11 @@ from handctl.campaign.stage import (
     homed_run,
     run_in_branches,
 )
-from handctl.cli.studies.fault_campaign import default_rate
-from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode, TickEvent
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 from handctl.safety.action import Action
 from handctl.safety.faults.tendon import RELAXED_S
-from handctl.session.plan import highest_rate_of_buses
+from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun
 from tests.hand.wrist import on_wrist
 
@@ -153,7 +151,7 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
 def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(hand: str, protocol: str) -> None:
     """Eleven moteus, ODrive or RobStride drives on a single bus allow 100 Hz only. They get a second bus."""
     replaced = hand_with_protocol(hand, protocol)
-    assert highest_rate_of_buses(bus_loads(replaced)) >= MIN_CONTROL_RATE_HZ
+    assert default_rate(replaced) >= MIN_CONTROL_RATE_HZ
     assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
     # The file of the hand, which `demo --protocol` writes, describes the same hand.
     assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced

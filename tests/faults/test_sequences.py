@@ -25,9 +25,9 @@ from handctl.campaign.sequences import (
     violations_on_replay,
 )
 from handctl.campaign.stage import RUN_STAGES, advance_to, hand_with_protocol, homed_run, run_in_branches
-from handctl.cli.studies.fault_campaign import default_rate
 from handctl.core.types import Mode
 from handctl.safety.judge import LatchedFault
+from handctl.session.plan import default_rate
 
 NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, result: None}
 

@@ -7,14 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
-from handctl.session.plan import RunPlan, highest_rate_of_buses
+from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
 from tests.drives.protocol_bench import hand_file
@@ -38,7 +37,7 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     task = tmp_path / "short.toml"
     task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.1))
     hand = load_hand(path)
-    rate = highest_rate_of_buses(bus_loads(hand))
+    rate = default_rate(hand)
     plan = RunPlan(hand, Gains(), rate, (0.5,))
     failures = []
     with SimulatorSettings(path, homed=True, wire=wire).clock(plan.period_ns) as clock:

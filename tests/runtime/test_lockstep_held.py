@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.errors import DriveError
 from handctl.hand.load import load_hand
@@ -15,7 +14,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import load_task
 from handctl.runtime.hold_limit import MAX_HOLD_S
-from handctl.session.plan import RunPlan, highest_rate_of_buses
+from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
 from tests.runtime.processes import GO, MOVE
@@ -27,7 +26,7 @@ def test_a_run_held_by_a_fault_ends_with_its_reason(tmp_path: Path) -> None:
     task = tmp_path / "bend.toml"
     task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.5))
     hand = load_hand("jamia")
-    plan = RunPlan(hand, Gains(), highest_rate_of_buses(bus_loads(hand)), (0.5,))
+    plan = RunPlan(hand, Gains(), default_rate(hand), (0.5,))
     log = tmp_path / "held.mcap"
     with SimulatorSettings("jamia", homed=True).clock(plan.period_ns) as clock:
         clock.peer.inject("noise encoder=1 size=0.005")  # type: ignore[attr-defined]

@@ -11,11 +11,10 @@ import pytest
 
 from handctl.campaign.scenarios import GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.controller.bus_load import bus_loads
 from handctl.core.detectors import replays
 from handctl.core.types import Mode
 from handctl.safety.faults.node import SWING_S
-from handctl.session.plan import highest_rate_of_buses
+from handctl.session.plan import default_rate
 from tests.safety.monitor import Monitor, synthetic_limits
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
@@ -116,7 +115,7 @@ def test_step_and_small_swing_are_no_oscillation(rate: float) -> None:
 )
 def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, seed: int) -> None:
     hand = hand_with_protocol("jamia", "mit")
-    with homed_run(hand, highest_rate_of_buses(bus_loads(hand)), seed) as course:
+    with homed_run(hand, default_rate(hand), seed) as course:
         advance_to(course, GRASP_STAGE)
         which = seed % 4
         course.peer.inject(fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name))

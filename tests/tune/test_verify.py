@@ -5,13 +5,12 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.tuning.tune_verify import _gains_label
-from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.exercise import ExerciseProgram
 from handctl.replay.execute import execute_log
-from handctl.session.plan import RunPlan, highest_rate_of_buses
+from handctl.session.plan import RunPlan, default_rate
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.verify import VerifyObserver, scores_by_round
@@ -22,7 +21,7 @@ UNSTABLE_GAINS = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(f
 
 def _verified(new: Gains, log: Path) -> VerifyObserver:
     hand = load_hand("jamia")
-    rate = highest_rate_of_buses(bus_loads(hand))
+    rate = default_rate(hand)
     plan = RunPlan(hand, CALM, rate, (0.5,))
     amplitudes = (0.2, 0.2)
     observer = VerifyObserver(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)

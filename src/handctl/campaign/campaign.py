@@ -29,7 +29,7 @@ LAST_PHASE = "hold"
 
 
 @dataclass
-class ReportFunction:
+class CampaignReport:
     """Results of a campaign.
 
     Attributes:
@@ -109,7 +109,7 @@ def run_campaign(
     row_ids: Sequence[str] = (),
     fault_free_only: bool = False,
     seed: int = 1,
-) -> ReportFunction:
+) -> CampaignReport:
     """Run a campaign, and return the report.
 
     Args:
@@ -126,7 +126,7 @@ def run_campaign(
         seed: seed of the scenarios and of the first run without faults. Each later run without
             faults has the next seed.
     """
-    report = ReportFunction(name)
+    report = CampaignReport(name)
     for protocol in protocols:
         hand = hand_with_protocol(name, protocol)
         rate = report.rates[protocol] = rate_of(hand)

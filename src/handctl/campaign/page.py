@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-from handctl.campaign.campaign import ReportFunction
+from handctl.campaign.campaign import CampaignReport
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.campaign.scenarios import UNTESTED_ROWS
 from handctl.output import write_text_atomically
@@ -39,7 +39,7 @@ FAULT_TITLES = {entry.id: entry.title for entry in FAULT_CATALOGUE}
 """Title of each fault in the catalogue, by fault id."""
 
 
-def write_page(path: Path, report: ReportFunction) -> None:
+def write_page(path: Path, report: CampaignReport) -> None:
     """Write the report of a campaign as an HTML page."""
     figures = report.plain()
     title = f"Fault campaign: {html.escape(report.hand)}"
@@ -112,7 +112,7 @@ def _html_row(result: ScenarioResult, rate: float, number: int) -> str:
     return f"<tr>{''.join(cells)}</tr>"
 
 
-def summary_lines(report: ReportFunction) -> list[str]:
+def summary_lines(report: CampaignReport) -> list[str]:
     """Return the summary of a campaign's report as lines for a terminal."""
     figures = report.plain()
     summary = [

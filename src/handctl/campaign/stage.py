@@ -13,10 +13,11 @@ from typing import Any, Protocol, TypeVar, cast
 
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.campaign.scenarios import ARMING_STAGE, FREE_STAGE, GRASP_STAGE, MIT
-from handctl.controller.bus_load import bus_loads, split_motors_over_buses
+from handctl.controller.bus_load import with_more_buses
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.types import Mode
+from handctl.document import validate_content
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -24,7 +25,7 @@ from handctl.hand.load import load_hand
 from handctl.processes import run_in_copy
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from handctl.session.plan import highest_rate_of_buses
+from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 
 FIRST_NODE = 0x10
@@ -79,28 +80,8 @@ def with_drives(hand: Hand, protocol: str) -> Hand:
         for bus in hand.bus
     )
     replaced = hand.model_copy(update={"motor": motors, "bus": buses})
-    too_slow = len(buses) == 1 and highest_rate_of_buses(bus_loads(replaced)) < MIN_CONTROL_RATE_HZ
-    return _with_more_buses(replaced) if too_slow else replaced
-
-
-def _with_more_buses(hand: Hand) -> Hand:
-    """Return a hand whose motors are distributed over as many buses as ``SPLIT_BUS_RATE_HZ`` needs.
-
-    The load cells stay on the only bus of the given hand. The hand stays as it is if one motor alone
-    needs more than a bus.
-    """
-    groups = split_motors_over_buses(hand, SPLIT_BUS_RATE_HZ)
-    if not groups:
-        return hand
-    first = hand.bus[0]
-    names = [first.name, *(f"bus_{number}" for number in range(1, len(groups)))]
-    bus_of = {motor: name for name, motors in zip(names, groups, strict=True) for motor in motors}
-    return hand.model_copy(
-        update={
-            "bus": tuple(first.model_copy(update={"name": name}) for name in names),
-            "motor": tuple(motor.model_copy(update={"bus": bus_of[motor.name]}) for motor in hand.motor),
-        }
-    )
+    too_slow = len(buses) == 1 and default_rate(replaced) < MIN_CONTROL_RATE_HZ
+    return with_more_buses(replaced, SPLIT_BUS_RATE_HZ) if too_slow else replaced
 
 
 @contextmanager
@@ -123,7 +104,7 @@ def homed_run(
     angles = dict.fromkeys(hand.digit_names, 25.0)
     phases = [dict(phase) for phase in cast(list[dict[str, Any]], task["phase"])]
     phases[0]["angle_deg"] = angles
-    program = TaskProgram(Task.model_validate_json(json.dumps({**task, "phase": phases})))
+    program = TaskProgram(validate_content({**task, "phase": phases}, Task, "the task of the campaign"))
     controller = make_controller(hand, packaged_gains(hand.name), rate_hz, program, None, arm_at_once=True)
     with SimulatorSettings(hand, "cylinder", seed, perturb, homed=True).against(controller) as run:
         yield run

@@ -151,3 +151,23 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
         has_sync |= listens
         buses[-1].append(drive.name)
     return buses
+
+
+def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
+    """Return a hand whose motors are distributed over as many buses as a control rate [Hz] needs.
+
+    The load cells stay on the first bus, and all buses get its bit rates. The hand stays as it is if
+    one motor alone needs more than a bus.
+    """
+    groups = split_motors_over_buses(hand, rate_hz)
+    if not groups:
+        return hand
+    first = hand.bus[0]
+    names = [first.name, *(f"bus_{number}" for number in range(1, len(groups)))]
+    bus_of = {motor: name for name, motors in zip(names, groups, strict=True) for motor in motors}
+    return hand.model_copy(
+        update={
+            "bus": tuple(first.model_copy(update={"name": name}) for name in names),
+            "motor": tuple(motor.model_copy(update={"bus": bus_of[motor.name]}) for motor in hand.motor),
+        }
+    )

@@ -18,7 +18,6 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from handctl.controller.bus_load import bus_loads
 from handctl.controller.streams import stream_status
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import packaged_gains
@@ -30,7 +29,7 @@ from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import REFUSED_PREFIX, target_text
 from handctl.programs.streams import horizon_s
-from handctl.session.plan import check_hand_ready, highest_rate_of_buses
+from handctl.session.plan import check_hand_ready, default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 50.0
@@ -323,7 +322,7 @@ def _controller_of_file(path: str) -> Controller:
     """
     hand = load_hand(path)
     check_hand_ready(hand, path)
-    model = HandModel.of(hand, packaged_gains(hand.name), highest_rate_of_buses(bus_loads(hand)))
+    model = HandModel.of(hand, packaged_gains(hand.name), default_rate(hand))
     return homed_controller(model, LiveProgram())
 
 

@@ -218,6 +218,11 @@ def highest_rate_of_buses(loads: Sequence[BusLoad]) -> float:
     return highest_rate((load.tick_s for load in loads), (load.timed_fraction for load in loads))
 
 
+def default_rate(hand: Hand) -> float:
+    """Return the default control rate of a hand, the highest usual rate for its buses [Hz]."""
+    return highest_rate_of_buses(bus_loads(hand))
+
+
 def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
     """Raise an error if no controller or filter can be designed from the gains.
 
@@ -233,7 +238,7 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
     """
     from handctl.core.model import HandModel
 
-    HandModel.of(hand, gains, rate_hz or highest_rate_of_buses(bus_loads(hand)))
+    HandModel.of(hand, gains, rate_hz or default_rate(hand))
 
 
 def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:

@@ -3,7 +3,6 @@
 A score compares the goals of an exercise with the ground truth of the simulator.
 """
 
-import json
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickIn, TickOut
+from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content
 from handctl.programs.exercise import ExerciseProgram
@@ -87,7 +87,7 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     """
     hand = hand_from_content(tomllib.loads(job["hand"]), "the hand of the search")
     # A job that has crossed a process boundary contains lists in place of tuples.
-    gains = Gains.model_validate_json(json.dumps(job["gains"]))
+    gains = validate_content(job["gains"], Gains, "the gains of the search")
     model = HandModel.of(hand, gains, float(job["rate_hz"]))
     plants = job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall

@@ -11,7 +11,6 @@ from typing import Any
 from handctl.cli.console.options import print_json_line
 from handctl.cli.console.screen import rich_console
 from handctl.cli.console.verbosity import print_note
-from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.drives.contract import Drive, DriveState
 from handctl.errors import BusError, ConfigError
@@ -25,7 +24,7 @@ from handctl.runtime.mailbox import bus_lock, is_running
 from handctl.session.buses import refuse_default_hand
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import ExitCode
-from handctl.session.plan import bus_specs, chosen_time_scale, highest_rate_of_buses
+from handctl.session.plan import bus_specs, chosen_time_scale, default_rate
 
 HIGHEST_HZ = 100.0
 """Largest rate of the requests to the drives [Hz]. The bus load may allow only a lower rate."""
@@ -43,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
     """
     specs, hand, time_scale = _checked_arguments(args)
     drives = make_drives(hand)
-    clock = RealClock(round(1e9 / min(HIGHEST_HZ, highest_rate_of_buses(bus_loads(hand)))), time_scale)
+    clock = RealClock(round(1e9 / min(HIGHEST_HZ, default_rate(hand))), time_scale)
     for spec in specs:
         if is_running(spec):
             right = "no running controller: its own display and handctl run --view show the readings"

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from handctl.campaign.campaign import ReportFunction
+from handctl.campaign.campaign import CampaignReport
 from handctl.campaign.campaign import run_campaign as run_campaign
 from handctl.campaign.page import summary_lines, write_page
 from handctl.campaign.scenario_run import ScenarioResult
@@ -14,15 +14,13 @@ from handctl.campaign.scenarios import ALL_PROTOCOLS, FAULT_MATRIX, scenarios_of
 from handctl.campaign.stage import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
-from handctl.controller.bus_load import bus_loads
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
 from handctl.output import write_text_atomically
 from handctl.session.exit_codes import ExitCode
 from handctl.session.header import run_header
-from handctl.session.plan import RunPlan, highest_rate_of_buses
+from handctl.session.plan import RunPlan, default_rate
 from handctl.session.simulate import SimulatedRun
 
 QUICK_FAULT_FREE_S = 4.0
@@ -82,12 +80,7 @@ def report_folder(args: argparse.Namespace) -> Path:
     return folder
 
 
-def default_rate(hand: Hand) -> float:
-    """Return the default control rate of a hand [Hz]."""
-    return highest_rate_of_buses(bus_loads(hand))
-
-
-def _print_report(report: ReportFunction, folder: Path, as_json: bool) -> None:
+def _print_report(report: CampaignReport, folder: Path, as_json: bool) -> None:
     if as_json:
         print_json(report.plain() | {"report": folder / "report.html"})
         return

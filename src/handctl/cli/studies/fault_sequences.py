@@ -7,15 +7,10 @@ from handctl.campaign import sequences
 from handctl.campaign.stage import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
-from handctl.cli.studies.fault_campaign import (
-    FIRST_LABEL,
-    MAX_JOBS,
-    default_rate,
-    failure_log_writer,
-    report_folder,
-)
+from handctl.cli.studies.fault_campaign import FIRST_LABEL, MAX_JOBS, failure_log_writer, report_folder
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
+from handctl.session.plan import default_rate
 
 MAX_COUNT = 1_000_000
 

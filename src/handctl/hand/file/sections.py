@@ -431,14 +431,12 @@ class Motor(Section):
     kp_N_m_per_rad: qty.ServoStiffness | None = None
     """Stiffness of the drive's position loop.
 
-    If it is absent, the stiffness follows from the gains ``motion``. A moteus requires
-    it.
+    If it is absent, the stiffness follows from the gains ``motion``. A moteus requires it.
     """
     kd_N_m_s_per_rad: qty.ServoDamping | None = None
     """Damping of the drive's position loop.
 
-    If it is absent, the damping ratio is that of the gains ``motion``. A moteus requires
-    it.
+    If it is absent, the damping ratio is that of the gains ``motion``. A moteus requires it.
     """
 
     @property
