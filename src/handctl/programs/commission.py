@@ -41,7 +41,10 @@ REST_SETTLE_S = 0.3
 REST_S = 0.2
 """Averaging time of the load-cell readings without torque, before each pull [s]."""
 SETTLE_S = 0.7
-"""Time from the moment at which a pulled tendon becomes taut until its measurement [s]."""
+"""Time from the moment at which a pulled tendon becomes taut until its measurement [s].
+
+All load cells of a digit without springs are also read this long after the previous pull ended.
+"""
 TAKE_UP_TIMEOUT_S = 3.0
 """Longest time that a pulled tendon may take to become taut [s]."""
 HOLD_TIMEOUT_S = 10.0
@@ -49,7 +52,8 @@ HOLD_TIMEOUT_S = 10.0
 HOLD_SETTLE_S = 3.0
 """Time from the moment at which all tendons of a digit without springs are taut until their measurement [s].
 
-In this time, the digit moves to its lower limits.
+In this time, the digit moves to its lower limits. It stays there for the pulls of all its tendons,
+so only the first pull waits this long.
 """
 PRESS_FACTOR = 1.5
 """Torque that presses a digit without springs on its lower limits, as a multiple of the torque of a pull."""
@@ -222,12 +226,12 @@ class CommissionProgram:
         )[own]
         tension = _known_tensions(model, measured, estimate)
         missing = np.isnan(tension).any() or np.isnan(measured.travel[own] + excursion).any()
-        if t - progress.since < HOLD_SETTLE_S or missing:
+        first = i == own.start
+        if t - progress.since < (HOLD_SETTLE_S if first else SETTLE_S) or missing:
             return progress, ()
         table = _table_of(progress)
         table[:, REST_SUM] += tension
         table[:, REST_SAMPLES] += 1.0
-        first = i == own.start
         if first:
             stretch = tension[own] / model.space.stiffness[own]
             table[own, ZERO_COLUMN] += (measured.travel[own] - stretch - excursion) / model.space.spool[
