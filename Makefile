@@ -49,8 +49,9 @@ test: env ## all checks and a sample of the tests, real SocketCAN included where
 	HANDCTL_SLOW_S=$(SLOW_S) $(MAKE) unit
 	HANDCTL_SLOW_S=$(CLOCK_SLOW_S) $(MAKE) realtime
 
-lint: env ## ruff, mypy --strict, the import contracts, and limits on dialect
+lint: env ## ruff with its formatter, mypy --strict, the import contracts, and limits on dialect
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python tools/language.py

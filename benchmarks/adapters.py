@@ -39,7 +39,15 @@ def outcome(hand: str, adapter: str, rate: float, seed: int) -> Outcome:
 
     output, errors = io.StringIO(), io.StringIO()
     with tempfile.TemporaryDirectory() as folder:
-        words = ["demo", "--lockstep", "--hand", hand, "--json", "--log", str(Path(folder) / "run.mcap")]
+        words = [
+            "demo",
+            "--lockstep",
+            "--hand",
+            hand,
+            "--json",
+            "--log",
+            str(Path(folder) / "run.mcap"),
+        ]
         words += ["--wire", f"adapter={adapter}", f"seed={seed}"]
         demo.run = at_rate
         try:
@@ -48,15 +56,21 @@ def outcome(hand: str, adapter: str, rate: float, seed: int) -> Outcome:
         finally:
             demo.run = run
     if not output.getvalue():
-        return Outcome(False, float("nan"), float("nan"), errors.getvalue().strip().splitlines()[-1])
+        return Outcome(
+            False, float("nan"), float("nan"), errors.getvalue().strip().splitlines()[-1]
+        )
     result = json.loads(output.getvalue())
     errors_of = result["tracking_rmse_deg"]
     tracking = (sum(error**2 for error in errors_of.values()) / len(errors_of)) ** 0.5
-    return Outcome(not result["failure"], tracking, result["tension_hold_error_n"], result["failure"] or "done")
+    return Outcome(
+        not result["failure"], tracking, result["tension_hold_error_n"], result["failure"] or "done"
+    )
 
 
 def _print_outcomes() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
     parser.add_argument(
         "--adapters",
@@ -65,8 +79,12 @@ def _print_outcomes() -> None:
         default=list(ADAPTER_CLASSES),
         help="classes of adapters",
     )
-    parser.add_argument("--rates", nargs="+", type=float, default=[250.0, 333.0, 500.0], help="control rates [Hz]")
-    parser.add_argument("--seeds", type=int, default=1, help="number of runs for each adapter and rate (default: 1)")
+    parser.add_argument(
+        "--rates", nargs="+", type=float, default=[250.0, 333.0, 500.0], help="control rates [Hz]"
+    )
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="number of runs for each adapter and rate (default: 1)"
+    )
     args = parser.parse_args()
     for adapter in args.adapters:
         for rate in args.rates:

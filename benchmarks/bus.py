@@ -38,7 +38,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer ticks")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--one", nargs=3, metavar=("MEDIUM", "C_REFERENCE", "TICKS"), help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--one", nargs=3, metavar=("MEDIUM", "C_REFERENCE", "TICKS"), help=argparse.SUPPRESS
+    )
     args = parser.parse_args()
     if args.one:
         medium, floor, ticks = args.one
@@ -71,7 +73,11 @@ def measure_both_buses(ticks: int) -> dict:
         os.environ["HANDCTL_RUN_DIR"] = short
         floor = compile_reference(Path(short))
         how = use_one_core()
-        return {"local": measure("local", floor, ticks), "vcan": measure_vcan(floor, ticks), "on": how}
+        return {
+            "local": measure("local", floor, ticks),
+            "vcan": measure_vcan(floor, ticks),
+            "on": how,
+        }
 
 
 def compile_reference(folder: Path) -> str:
@@ -80,7 +86,9 @@ def compile_reference(folder: Path) -> str:
     if compiler is None:
         return ""
     target = folder / "floor"
-    subprocess.run([compiler, "-O2", "-o", str(target), str(HERE / "exchange" / "floor.c")], check=True)
+    subprocess.run(
+        [compiler, "-O2", "-o", str(target), str(HERE / "exchange" / "floor.c")], check=True
+    )
     return str(target)
 
 
@@ -113,7 +121,9 @@ def measure(medium: str, floor: str, ticks: int) -> dict:
         for _ in range(ROUNDS):
             for name, row in measure_round(medium, floor, motors, ticks // ROUNDS):
                 rounds.setdefault(name, []).append(row)
-        result[str(motors)] = add_ratios({name: combine_rounds(rows) for name, rows in rounds.items()})
+        result[str(motors)] = add_ratios(
+            {name: combine_rounds(rows) for name, rows in rounds.items()}
+        )
     return result
 
 
@@ -144,7 +154,12 @@ def measure_round(medium: str, floor: str, motors: int, ticks: int):
             except (ImportError, ValueError) as error:
                 yield name, {"skipped": str(error)}
                 continue
-            yield name, measure_client(made, peer, motors, ticks if name in ALTERNATIVES else max(50, ticks // 5))
+            yield (
+                name,
+                measure_client(
+                    made, peer, motors, ticks if name in ALTERNATIVES else max(50, ticks // 5)
+                ),
+            )
 
 
 def measure_c_program(floor: str, medium: str, channel: str, motors: int, ticks: int) -> dict:
@@ -191,9 +206,13 @@ def add_ratios(rows: dict) -> dict:
     reference = rows[REFERENCE]
     for row in rows.values():
         if "skipped" not in row:
-            row["times_floor"] = row["wall_us"] / rows[C_REFERENCE]["wall_us"] if C_REFERENCE in rows else None
+            row["times_floor"] = (
+                row["wall_us"] / rows[C_REFERENCE]["wall_us"] if C_REFERENCE in rows else None
+            )
             row["times_packets"] = (
-                row["wall_us"] / rows[PACKET_PER_FRAME]["wall_us"] if PACKET_PER_FRAME in rows else None
+                row["wall_us"] / rows[PACKET_PER_FRAME]["wall_us"]
+                if PACKET_PER_FRAME in rows
+                else None
             )
             row["times_faster_than_python_can"] = reference["wall_us"] / row["wall_us"]
     return rows
@@ -213,7 +232,10 @@ def show(result: dict) -> None:
                 if "skipped" in row:
                     print(f"  {name:<26} skipped: {row['skipped']}")
                     continue
-                floors = (f"{value:.1f}" if value else "-" for value in (row["times_floor"], row["times_packets"]))
+                floors = (
+                    f"{value:.1f}" if value else "-"
+                    for value in (row["times_floor"], row["times_packets"])
+                )
                 ratio = row["times_faster_than_python_can"]
                 times = f"{row['wall_us']:7.1f}{row['cpu_us']:8.1f}"
                 print("  {:<26}{}{:>6}{:>15}{:>30.2f}".format(name, times, *floors, ratio))

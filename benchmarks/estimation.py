@@ -163,9 +163,15 @@ def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
         seeds = [_means_of_quantities(sums[regime]) for sums in results if regime in sums]
         if not seeds:
             continue
-        mean = {name: float(np.sqrt(np.mean([row[name] for row in seeds]))) for name in seeds[0] if "lag" not in name}
+        mean = {
+            name: float(np.sqrt(np.mean([row[name] for row in seeds])))
+            for name in seeds[0]
+            if "lag" not in name
+        }
         best = {
-            column: min((name for name in mean if name.startswith(f"{column} ")), key=mean.__getitem__)
+            column: min(
+                (name for name in mean if name.startswith(f"{column} ")), key=mean.__getitem__
+            )
             for column in ESTIMATORS[4:]
         }
         row = {column: mean[best.get(column, column)] for column in ESTIMATORS} | {
@@ -176,7 +182,8 @@ def tabulate(results: list[dict]) -> dict[str, dict[str, float]]:
         row["estimate spread"] = float(np.std([np.sqrt(row["estimate"]) for row in seeds]))
         row |= {"best weight": float(best["average"].split()[1]), "nis": mean["nis"] ** 2}
         row["whiteness"] = float(
-            np.mean([row["innovation lag 1"] for row in seeds]) / np.mean([row["innovation"] for row in seeds])
+            np.mean([row["innovation lag 1"] for row in seeds])
+            / np.mean([row["innovation"] for row in seeds])
         )
         row |= {f"{column} / {other}": row[column] / row[other] for column, other in RATIO_COLUMNS}
         table[regime] = row
@@ -198,12 +205,19 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
     # The jobs are in the order of their seeds, so that a stopped benchmark has equally many results
     # of each case.
-    jobs = [(*case, k) for k in range(max(counts)) for case, n in zip(cases, counts, strict=True) if k < n]
+    jobs = [
+        (*case, k)
+        for k in range(max(counts))
+        for case, n in zip(cases, counts, strict=True)
+        if k < n
+    ]
     results = collect(judge, jobs, plan)
     tables: dict = {"seeds": {}, "hands": {}, "ended": []}
     for case in cases:
         of_case = {job: sums for job, sums in results.items() if job[:2] == case}
-        tables["ended"] += [f"{job}: {reason}" for job, sums in of_case.items() for reason in sums.pop("ended", {})]
+        tables["ended"] += [
+            f"{job}: {reason}" for job, sums in of_case.items() for reason in sums.pop("ended", {})
+        ]
         if of_case:
             tables["hands"].setdefault(case[0], {})[case[1]] = tabulate(list(of_case.values()))
             tables["seeds"][", ".join(case)] = len(of_case)
@@ -225,7 +239,10 @@ def show(result: dict) -> None:
         for plant, table in plants.items():
             print(
                 f"\n{hand}, plant {plant}\n{'':14}"
-                + "".join(f"{name.replace('estimate', 'now').replace('filtered', 'then'):>12.11}" for name in columns)
+                + "".join(
+                    f"{name.replace('estimate', 'now').replace('filtered', 'then'):>12.11}"
+                    for name in columns
+                )
             )
             for regime, row in table.items():
                 print(f"{regime:<14}" + "".join(f"{row[name]:12.3f}" for name in columns))
@@ -234,17 +251,29 @@ def show(result: dict) -> None:
 def main() -> None:
     """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one seed, changed stiffness only (less than a minute)")
+    parser.add_argument(
+        "--quick", action="store_true", help="one seed, changed stiffness only (less than a minute)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(
-        "--seeds", type=int, default=10, help="number of runs with the plant of the hand file (default: 10)"
+        "--seeds",
+        type=int,
+        default=10,
+        help="number of runs with the plant of the hand file (default: 10)",
     )
     parser.add_argument(
-        "--wrong-seeds", type=int, default=10, help="number of runs with each changed plant (default: 10)"
+        "--wrong-seeds",
+        type=int,
+        default=10,
+        help="number of runs with each changed plant (default: 10)",
     )
     add_options(parser)
-    parser.add_argument("--stiffness", action="store_true", help="change only the stiffness of the plants")
-    parser.add_argument("--page", action="store_true", help="write the results into docs/evidence/control.md")
+    parser.add_argument(
+        "--stiffness", action="store_true", help="change only the stiffness of the plants"
+    )
+    parser.add_argument(
+        "--page", action="store_true", help="write the results into docs/evidence/control.md"
+    )
     args = parser.parse_args()
     start = time.monotonic()
     plants = list(TRIED_PLANTS)[:3] if args.quick or args.stiffness else list(TRIED_PLANTS)

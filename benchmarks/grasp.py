@@ -27,14 +27,23 @@ def main() -> None:
     """Measure the selected parts of the benchmark and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "--quick", action="store_true", help="one object, 0.1 minutes of free motion (less than a minute)"
-    )
-    parser.add_argument("--full", action="store_true", help="try every object (an hour with ten seeds)")
-    parser.add_argument(
-        "--grasps", default="power,pinch,hook", help="kinds of grasps, separated by commas (default: %(default)s)"
+        "--quick",
+        action="store_true",
+        help="one object, 0.1 minutes of free motion (less than a minute)",
     )
     parser.add_argument(
-        "--seeds", type=int, default=1, help="number of runs for each object, with other places and noise (default: 1)"
+        "--full", action="store_true", help="try every object (an hour with ten seeds)"
+    )
+    parser.add_argument(
+        "--grasps",
+        default="power,pinch,hook",
+        help="kinds of grasps, separated by commas (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=1,
+        help="number of runs for each object, with other places and noise (default: 1)",
     )
     parser.add_argument(
         "--minutes-free",
@@ -50,7 +59,9 @@ def main() -> None:
     add_options(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(
-        "--page", action="store_true", help="write the results into docs/evidence/control-grasps.md, with a picture"
+        "--page",
+        action="store_true",
+        help="write the results into docs/evidence/control-grasps.md, with a picture",
     )
     args = parser.parse_args()
     result = measure(args, plan_of(args))
@@ -74,7 +85,9 @@ def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
         loads = [(hand, along, seed) for seed in seeds for hand in hands for along in payload.ALONG]
         result["payload"] = list(collect(payload.try_load, loads, plan).values())
     if "slip" in parts and not args.quick:
-        slips = [(hand, answered, seed) for seed in seeds for hand in hands for answered in (False, True)]
+        slips = [
+            (hand, answered, seed) for seed in seeds for hand in hands for answered in (False, True)
+        ]
         result["slip"] = list(collect(slip.pull, slips, plan).values())
     if "tip" in parts:
         found = collect(tip.press, [(hand, seed) for seed in seeds for hand in hands], plan)
@@ -85,17 +98,29 @@ def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
     return result
 
 
-def _contacts(hands: tuple[str, ...], walls: int, minutes: float, plan: Plan) -> list[dict[str, Any]]:
+def _contacts(
+    hands: tuple[str, ...], walls: int, minutes: float, plan: Plan
+) -> list[dict[str, Any]]:
     """Measure contacts with walls and false contacts in free motion, for each hand.
 
     In a run of free motion the digits also rest, and only the time in which they move counts.
     """
-    results = collect(contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan)
+    results = collect(
+        contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan
+    )
     stretch = min(STRETCH_S, 60.0 * minutes)
     count = max(1, round(60.0 * minutes / stretch / contact.MOVING_FRACTION))
-    free = collect(contact.free_motion, [(hand, stretch, seed) for seed in range(count) for hand in hands], plan)
+    free = collect(
+        contact.free_motion,
+        [(hand, stretch, seed) for seed in range(count) for hand in hands],
+        plan,
+    )
     return [
-        _contact(hand, [v for j, v in results.items() if j[0] == hand], [v for j, v in free.items() if j[0] == hand])
+        _contact(
+            hand,
+            [v for j, v in results.items() if j[0] == hand],
+            [v for j, v in free.items() if j[0] == hand],
+        )
         for hand in hands
     ]
 

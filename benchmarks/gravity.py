@@ -18,7 +18,9 @@ from trials.jobs import Plan, add_options, collect, plan_of
 from trials.laws import GRAVITY_LAWS
 from trials.lockstep import RATES_HZ, Trial, run
 
-WEIGHTS_OF = dict(zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True))
+WEIGHTS_OF = dict(
+    zip(GRAVITY_LAWS, ("+ gravity and springs",) * 2 + ("+ full computed torque",) * 2, strict=True)
+)
 """For each control law of this benchmark, the law of the tracking benchmark whose weights (with margins) it uses."""
 SPEEDS = ("slow", "fast")
 FIGURES = {"rmse_deg": "RMSE", "steady_deg": "steady"}
@@ -27,8 +29,18 @@ FIGURES = {"rmse_deg": "RMSE", "steady_deg": "steady"}
 def work(job: tuple) -> dict[str, dict[str, float]]:
     """Run one trial and return its figures by speed. If the trial ended early, all figures are NaN."""
     hand, law, seed = job
-    gains = GRAVITY_LAWS[law].gains(*tracking.tuned(hand, WEIGHTS_OF[law], careful=True), RATES_HZ[hand])
-    trial = Trial(hand + SIDE_SUFFIX, tracking.moves(SPEEDS), seed, None, None, gains, change=GRAVITY_LAWS[law].change)
+    gains = GRAVITY_LAWS[law].gains(
+        *tracking.tuned(hand, WEIGHTS_OF[law], careful=True), RATES_HZ[hand]
+    )
+    trial = Trial(
+        hand + SIDE_SUFFIX,
+        tracking.moves(SPEEDS),
+        seed,
+        None,
+        None,
+        gains,
+        change=GRAVITY_LAWS[law].change,
+    )
     record = run(trial)
     if record.failure:
         return {speed: dict.fromkeys(FIGURES, float("nan")) for speed in SPEEDS}
@@ -44,7 +56,8 @@ def measure(seeds: int, plan: Plan) -> dict:
         for law in GRAVITY_LAWS:
             rows = [results[hand, law, k] for k in range(seeds) if (hand, law, k) in results]
             result.setdefault(hand, {})[law] = {
-                speed: {name: _over_seeds([row[speed][name] for row in rows]) for name in FIGURES} for speed in SPEEDS
+                speed: {name: _over_seeds([row[speed][name] for row in rows]) for name in FIGURES}
+                for speed in SPEEDS
             }
     return result
 
@@ -57,15 +70,29 @@ def _over_seeds(values: list[float]) -> dict[str, float]:
 
 def section(result: dict) -> str:
     """Return the Markdown section of a result."""
-    head = ["hand, law", *(f"{speed}, {name} [deg]" for speed in SPEEDS for name in FIGURES.values()), "seeds"]
+    head = [
+        "hand, law",
+        *(f"{speed}, {name} [deg]" for speed in SPEEDS for name in FIGURES.values()),
+        "seeds",
+    ]
     rows = []
     for hand, laws in result.items():
         for law, speeds in laws.items():
             cells = [speeds[speed][name] for speed in SPEEDS for name in FIGURES]
             texts = [f"{one['mean']:.3f} ± {one['spread']:.3f}" for one in cells]
             ended = cells[0]["ended"]
-            rows.append([f"{hand}, {law}", *texts, f"{cells[0]['seeds']}" + (f" ({ended} ended)" if ended else "")])
-    seeds = max(speeds[SPEEDS[0]]["rmse_deg"]["seeds"] for laws in result.values() for speeds in laws.values())
+            rows.append(
+                [
+                    f"{hand}, {law}",
+                    *texts,
+                    f"{cells[0]['seeds']}" + (f" ({ended} ended)" if ended else ""),
+                ]
+            )
+    seeds = max(
+        speeds[SPEEDS[0]]["rmse_deg"]["seeds"]
+        for laws in result.values()
+        for speeds in laws.values()
+    )
     return f"""## Gravity: a hand that lies on its side
 
 `python benchmarks/gravity.py --seeds {seeds} --page` writes this section. The packaged hands stand upright: their
@@ -90,7 +117,10 @@ def _description(result: dict) -> str:
     for hand, laws in result.items():
         names = list(laws)
         for without, compensated in zip(names[::2], names[1::2], strict=True):
-            texts = [f"{speed} {_gain(laws[without][speed], laws[compensated][speed])}" for speed in SPEEDS]
+            texts = [
+                f"{speed} {_gain(laws[without][speed], laws[compensated][speed])}"
+                for speed in SPEEDS
+            ]
             parts.append(f"{hand}, {compensated}: {', '.join(texts)}")
     return (
         "Reduction of the RMSE by gravity compensation: "
@@ -107,7 +137,9 @@ def _gain(without: dict, compensated: dict) -> str:
     after = compensated["rmse_deg"]
     change = before["mean"] - after["mean"]
     spread = math.hypot(before["spread"], after["spread"])
-    return f"{change:+.3f} ± {spread:.3f} deg" + ("" if abs(change) > spread else " (nothing beyond the spread)")
+    return f"{change:+.3f} ± {spread:.3f} deg" + (
+        "" if abs(change) > spread else " (nothing beyond the spread)"
+    )
 
 
 def main() -> None:
@@ -115,10 +147,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(
-        "--seeds", type=int, default=10, help="number of runs, with other noise and drift (default: 10)"
+        "--seeds",
+        type=int,
+        default=10,
+        help="number of runs, with other noise and drift (default: 10)",
     )
     add_options(parser)
-    parser.add_argument("--page", action="store_true", help="write the results into docs/evidence/control.md")
+    parser.add_argument(
+        "--page", action="store_true", help="write the results into docs/evidence/control.md"
+    )
     args = parser.parse_args()
     result = measure(args.seeds, plan_of(args))
     print(json.dumps(result, indent=2) if args.json else section(result))

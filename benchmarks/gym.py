@@ -46,7 +46,9 @@ class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (joints,), np.float32)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2 * joints,), np.float32)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict]:
         """Set the initial state."""
         super().reset(seed=seed)
         mujoco.mj_resetData(self.engine._model, self.engine._data)
@@ -65,7 +67,9 @@ class BareEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 def main() -> None:
     """Measure all environments and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="short measurement (less than half a minute)")
+    parser.add_argument(
+        "--quick", action="store_true", help="short measurement (less than half a minute)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     steps = QUICK_STEPS if args.quick else STEPS
@@ -75,7 +79,10 @@ def main() -> None:
 
 def measured(hand: str, name: str, steps: int) -> dict[str, Any]:
     """Measure handctl and the MuJoCo environment for one hand."""
-    options = {"hand": hand, **({"diameter_mm": (33.0, 33.0)} if name == "Grasp" else {"span": (0.0, 0.05)})}
+    options = {
+        "hand": hand,
+        **({"diameter_mm": (33.0, 33.0)} if name == "Grasp" else {"span": (0.0, 0.05)}),
+    }
     kind = f"handctl/{name}-v0"
     env = gymnasium.make(kind, **options)
     bare = BareEnv(hand, SCENES[name], env.unwrapped.step_s)

@@ -63,7 +63,13 @@ def task() -> dict[str, Any]:
     other = copy.deepcopy(CAMPAIGN_TASK)
     hold = other["phase"][-1]
     hold["duration_s"] = 1.5
-    rise = {"kind": "hold", "name": "rise", "tension_N": HOLD_N, "rate_N_per_s": FAST_RISE_N_PER_S, "duration_s": 60.0}
+    rise = {
+        "kind": "hold",
+        "name": "rise",
+        "tension_N": HOLD_N,
+        "rate_N_per_s": FAST_RISE_N_PER_S,
+        "duration_s": 60.0,
+    }
     other["phase"].append(rise)
     return other
 
@@ -96,8 +102,14 @@ def run_with_fault(simulation: SimulatedRun, text: str) -> dict[str, Any]:
         out = simulation.tick(requests=(STOP,) if stops else ())
         effect = simulation.peer.fault_states()[-1]
         effect_ns = effect["first_ns"] if effect["first_ns"] >= 0 else start * simulation.period_ns
-        detected += [e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"]
-        if reacted < 0 and i < watched and (out.action >= Action.RELAX or out.mode in (Mode.RELAX, Mode.CUT)):
+        detected += [
+            e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"
+        ]
+        if (
+            reacted < 0
+            and i < watched
+            and (out.action >= Action.RELAX or out.mode in (Mode.RELAX, Mode.CUT))
+        ):
             reacted = (simulation.k * simulation.period_ns - effect_ns) * 1e-6
         largest = max(simulation.peer.truth()["tension"])
         tension = max(tension, largest)
@@ -117,7 +129,11 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
     rate = default_rate(hand)
     motor = hand.motor[0]
     tendon = hand.tendon[0]
-    words = {"motor": motor.name, "tendon": tendon.name, "peak": f"{motor.torque_peak_N_m / motor.torque_max_N_m:.6g}"}
+    words = {
+        "motor": motor.name,
+        "tendon": tendon.name,
+        "peak": f"{motor.torque_peak_N_m / motor.torque_max_N_m:.6g}",
+    }
     with homed_run(hand, rate, seed, task=task()) as simulation:
         for stage in STAGES:
             first = 0
@@ -127,16 +143,26 @@ def rows(hand_name: str, protocol: str, seed: int, selected_fault: str) -> Itera
                 if is_at_stage(stage, out, first):
                     break
             else:
-                raise SystemExit(f"seed {seed}: no {stage}: {simulation.state.failure or out.phase}")
+                raise SystemExit(
+                    f"seed {seed}: no {stage}: {simulation.state.failure or out.phase}"
+                )
             for name, text, stages in FAULTS:
                 if stage in stages and selected_fault in name:
                     reading, writing = os.pipe()
                     if os.fork() == 0:
-                        os.write(writing, json.dumps(run_with_fault(simulation, text.format(**words))).encode())
+                        os.write(
+                            writing,
+                            json.dumps(run_with_fault(simulation, text.format(**words))).encode(),
+                        )
                         os._exit(0)
                     os.close(writing)
                     with os.fdopen(reading) as pipe:
-                        yield {"fault": name, "stage": stage, "seed": seed, **json.loads(pipe.read())}
+                        yield {
+                            "fault": name,
+                            "stage": stage,
+                            "seed": seed,
+                            **json.loads(pipe.read()),
+                        }
                     os.wait()
 
 
@@ -162,13 +188,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
     parser.add_argument(
-        "--protocol", default="mit", choices=GUARDED_PROTOCOLS, help="protocol of the drives (default: mit)"
+        "--protocol",
+        default="mit",
+        choices=GUARDED_PROTOCOLS,
+        help="protocol of the drives (default: mit)",
     )
-    parser.add_argument("--seeds", type=int, default=1, help="number of runs for each fault (default: 1)")
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="number of runs for each fault (default: 1)"
+    )
     parser.add_argument("--only", default="", help="only faults whose name contains this text")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
-    results = [row for seed in range(args.seeds) for row in rows(args.hand, args.protocol, seed, args.only)]
+    results = [
+        row for seed in range(args.seeds) for row in rows(args.hand, args.protocol, seed, args.only)
+    ]
     print(json.dumps(results, indent=1) if args.json else table(results))
 
 

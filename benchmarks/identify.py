@@ -42,7 +42,15 @@ Row = dict[str, Any]
 MAX_PARAMETER_ERROR = 0.3
 MAX_ARM_ERROR = 0.1
 MAX_GAIN_FACTOR = 3.0
-DRAWN_PARAMETERS = ("stiffness", "damping", "friction", "mass", "spring", "motor_inertia", "torque_constant")
+DRAWN_PARAMETERS = (
+    "stiffness",
+    "damping",
+    "friction",
+    "mass",
+    "spring",
+    "motor_inertia",
+    "torque_constant",
+)
 TOLERANCES = {
     "tendon_stiffness": 0.05, "spring_stiffness": 0.05, "motor_inertia": 0.05,
     "motor_coulomb": 0.15, "motor_viscous": 0.15, "capstan": 0.15, "torque_gain": 0.05,
@@ -62,8 +70,15 @@ def gains_for(hand: Hand, digit: str, seed: int) -> Gains:
 def draw_plant(seed: int, sprung: bool = True) -> dict[str, float]:
     """Draw factors on the parameters of a plant. For digits without springs, also draw a factor on the moment arms."""
     chance = random.Random(f"plant {seed}")
-    factors = {key: chance.uniform(1.0 - MAX_PARAMETER_ERROR, 1.0 + MAX_PARAMETER_ERROR) for key in DRAWN_PARAMETERS}
-    return factors if sprung else factors | {"moment_arm": chance.uniform(1.0 - MAX_ARM_ERROR, 1.0 + MAX_ARM_ERROR)}
+    factors = {
+        key: chance.uniform(1.0 - MAX_PARAMETER_ERROR, 1.0 + MAX_PARAMETER_ERROR)
+        for key in DRAWN_PARAMETERS
+    }
+    return (
+        factors
+        if sprung
+        else factors | {"moment_arm": chance.uniform(1.0 - MAX_ARM_ERROR, 1.0 + MAX_ARM_ERROR)}
+    )
 
 
 def draw_gains(packaged: Gains, seed: int) -> Gains:
@@ -72,7 +87,9 @@ def draw_gains(packaged: Gains, seed: int) -> Gains:
     values = {}
     for key in DETUNABLE:
         section, _, name = key.partition(".")
-        values[key] = getattr(getattr(packaged, section), name) * MAX_GAIN_FACTOR ** chance.uniform(-1.0, 1.0)
+        values[key] = getattr(getattr(packaged, section), name) * MAX_GAIN_FACTOR ** chance.uniform(
+            -1.0, 1.0
+        )
     return with_values(packaged, values, "detuned")
 
 
@@ -114,12 +131,20 @@ def excite_and_fit(
     hand = load_hand(hand_name)
     plan = RunPlan(hand, gains, default_rate(hand), ())
     log = folder / f"{seed}.mcap"
-    controller = make_controller(plan, ExciteProgram(excitation_steps(hand, (digit,))), None, arm_at_once=True)
+    controller = make_controller(
+        plan, ExciteProgram(excitation_steps(hand, (digit,))), None, arm_at_once=True
+    )
     began = time.process_time()
-    with SimulatorSettings(hand_name, None, seed, factors, homed=True).clock(plan.period_ns) as clock:
+    with SimulatorSettings(hand_name, None, seed, factors, homed=True).clock(
+        plan.period_ns
+    ) as clock:
         held = HoldLimit()
         outcome = run_lockstep(plan, controller, log, clock, held)
-    row: Row = {"seed": seed, "digit": digit, "simulated_s": outcome.state.k * 1e-9 * plan.period_ns}
+    row: Row = {
+        "seed": seed,
+        "digit": digit,
+        "simulated_s": outcome.state.k * 1e-9 * plan.period_ns,
+    }
     row["excite_cpu_s"] = time.process_time() - began
     if outcome.state.failure or held.reason:
         return {}, row | {"failure": held.reason or outcome.state.failure}
@@ -138,11 +163,20 @@ def measure_digit(seed: int, digit: str, folder: Path, hand_name: str = "jamia")
     hand = load_hand(hand_name)
     sprung = has_springs(hand, digit)
     factors = draw_plant(seed, sprung)
-    result, row = excite_and_fit(hand_name, digit, seed, factors, gains_for(hand, digit, seed), folder)
+    result, row = excite_and_fit(
+        hand_name, digit, seed, factors, gains_for(hand, digit, seed), folder
+    )
     if not result:
         return row
-    row["refused"] = sorted({reason for one in result.values() for reason in (one.contact, one.blocked) if reason})
-    shared = {name: one for tendon, one in result.items() for name in one.identifiability.names if name in DIGIT_KEYS}
+    row["refused"] = sorted(
+        {reason for one in result.values() for reason in (one.contact, one.blocked) if reason}
+    )
+    shared = {
+        name: one
+        for tendon, one in result.items()
+        for name in one.identifiability.names
+        if name in DIGIT_KEYS
+    }
     row["parameters"] = [
         compare_parameter(name, tendon, real, shared.get(name, one))
         for tendon, one in result.items()
@@ -174,7 +208,11 @@ def compare_parameter(name: str, tendon: str, real: float, result: TendonResult)
 def summary(rows: list[Row]) -> Row:
     """Summarise every parameter: accurate fits, intervals that contain the true value, and errors."""
     good = [row["parameters"] for row in rows if "failure" not in row]
-    result: Row = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row], "parameters": {}}
+    result: Row = {
+        "seeds": len(rows),
+        "failed": [row for row in rows if "failure" in row],
+        "parameters": {},
+    }
     result["refused"] = [row["seed"] for row in rows if row.get("refused")]
     for name, limit in TOLERANCES.items():
         selected = [one for row in good for one in row if one["name"] == name]
@@ -199,7 +237,11 @@ def summary(rows: list[Row]) -> Row:
 
 def collect_rows(args: argparse.Namespace) -> list[Row]:
     """Return the rows of all requested seeds. Rows that are already in the file of results are not computed again."""
-    rows = [json.loads(line) for line in args.into.read_text().splitlines()] if args.into and args.into.exists() else []
+    rows = (
+        [json.loads(line) for line in args.into.read_text().splitlines()]
+        if args.into and args.into.exists()
+        else []
+    )
     done = {row["seed"] for row in rows}
     digits = load_hand(args.hand).digit_names
     with tempfile.TemporaryDirectory() as folder:
@@ -220,9 +262,14 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
     parser.add_argument("--seeds", type=int, default=4, help="number of random hands (default: 4)")
-    parser.add_argument("--first", type=int, default=1, help="seed of the first random hand (default: 1)")
     parser.add_argument(
-        "--into", type=Path, metavar="FILE", help="file of results, a JSON line each: an interrupted run continues"
+        "--first", type=int, default=1, help="seed of the first random hand (default: 1)"
+    )
+    parser.add_argument(
+        "--into",
+        type=Path,
+        metavar="FILE",
+        help="file of results, a JSON line each: an interrupted run continues",
     )
     parser.add_argument("--quick", action="store_true", help="one random hand")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")

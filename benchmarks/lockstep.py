@@ -43,11 +43,16 @@ class Rollout(NamedTuple):
 def main() -> None:
     """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="short measurement (less than half a minute)")
+    parser.add_argument(
+        "--quick", action="store_true", help="short measurement (less than half a minute)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     result = {
-        hand: {name: measure(hand, rate, name, QUICK_SECONDS if args.quick else SECONDS) for name in SCENES}
+        hand: {
+            name: measure(hand, rate, name, QUICK_SECONDS if args.quick else SECONDS)
+            for name in SCENES
+        }
         for hand, rate in RATES.items()
     }
     print(json.dumps(result, indent=2)) if args.json else show(result)
@@ -60,9 +65,13 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
     """Measure one hand in one scene."""
     made = SCENES[scene]
     rollout = record_rollout(Stack(hand, rate_hz, made), seconds)
-    bare = sum_of_shortest(repeat_rollout(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES))
+    bare = sum_of_shortest(
+        repeat_rollout(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES)
+    )
     whole = sum_of_shortest(Stack(hand, rate_hz, made).run(seconds) for _ in range(PASSES))
-    peer = sum_of_shortest(Stack(hand, rate_hz, made).behind_the_wire(seconds) for _ in range(PASSES // 2))
+    peer = sum_of_shortest(
+        Stack(hand, rate_hz, made).behind_the_wire(seconds) for _ in range(PASSES // 2)
+    )
     ticks = round(seconds * rate_hz)
     return {
         "rate_hz": rate_hz,

@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-if __name__ == "logging":  # Other scripts in this folder need Python's ``logging``, which this file would hide.
+if (
+    __name__ == "logging"
+):  # Other scripts in this folder need Python's ``logging``, which this file would hide.
     import importlib.machinery
     import importlib.util
 

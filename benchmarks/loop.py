@@ -25,9 +25,16 @@ STEP = 0.85
 def main() -> None:
     """Measure all cases and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="short measurement (less than half a minute)")
+    parser.add_argument(
+        "--quick", action="store_true", help="short measurement (less than half a minute)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--one", nargs=5, metavar=("WHICH", "HAND", "BUS", "SECONDS", "RATE"), help=argparse.SUPPRESS)
+    parser.add_argument(
+        "--one",
+        nargs=5,
+        metavar=("WHICH", "HAND", "BUS", "SECONDS", "RATE"),
+        help=argparse.SUPPRESS,
+    )
     args = parser.parse_args()
     if args.one:
         print(json.dumps(one(*args.one)))
@@ -46,18 +53,28 @@ def measure(seconds: float, quick: bool) -> dict:
             if motors == 4:
                 ours = child("ours", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
                 bare = child("bare", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
-                result["lateness_us"] = {"rate_hz": LATENESS_HZ, "handctl": ours, "bare_sleep": bare}
+                result["lateness_us"] = {
+                    "rate_hz": LATENESS_HZ,
+                    "handctl": ours,
+                    "bare_sleep": bare,
+                }
             if motors == 11:
                 result["at_rate"] = {
-                    rate: child("ours", hand, bus, 2 * seconds if quick else 30.0, rate) for rate in (500.0, 1000.0)
+                    rate: child("ours", hand, bus, 2 * seconds if quick else 30.0, rate)
+                    for rate in (500.0, 1000.0)
                 }
                 with both_cores_loaded():
                     result["loaded_us"] = {
                         which: child(which, hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
                         for which in ("ours", "bare_spin")
                     }
-            rates = {which: free_and_highest_rate(which, hand, bus, seconds, quick) for which in ("ours", "usual")}
-        result["motors"][motors] = rates | {f"{name}_ratio": ratio(rates, name) for name in ("free_hz", "held_hz")}
+            rates = {
+                which: free_and_highest_rate(which, hand, bus, seconds, quick)
+                for which in ("ours", "usual")
+            }
+        result["motors"][motors] = rates | {
+            f"{name}_ratio": ratio(rates, name) for name in ("free_hz", "held_hz")
+        }
     return result
 
 
@@ -85,7 +102,9 @@ def ratio(rates: dict, name: str) -> float | None:
 def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> dict:
     """Run one measurement in a separate process and return its result."""
     words = ["--one", which, hand, bus, str(seconds), str(rate_hz)]
-    out = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, timeout=120)
+    out = subprocess.run(
+        [sys.executable, __file__, *words], capture_output=True, text=True, timeout=120
+    )
     if out.returncode:
         raise SystemExit(out.stderr)
     return json.loads(out.stdout)
@@ -116,7 +135,9 @@ def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
 def marks(times_ns: list[int]) -> dict:
     """Return percentiles of times [us]."""
     percentiles = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
-    return dict(zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in percentiles), strict=True))
+    return dict(
+        zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in percentiles), strict=True)
+    )
 
 
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
@@ -203,7 +224,9 @@ def show(result: dict) -> None:
             ours = rates["ours"][kind]
             other = rates["usual"][kind]
             by = ratio(rates, kind)
-            print(f"  {motors:>2} motors, {kind[:4]:<12}{ours or 0:10.0f}{other or 0:8.0f}{by or 0:8.2f}")
+            print(
+                f"  {motors:>2} motors, {kind[:4]:<12}{ours or 0:10.0f}{other or 0:8.0f}{by or 0:8.2f}"
+            )
 
 
 if __name__ == "__main__":

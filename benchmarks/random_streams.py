@@ -36,7 +36,9 @@ def draw_action(random: np.random.Generator, last: Array, step: int) -> Array:
 
 def draw_or_keep_action(random: np.random.Generator, last: Array, step: int) -> Array:
     """Return the last action, or at random moments a new random action."""
-    return random.uniform(-1.0, 1.0, len(last)) if step == 0 or random.random() < 1.0 / 17.0 else last
+    return (
+        random.uniform(-1.0, 1.0, len(last)) if step == 0 or random.random() < 1.0 / 17.0 else last
+    )
 
 
 def take_random_step(random: np.random.Generator, last: Array, step: int) -> Array:
@@ -79,11 +81,18 @@ def run(env: TrackEnv, kind: str, seed: int) -> tuple[str, float]:
 def main() -> None:
     """Run all combinations of hand, kind of targets and seed, and print a row per hand."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hands", nargs="*", default=list(packaged_hands()), help="packaged hands (default: all)")
     parser.add_argument(
-        "--seeds", type=int, default=5, help="number of runs for each hand and kind of target (default: 5)"
+        "--hands", nargs="*", default=list(packaged_hands()), help="packaged hands (default: all)"
     )
-    parser.add_argument("--seconds", type=float, default=5.0, help="duration of a run [s] (default: 5)")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=5,
+        help="number of runs for each hand and kind of target (default: 5)",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=5.0, help="duration of a run [s] (default: 5)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     table = []
@@ -99,7 +108,14 @@ def main() -> None:
                 if fault:
                     faults[fault.split()[1]] += 1
         env.close()
-        table.append({"hand": hand, "runs": len(KINDS) * args.seeds, "faults": dict(faults), "largest_N": largest})
+        table.append(
+            {
+                "hand": hand,
+                "runs": len(KINDS) * args.seeds,
+                "faults": dict(faults),
+                "largest_N": largest,
+            }
+        )
     if args.json:
         print(json.dumps(table))
         return

@@ -25,7 +25,11 @@ def main() -> None:
     """Measure the re-execution of all logs and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "logs", nargs="*", type=Path, metavar="LOG", help="logs to execute (default: those in logs/golden)"
+        "logs",
+        nargs="*",
+        type=Path,
+        metavar="LOG",
+        help="logs to execute (default: those in logs/golden)",
     )
     parser.add_argument("--quick", action="store_true", help="execute each log twice")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
@@ -45,7 +49,9 @@ def measure(path: Path, passes: int) -> dict:
         ticks = len(log)
         period_us = log.header.period_ns / 1e3
         tick = sum(map(min, zip(*(one["tick"] for one in runs), strict=True)))
-        shortest = {name: min(one[name] for one in runs) for name in ("read", "compare")} | {"tick": tick}
+        shortest = {name: min(one[name] for one in runs) for name in ("read", "compare")} | {
+            "tick": tick
+        }
         return {
             "ticks": ticks,
             "equal": runs[0]["equal"],
@@ -76,7 +82,10 @@ def once(log: RunLog, controller: Controller) -> dict:
         took.append(cpu() - before)
         outs.append(out)
     began = cpu()
-    equal = sum(are_outputs_equal(one, numbers, out) for (one, numbers), out in zip(logged, outs, strict=True))
+    equal = sum(
+        are_outputs_equal(one, numbers, out)
+        for (one, numbers), out in zip(logged, outs, strict=True)
+    )
     return {"read": read, "tick": took, "compare": cpu() - began, "equal": equal}
 
 
@@ -84,7 +93,9 @@ def show(result: dict) -> None:
     """Print the results as text."""
     for name, row in result.items():
         parts = ", ".join(f"{stage} {us:.1f}" for stage, us in row["us_a_tick"].items())
-        print(f"{name}: {row['times_real_time']:.1f} times real time, {row['equal']} of {row['ticks']} ticks equal")
+        print(
+            f"{name}: {row['times_real_time']:.1f} times real time, {row['equal']} of {row['ticks']} ticks equal"
+        )
         print(f"  us a tick: {parts}")
         for who, fraction in sorted(row["spent"].items(), key=lambda item: -item[1]):
             print(f"    {100 * fraction:5.1f} %  {who}")

@@ -35,7 +35,17 @@ def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
     out = io.StringIO()
     err = io.StringIO()
     with tempfile.TemporaryDirectory(prefix="handctl-seeds-") as folder:
-        words = ["--hand", hand, "--protocol", protocol, "--seed", str(seed), "--log", f"{folder}/run.mcap", "--json"]
+        words = [
+            "--hand",
+            hand,
+            "--protocol",
+            protocol,
+            "--seed",
+            str(seed),
+            "--log",
+            f"{folder}/run.mcap",
+            "--json",
+        ]
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = handctl(["demo", "--lockstep", *words])
     figures: dict[str, Any] = {"hand": hand, "protocol": protocol, "seed": seed, "exit": code}
@@ -57,18 +67,29 @@ def limits(hand: str, duration_s: float) -> dict[str, float]:
     No sensor of the hand shows the drift of its load cells. The limit of the tension error is
     therefore at least `DRIFT_SIGMAS` standard deviations of the drift in the time of the run.
     """
-    drift = DRIFT_SIGMAS * load_hand(hand).sensor_node.tension_bias_drift_N * math.sqrt(duration_s / 100.0)
+    drift = (
+        DRIFT_SIGMAS
+        * load_hand(hand).sensor_node.tension_bias_drift_N
+        * math.sqrt(duration_s / 100.0)
+    )
     return LIMITS | {"tension_error_N": max(LIMITS["tension_error_N"], drift)}
 
 
 def failure_reason(figures: dict[str, Any], run_result: dict[str, Any]) -> str:
     """Describe why a run has not passed. Return an empty string if it has passed."""
     if run_result["failure"] or run_result["missed"] or run_result["frames_lost"]:
-        return run_result["failure"] or f"{run_result['missed']} ticks missed, {run_result['frames_lost']} frames lost"
+        return (
+            run_result["failure"]
+            or f"{run_result['missed']} ticks missed, {run_result['frames_lost']} frames lost"
+        )
     if min(run_result["contact_force_n"].values()) <= 0.5:
         return "a digit does not hold the object"
     allowed = limits(figures["hand"], run_result["simulated_s"])
-    return ", ".join(f"{name} {figures[name]:.2f}" for name, limit in allowed.items() if not figures[name] < limit)
+    return ", ".join(
+        f"{name} {figures[name]:.2f}"
+        for name, limit in allowed.items()
+        if not figures[name] < limit
+    )
 
 
 def table(results: list[dict[str, Any]]) -> str:
@@ -79,9 +100,14 @@ def table(results: list[dict[str, Any]]) -> str:
     ]
     for hand, protocol in dict.fromkeys((one["hand"], one["protocol"]) for one in results):
         selected = [one for one in results if (one["hand"], one["protocol"]) == (hand, protocol)]
-        worst = [max((one[name] for one in selected if name in one), default=float("nan")) for name in LIMITS]
+        worst = [
+            max((one[name] for one in selected if name in one), default=float("nan"))
+            for name in LIMITS
+        ]
         passed = f"{sum(not one['why'] for one in selected)} of {len(selected)}"
-        rows.append(f"| {hand} | {protocol} | {passed} | {worst[0]:.2f} | {worst[1]:.2f} | {worst[2]:.3f} |")
+        rows.append(
+            f"| {hand} | {protocol} | {passed} | {worst[0]:.2f} | {worst[1]:.2f} | {worst[2]:.3f} |"
+        )
     for one in results:
         if one["why"]:
             rows.append(f"\n{one['hand']}, {one['protocol']}, seed {one['seed']}: {one['why']}")
@@ -91,22 +117,40 @@ def table(results: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Run the cases that have no result in the file yet, and write the table."""
     parser = argparse.ArgumentParser(description="the demo over many seeds")
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="number of seeds (default: 20)")
     parser.add_argument(
-        "--results", type=Path, required=True, metavar="FILE", help="file of results, a JSON line per run"
+        "--seeds", type=int, default=20, metavar="N", help="number of seeds (default: 20)"
     )
     parser.add_argument(
-        "--hand", nargs="+", choices=packaged_hands(), default=packaged_hands(), help="hands (default: all)"
+        "--results",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="file of results, a JSON line per run",
     )
     parser.add_argument(
-        "--protocol", nargs="+", choices=ALL_PROTOCOLS, default=ALL_PROTOCOLS, help="protocols (default: all)"
+        "--hand",
+        nargs="+",
+        choices=packaged_hands(),
+        default=packaged_hands(),
+        help="hands (default: all)",
     )
-    parser.add_argument("--table", type=Path, metavar="FILE", help="write the table into this file too")
+    parser.add_argument(
+        "--protocol",
+        nargs="+",
+        choices=ALL_PROTOCOLS,
+        default=ALL_PROTOCOLS,
+        help="protocols (default: all)",
+    )
+    parser.add_argument(
+        "--table", type=Path, metavar="FILE", help="write the table into this file too"
+    )
     args = parser.parse_args()
     lines = args.results.read_text().splitlines() if args.results.exists() else []
     results = [json.loads(line) for line in lines]
     done = {(one["hand"], one["protocol"], one["seed"]) for one in results}
-    cases: list[Case] = [(h, p, seed) for seed in range(args.seeds) for h in args.hand for p in args.protocol]
+    cases: list[Case] = [
+        (h, p, seed) for seed in range(args.seeds) for h in args.hand for p in args.protocol
+    ]
     for case in cases:
         if case not in done:
             results.append(demo(*case))

@@ -34,7 +34,11 @@ SENSORS = {
     "joint encoders": (False, True),
     "neither": (False, False),
 }
-CASES = [("jamia", "load cells"), ("jamia", "neither"), *(("n_plus_1", sensors) for sensors in SENSORS)]
+CASES = [
+    ("jamia", "load cells"),
+    ("jamia", "neither"),
+    *(("n_plus_1", sensors) for sensors in SENSORS),
+]
 """Hand and sensors of each case. There are no cases with joint encoders for jamia, because jamia has none."""
 CONTACT_N = 0.3
 """True force of a digit on the object above which the digit is in contact [N]."""
@@ -63,7 +67,9 @@ def hand_with(name: str, sensors: str) -> Hand:
         del content["sensor_node"]
         return hand_from_content(content, name)
     node = content["sensor_node"]
-    content["sensor_node"] = node | ({} if cells else {"tendons": []}) | ({} if encoders else {"joints": []})
+    content["sensor_node"] = (
+        node | ({} if cells else {"tendons": []}) | ({} if encoders else {"joints": []})
+    )
     return hand_from_content(content, name)
 
 
@@ -74,12 +80,26 @@ def task_of(hand: Hand) -> Task:
     phases = (
         {"kind": "move", "name": "home", "angle_deg": 0.0, "duration_s": 0.4},
         {"kind": "move", "name": "preshape", "angle_deg": preshape, "duration_s": 0.8},
-        {"kind": "close", "name": "close", "angle_deg": 80.0, "speed_deg_s": 50.0, "contact_tension_N": 18.0},
-        {"kind": "hold", "name": "hold", "tension_N": 36.0, "rate_N_per_s": 40.0, "duration_s": 4.0},
+        {
+            "kind": "close",
+            "name": "close",
+            "angle_deg": 80.0,
+            "speed_deg_s": 50.0,
+            "contact_tension_N": 18.0,
+        },
+        {
+            "kind": "hold",
+            "name": "hold",
+            "tension_N": 36.0,
+            "rate_N_per_s": 40.0,
+            "duration_s": 4.0,
+        },
         {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 60.0},
         {"kind": "move", "name": "open", "angle_deg": 0.0, "duration_s": 0.8},
     )
-    return Task.model_validate({"schema": 1, "name": "grasp", "description": "grasp", "phase": phases})
+    return Task.model_validate(
+        {"schema": 1, "name": "grasp", "description": "grasp", "phase": phases}
+    )
 
 
 def scene_of(name: str) -> str:
@@ -135,7 +155,9 @@ def run(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") ->
                 record.sigma.append(run.state.view("sigma").copy())
                 record.angle.append(run.state.view("q") - plant.engine.q)
                 if out.phase == "hold":
-                    record.moved_mm = 1e3 * float(np.linalg.norm(np.array(plant.engine.object_pose()[:3]) - start))
+                    record.moved_mm = 1e3 * float(
+                        np.linalg.norm(np.array(plant.engine.object_pose()[:3]) - start)
+                    )
     return record
 
 
@@ -166,7 +188,11 @@ def figures(records: list[SensingRun], period: float) -> dict[str, float]:
         taut[~(in_motion | (phase == "hold"))] = False
         scaled.append(error[taut] / width[taut])
         angle.append(np.degrees(np.array(record.angle)[in_motion]))
-        delays += [1e3 * (t - record.touched_s[name]) for name, t in record.found_s.items() if name in record.touched_s]
+        delays += [
+            1e3 * (t - record.touched_s[name])
+            for name, t in record.found_s.items()
+            if name in record.touched_s
+        ]
     return {
         "moving_N": rms(np.concatenate(moving)),
         "holding_N": rms(np.concatenate(held)),
@@ -174,7 +200,11 @@ def figures(records: list[SensingRun], period: float) -> dict[str, float]:
         "error_per_sigma": rms(np.concatenate(scaled)),
         "angle_deg": rms(np.concatenate(angle)),
         "delay_ms": float(np.median(delays)),
-        "held": float(np.mean([np.isfinite(r.moved_mm) and r.moved_mm < 10.0 and not r.faults for r in records])),
+        "held": float(
+            np.mean(
+                [np.isfinite(r.moved_mm) and r.moved_mm < 10.0 and not r.faults for r in records]
+            )
+        ),
     }
 
 
@@ -259,9 +289,13 @@ def page(result: dict[str, Any]) -> str:
 def main() -> None:
     """Measure all cases, and print the result or write the page."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n", 1)[0])
-    parser.add_argument("--seeds", type=int, default=20, help="number of runs for each hand (default: 20)")
+    parser.add_argument(
+        "--seeds", type=int, default=20, help="number of runs for each hand (default: 20)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--page", action="store_true", help=f"write the results into docs/evidence/{PAGE.name}")
+    parser.add_argument(
+        "--page", action="store_true", help=f"write the results into docs/evidence/{PAGE.name}"
+    )
     args = parser.parse_args()
     result = measure(args.seeds)
     if args.page:

@@ -61,9 +61,13 @@ class Stack:
             path = Path(folder) / "task.toml"
             path.write_text(HEAD + scene.task * scene.repeat)
             program = TaskProgram(load_task(path))
-        controller = make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
+        controller = make_controller(
+            load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True
+        )
         self._open = ExitStack()
-        self.simulation = self._open.enter_context(SimulatorSettings(hand, scene.scene, homed=True).against(controller))
+        self.simulation = self._open.enter_context(
+            SimulatorSettings(hand, scene.scene, homed=True).against(controller)
+        )
         self.simulation.record = False
         self.peer = self.simulation.peer
         self.engine = self.peer.world.plant.engine

@@ -40,12 +40,16 @@ class Start(NamedTuple):
 def main() -> None:
     """Measure all programs and print the times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=7, help="starts of each program (default: 7)")
+    parser.add_argument(
+        "--repeats", type=int, default=7, help="starts of each program (default: 7)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
         os.environ["HANDCTL_RUN_DIR"] = folder
-        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # without stored byte code each start would compile 300 modules
+        os.environ.pop(
+            "PYTHONDONTWRITEBYTECODE", None
+        )  # without stored byte code each start would compile 300 modules
         os.environ["PYTHONPYCACHEPREFIX"] = folder
         result = measure(args.repeats, Path(folder))
     print(json.dumps(result, indent=2)) if args.json else show(result)
@@ -54,12 +58,16 @@ def main() -> None:
 def measure(repeats: int, folder: Path) -> dict[str, list[Start]]:
     """Return the times of all starts of each program. The programs are started in turns."""
     command = [sys.executable, "-m", "firmware_sim", "bus", BUS]
-    hub = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1])
+    hub = subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[1]
+    )
     assert hub.stdout
     hub.stdout.readline()
     measures: dict[str, Callable[[], Start]] = {
         "python -c 'import numpy'": lambda: time_until_exit([sys.executable, "-c", "import numpy"]),
-        "handctl run --help": lambda: time_until_exit([sys.executable, "-m", "handctl.cli", "run", "--help"]),
+        "handctl run --help": lambda: time_until_exit(
+            [sys.executable, "-m", "handctl.cli", "run", "--help"]
+        ),
     }
     for name, hand in RUNS.items():
         measures[name] = partial(until_first_frame, hand, folder)
@@ -104,7 +112,10 @@ def until_first_frame(hand: str, folder: Path) -> Start:
     words = ["run", "--hand", hand, "--bus", f"local:{BUS}", "--log", str(folder / "run.mcap")]
     begin = time.monotonic()
     run = subprocess.Popen(
-        [sys.executable, "-m", "handctl.cli", *words], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [sys.executable, "-m", "handctl.cli", *words],
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )
     try:
         if not select.select([listener], [], [], LONGEST_S)[0]:
@@ -123,7 +134,9 @@ def show(result: dict[str, list[Start]]) -> None:
     for name, starts in result.items():
         times = [start.wall for start in starts]
         cpu = statistics.median(start.cpu for start in starts)
-        print(f"{name:28} {statistics.median(times):11.2f} {min(times):9.2f} {max(times):8.2f} {cpu:8.2f}")
+        print(
+            f"{name:28} {statistics.median(times):11.2f} {min(times):9.2f} {max(times):8.2f} {cpu:8.2f}"
+        )
 
 
 if __name__ == "__main__":

@@ -92,7 +92,9 @@ class BadClient:
         """Return the time of the simulated hand since the beginning of the stream [s]."""
         return (time.monotonic() - self.began_s) * self.scale
 
-    def send(self, value: float, number: int | None = None, age_s: float = 0.0, space: int = 1) -> None:
+    def send(
+        self, value: float, number: int | None = None, age_s: float = 0.0, space: int = 1
+    ) -> None:
         """Send a value as a target, with any number and any age in the time of the simulated hand [s]."""
         self.number += number is None
         sent_ns = time.monotonic_ns() - round(1e9 * age_s / self.scale)
@@ -233,11 +235,19 @@ class Stage:
         self.log = folder / "run.mcap"
         self.truth = folder / "hand.truth"
         scaled = ["--time-scale", f"{scale:g}"]
-        self.words = ["--calibration", str(homed[0] if homed else folder / "c.toml"), "--log", str(self.log), *scaled]
+        self.words = [
+            "--calibration",
+            str(homed[0] if homed else folder / "c.toml"),
+            "--log",
+            str(self.log),
+            *scaled,
+        ]
         command = [*SIMULATOR, "--hand", "jamia", "--bus", bus, "--scene", "none", *scaled]
         command += homed[1] if homed else ()
         self._process = subprocess.Popen(
-            [sys.executable, *command, "--truth", str(self.truth)], stdout=subprocess.PIPE, text=True
+            [sys.executable, *command, "--truth", str(self.truth)],
+            stdout=subprocess.PIPE,
+            text=True,
         )
         assert self._process.stdout
         assert select.select([self._process.stdout], [], [], READY_S)[0], "no simulated hand"
@@ -273,13 +283,17 @@ def stage(bus: str, scale: float, homed: Homed | None = None) -> Iterator[Stage]
 # Part 1: clients that misbehave
 
 
-def measure_clients(names: list[str], bus: str, scale: float, homed: Homed | None = None) -> dict[str, Any]:
+def measure_clients(
+    names: list[str], bus: str, scale: float, homed: Homed | None = None
+) -> dict[str, Any]:
     """Let clients stream to a hand, one after another. Return a row of the printed table for each client.
 
     The client that starts its controller itself gets a separate hand. A killed client ends the run,
     so that it is the last client of its hand.
     """
-    shared = sorted((name for name in names if name != "killed-owner"), key=lambda name: name == "killed")
+    shared = sorted(
+        (name for name in names if name != "killed-owner"), key=lambda name: name == "killed"
+    )
     groups = [shared, [name for name in names if name == "killed-owner"]]
     rows: dict[str, Any] = {}
     for group in filter(None, groups):
@@ -288,7 +302,9 @@ def measure_clients(names: list[str], bus: str, scale: float, homed: Homed | Non
             place.close()
             truth = read_truth(place.truth)
             with RunLog(place.log) as log:
-                rows |= {name: _row(log, truth, window, start_ns) for name, window in windows.items()}
+                rows |= {
+                    name: _row(log, truth, window, start_ns) for name, window in windows.items()
+                }
     return rows
 
 
@@ -309,7 +325,9 @@ def _windows(place: Stage, names: list[str]) -> tuple[dict[str, Any], int]:
     finally:
         try:
             hand.close()
-        except handctl.DriveError:  # The stale stream of a killed client is a fault that ends the run.
+        except (
+            handctl.DriveError
+        ):  # The stale stream of a killed client is a fault that ends the run.
             if "killed" not in windows:
                 raise
     return windows, start_ns
@@ -370,7 +388,9 @@ def _row(log: RunLog, truth: TruthRecord, window: dict[str, Any], start_ns: int)
     events = [one.event for one in log.events if first_ns <= one.t_ns <= last_ns]
     return {
         "mode": Mode(int(log.mode[inside][-1])).name,
-        "faults": [event.text for event in events if event.name == "fault" and event.level != "info"],
+        "faults": [
+            event.text for event in events if event.name == "fault" and event.level != "info"
+        ],
         "modes": [event.text for event in events if event.name == "mode"],
         "told": [event.text for event in events if event.name == "stream"],
         "tension_N": float(rows[:, tensions].max()),
@@ -405,7 +425,9 @@ def measure_tracking(bus: str, scale: float, homed: Homed | None = None) -> dict
         place.close()
         truth = read_truth(place.truth)
         with RunLog(place.log) as log:
-            began_ns["trajectory"] = start_ns + next(one.t_ns for one in log.phases if one.name == "follow")
+            began_ns["trajectory"] = start_ns + next(
+                one.t_ns for one in log.phases if one.name == "follow"
+            )
             late_ms = float(np.percentile(log.late_ns, 99)) / 1e6
     errors = {name: _tracking_error(truth, began) for name, began in began_ns.items()}
     ratios = {f"{name}_ratio": errors[name] / errors["trajectory"] for name in INTERPOLATIONS}
@@ -427,7 +449,9 @@ def _tracking_error(truth: TruthRecord, began_ns: int) -> float:
     counted = (t > 1.0) & (t < TRACKED_S - 0.05)
     joints = [i for i, name in enumerate(truth.columns) if name.startswith(f"q/{DIGIT}")]
     true = np.degrees(truth.values[counted][:, joints]).mean(axis=1)
-    return float(np.sqrt(np.mean((true - MIDDLE_DEG - SWING_DEG * np.sin(2.0 * math.pi * t[counted])) ** 2)))
+    return float(
+        np.sqrt(np.mean((true - MIDDLE_DEG - SWING_DEG * np.sin(2.0 * math.pi * t[counted])) ** 2))
+    )
 
 
 # Part 3: latency of observations and targets
@@ -443,7 +467,10 @@ def measure_latency(bus: str, seconds: float) -> dict[str, Any]:
             "goal to confirmation, request socket": _moves(hand, seconds),
         }
     return {
-        name: {"count": len(delays), **{f"p{p}_ms": float(np.percentile(delays, p)) for p in (50, 99)}}
+        name: {
+            "count": len(delays),
+            **{f"p{p}_ms": float(np.percentile(delays, p)) for p in (50, 99)},
+        }
         for name, delays in rows.items()
     }
 
@@ -515,7 +542,9 @@ def show(result: dict[str, Any]) -> None:
     if "clients" in result:
         limit = f"true tension, trip limit {result['tension_trip_N']:g} N"
         counts = "targets accepted, clipped, late, refused"
-        print(f"| client | {counts} | faults | mode | {limit} | true speed of the digit | of a joint |")
+        print(
+            f"| client | {counts} | faults | mode | {limit} | true speed of the digit | of a joint |"
+        )
         print("|---|---|---|---|---|---|---|")
         for name, row in result["clients"].items():
             numbers = [row[key] for key in ("accepted", "clipped", "late", "refused")]
@@ -542,9 +571,15 @@ def show(result: dict[str, Any]) -> None:
 def main() -> None:
     """Measure the selected parts and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", nargs="*", help=f"parts of the benchmark: {', '.join(PARTS)} (default: all)")
     parser.add_argument(
-        "--only", nargs="+", choices=CLIENTS, default=list(CLIENTS), help="clients of the first part (default: all)"
+        "part", nargs="*", help=f"parts of the benchmark: {', '.join(PARTS)} (default: all)"
+    )
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=CLIENTS,
+        default=list(CLIENTS),
+        help="clients of the first part (default: all)",
     )
     parser.add_argument(
         "--time-scale",
@@ -552,7 +587,9 @@ def main() -> None:
         default=1.0,
         help="ratio of simulated time to wall time, except for the latency (default: 1)",
     )
-    parser.add_argument("--bus", default="local:streaming", help="bus: local:NAME or socketcan:INTERFACE")
+    parser.add_argument(
+        "--bus", default="local:streaming", help="bus: local:NAME or socketcan:INTERFACE"
+    )
     parser.add_argument("--quick", action="store_true", help="measure the latency for a short time")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--client", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
@@ -566,13 +603,17 @@ def main() -> None:
     parts = args.part or PARTS
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         os.environ["HANDCTL_RUN_DIR"] = short
-        result: dict[str, Any] = {"tension_trip_N": min(one.tension_trip_N for one in load_hand("jamia").tendon)}
+        result: dict[str, Any] = {
+            "tension_trip_N": min(one.tension_trip_N for one in load_hand("jamia").tendon)
+        }
         if "clients" in parts:
             result["clients"] = measure_clients(args.only, args.bus, args.time_scale)
         if "tracking" in parts:
             result["tracking"] = measure_tracking(args.bus, args.time_scale)
         if "latency" in parts:
-            result["latency"] = measure_latency(args.bus, QUICK_LATENCY_S if args.quick else LATENCY_S)
+            result["latency"] = measure_latency(
+                args.bus, QUICK_LATENCY_S if args.quick else LATENCY_S
+            )
     print(json.dumps(result, indent=2)) if args.json else show(result)
 
 

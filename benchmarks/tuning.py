@@ -32,7 +32,14 @@ from handctl.tune.search.ensemble import draw_ensemble
 from handctl.tune.search.search import SearchPlan, SearchResult, run_search
 from handctl.tune.search.workers import SearchWorkers, make_workers
 
-PLANT = {"stiffness": 0.7, "friction": 1.3, "mass": 1.3, "spring": 1.1, "motor_inertia": 0.7, "damping": 1.3}
+PLANT = {
+    "stiffness": 0.7,
+    "friction": 1.3,
+    "mass": 1.3,
+    "spring": 1.1,
+    "motor_inertia": 0.7,
+    "damping": 1.3,
+}
 """Factors on the parameters of the true plant. They were fixed before anything was tuned."""
 DETUNED = {
     "motion.position_error_m": 3.0,
@@ -49,16 +56,27 @@ JUDGE_SEED = 1000
 
 def main() -> int:
     """Run the searches and print the comparison of their gains."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quick", action="store_true", help="ten trials (about a minute)")
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
-    parser.add_argument("--trials", type=int, default=48, help="number of trials of each search (default: 48)")
-    parser.add_argument("--plants", type=int, default=3, help="number of plants in the ensemble (default: 3)")
-    parser.add_argument("--workers", type=int, default=2, help="number of processes (default: 2)")
-    parser.add_argument("--fit", type=Path, metavar="FILE", help="calibration that was identified on the real plant")
     parser.add_argument(
-        "--into", type=Path, metavar="DIR", help="folder of the studies: an interrupted search continues"
+        "--trials", type=int, default=48, help="number of trials of each search (default: 48)"
+    )
+    parser.add_argument(
+        "--plants", type=int, default=3, help="number of plants in the ensemble (default: 3)"
+    )
+    parser.add_argument("--workers", type=int, default=2, help="number of processes (default: 2)")
+    parser.add_argument(
+        "--fit", type=Path, metavar="FILE", help="calibration that was identified on the real plant"
+    )
+    parser.add_argument(
+        "--into",
+        type=Path,
+        metavar="DIR",
+        help="folder of the studies: an interrupted search continues",
     )
     args = parser.parse_args()
     trials, plants = (10, 2) if args.quick else (args.trials, args.plants)
@@ -73,7 +91,9 @@ def main() -> int:
 def detuned_gains() -> Gains:
     """Return the initial gains, which are detuned."""
     packaged = values_by_key(Gains())
-    return with_values(Gains(), {key: factor * packaged[key] for key, factor in DETUNED.items()}, "benchmark")
+    return with_values(
+        Gains(), {key: factor * packaged[key] for key, factor in DETUNED.items()}, "benchmark"
+    )
 
 
 def compare(
@@ -89,16 +109,29 @@ def compare(
         with tempfile.TemporaryDirectory() as passing:
             folder = into or Path(passing)
             folder.mkdir(parents=True, exist_ok=True)
-            blind = SearchPlan(hand.to_toml(), rate, detuned, draw_ensemble(plants, 0), 1, trials, (packaged,))
+            blind = SearchPlan(
+                hand.to_toml(), rate, detuned, draw_ensemble(plants, 0), 1, trials, (packaged,)
+            )
             knowing = SearchPlan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
             searches, spent = _searched(blind, folder / "blind", crew)
             informed, _ = _searched(knowing, folder / "knowing", crew)
-            around = SearchPlan(twin.to_toml(), rate, detuned, draw_ensemble(plants, 0, spread), 1, trials, (packaged,))
+            around = SearchPlan(
+                twin.to_toml(),
+                rate,
+                detuned,
+                draw_ensemble(plants, 0, spread),
+                1,
+                trials,
+                (packaged,),
+            )
             fitted = _searched(around, folder / "identified", crew)[0] if fit else None
         jobs = [
-            _judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, searches), _best(detuned, informed))
+            _judged(knowing, gains)
+            for gains in (detuned, packaged, _best(detuned, searches), _best(detuned, informed))
         ]
-        scores = [GainScore(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])]
+        scores = [
+            GainScore(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])
+        ]
     finally:
         crew.close()
     names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
@@ -113,7 +146,10 @@ def compare(
         "plants": plants,
         "search_s": spent,
         "on_the_real_plant": {
-            name: {"cost": cost, **{key: getattr(score, key) for key in GainScore.__dataclass_fields__}}
+            name: {
+                "cost": cost,
+                **{key: getattr(score, key) for key in GainScore.__dataclass_fields__},
+            }
             for name, cost, score in zip(names, costs, scores, strict=True)
         },
         "cost_of_not_knowing": costs[2] / costs[3],
@@ -126,7 +162,11 @@ def _searched(plan: SearchPlan, storage: Path, crew: SearchWorkers) -> tuple[Sea
 
     def show(result: SearchResult) -> None:
         best = f"{result.cost(result.best):.3f}" if result.best else "none good yet"
-        print(f"\r{storage.name}: trial {len(result.trials)} of {plan.trials}, best {best}   ", end="", file=sys.stderr)
+        print(
+            f"\r{storage.name}: trial {len(result.trials)} of {plan.trials}, best {best}   ",
+            end="",
+            file=sys.stderr,
+        )
 
     result = run_search(plan, storage, crew, show)
     print(file=sys.stderr)
@@ -144,7 +184,11 @@ def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
 
     The job uses noise that no search has used.
     """
-    table = {"gains": gains.model_dump(by_alias=True), "seed": JUDGE_SEED, "must_keep_margins": False}
+    table = {
+        "gains": gains.model_dump(by_alias=True),
+        "seed": JUDGE_SEED,
+        "must_keep_margins": False,
+    }
     return plan.job(0, {}) | table
 
 
@@ -155,7 +199,9 @@ def _with_model(hand: Hand, model: HandModel) -> GainScore:
 
 
 def _print(result: dict[str, Any]) -> None:
-    print(f"{result['hand']} at {result['rate_hz']:g} Hz, {result['trials']} trials, judged on the real plant")
+    print(
+        f"{result['hand']} at {result['rate_hz']:g} Hz, {result['trials']} trials, judged on the real plant"
+    )
     print(f"{'gains':<26}{'cost':>8}{'tracking':>12}{'tension':>10}{'effort':>12}{'margins':>10}")
     for name, row in result["on_the_real_plant"].items():
         margin = "kept" if row["shortfall"] <= 0 else f"-{100 * row['shortfall']:.0f} %"
@@ -163,7 +209,9 @@ def _print(result: dict[str, Any]) -> None:
             f"{name:<26}{row['cost']:>8.3f}{row['tracking_deg']:>8.2f} deg{row['tension_N']:>8.2f} N"
             f"{row['effort_Nm_per_s']:>6.1f} N m/s{margin:>10}"
         )
-    print(f"cost of not knowing the plant: {result['cost_of_not_knowing']:.3f}; search: {result['search_s']:.0f} s")
+    print(
+        f"cost of not knowing the plant: {result['cost_of_not_knowing']:.3f}; search: {result['search_s']:.0f} s"
+    )
     if result["cost_with_identification"]:
         print(f"cost with the identified parameters: {result['cost_with_identification']:.3f}")
 

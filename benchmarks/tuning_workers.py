@@ -27,8 +27,16 @@ RATE_HZ = 500.0
 
 def jobs(count: int) -> list[Row]:
     """Return trials with slightly different gains. Equal trials would be computed only once."""
-    changed = [with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark") for i in range(count)]
-    plain = {"hand": load_hand("jamia").to_toml(), "rate_hz": RATE_HZ, "plants": list(draw_ensemble(1, 0)), "seed": 1}
+    changed = [
+        with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark")
+        for i in range(count)
+    ]
+    plain = {
+        "hand": load_hand("jamia").to_toml(),
+        "rate_hz": RATE_HZ,
+        "plants": list(draw_ensemble(1, 0)),
+        "seed": 1,
+    }
     return [plain | {"gains": gains.model_dump(by_alias=True)} for gains in changed]
 
 
@@ -50,18 +58,28 @@ def timed(count: int, work: list[Row]) -> tuple[Row, list[Row]]:
         spent = [cpu_s(pid) for pid in crew.pids]
     finally:
         crew.close()
-    row = {"workers": count, "clock_s": time.monotonic() - began, "cpu_s": spent, "load": os.getloadavg()[0]}
+    row = {
+        "workers": count,
+        "clock_s": time.monotonic() - began,
+        "cpu_s": spent,
+        "load": os.getloadavg()[0],
+    }
     return row, [scores[i] for i in range(len(work))]
 
 
 def main() -> int:
     """Measure the search with one worker and with several workers."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quick", action="store_true", help="four trials")
     parser.add_argument("--trials", type=int, default=12, help="number of trials (default: 12)")
     parser.add_argument(
-        "--workers", type=int, default=2, help="number of workers that are compared with one worker (default: 2)"
+        "--workers",
+        type=int,
+        default=2,
+        help="number of workers that are compared with one worker (default: 2)",
     )
     args = parser.parse_args()
     work = jobs(4 if args.quick else args.trials)
@@ -79,7 +97,9 @@ def main() -> int:
     else:
         for row in (one, several):
             busy = ", ".join(f"{spent:.1f}" for spent in row["cpu_s"])
-            print(f"{row['workers']} worker(s): {row['clock_s']:.1f} s, CPU {busy} s, load {row['load']:.1f}")
+            print(
+                f"{row['workers']} worker(s): {row['clock_s']:.1f} s, CPU {busy} s, load {row['load']:.1f}"
+            )
         print(
             f"{args.workers} workers are {result['faster_by_the_clock']:.2f} times as fast by the clock, "
             f"{result['faster_by_cpu']:.2f} times by CPU time; same scores: {result['same_scores']}"

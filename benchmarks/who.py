@@ -55,7 +55,9 @@ def _owners(stats: dict, function: Function, depth: int) -> Iterator[tuple[str, 
     These are its own part, or the parts of its callers in proportion to their time.
     """
     name = f"{function[0]}/{function[2]}"
-    part = next((part for part, marks in PARTS.items() if any(mark in name for mark in marks)), None)
+    part = next(
+        (part for part, marks in PARTS.items() if any(mark in name for mark in marks)), None
+    )
     callers = stats[function][4]
     if part or not callers or not depth:
         yield part or "other", 1.0

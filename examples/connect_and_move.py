@@ -8,8 +8,12 @@ import sys
 
 import handctl
 
-with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:  # starts a controller, commissions, arms
-    hand.move(index=30, middle=30, ring=30, duration_s=0.8)  # angle of all joints of these digits [deg]
+with handctl.connect(
+    "jamia", "local:lab", *sys.argv[1:]
+) as hand:  # starts a controller, commissions, arms
+    hand.move(
+        index=30, middle=30, ring=30, duration_s=0.8
+    )  # angle of all joints of these digits [deg]
     hand.hold(thumb=10)  # tension of the tendons of a digit [N]
     observation = hand.observe()
     for name, angle in zip(hand.description.joints, observation.q_deg, strict=True):

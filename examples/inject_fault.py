@@ -14,16 +14,22 @@ from handctl.programs.live import LiveProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
 model = HandModel.of(load_hand("jamia"), Gains(), 500.0)
-with SimulatorSettings("jamia", seed=1, homed=True).against(homed_controller(model, LiveProgram())) as run:
+with SimulatorSettings("jamia", seed=1, homed=True).against(
+    homed_controller(model, LiveProgram())
+) as run:
     run.until(lambda out: out.phase == "live", 5.0)
-    run.tick(requests=(json.dumps({"do": "move", "angle_deg": {"index": 60.0}, "duration_s": 1.0}),))
+    run.tick(
+        requests=(json.dumps({"do": "move", "angle_deg": {"index": 60.0}, "duration_s": 1.0}),)
+    )
     run.until(lambda out: out.telemetry.q[0] > 0.5, 2.0)
     broken_s = run.k * model.period
     run.peer.inject("snap tendon=index_tendon")
     for entry, out in run.ticks(broken_s + 5.0):
         for event in out.events:
             if event.name in ("fault", "mode"):
-                print(f"{1e3 * (entry.t_ns / 1e9 - broken_s):6.0f} ms after the break  {event.text}")
+                print(
+                    f"{1e3 * (entry.t_ns / 1e9 - broken_s):6.0f} ms after the break  {event.text}"
+                )
         if out.mode == Mode.DONE:
             break
 print("failure:", run.state.failure)

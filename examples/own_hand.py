@@ -23,7 +23,9 @@ except ConfigError as error:
 
 mine.write_text(text, "utf-8")
 hand = load_hand(mine)
-print(f"{hand.name}: {len(hand.joints)} joints, {len(hand.tendon)} tendons, {len(hand.motor)} motors")
+print(
+    f"{hand.name}: {len(hand.joints)} joints, {len(hand.tendon)} tendons, {len(hand.motor)} motors"
+)
 
 task, _ = default_task(hand)  # close until contact, hold, release, open
 controller = make_controller(hand, Gains(), 500.0, TaskProgram(task), None, arm_at_once=True)

@@ -14,7 +14,11 @@ import numpy as np
 
 from handctl.log.read.reader import RunLog
 
-ROWS = (("q", "angle [deg]", 180.0 / np.pi), ("tension", "tension [N]", 1.0), ("tip_force", "tip force [N]", 1.0))
+ROWS = (
+    ("q", "angle [deg]", 180.0 / np.pi),
+    ("tension", "tension [N]", 1.0),
+    ("tip_force", "tip force [N]", 1.0),
+)
 
 with RunLog(sys.argv[1]) as log:
     figure, axes = plt.subplots(len(ROWS), sharex=True, figsize=(8, 7), layout="constrained")

@@ -40,15 +40,24 @@ def task(stiffness_N_per_mm):
 
     In the hold, a tension rises when the object pulls its tendon out.
     """
-    hold = {"kind": "hold", "tension_N": 12.0, "stiffness_N_per_mm": stiffness_N_per_mm, "duration_s": 8.0}
+    hold = {
+        "kind": "hold",
+        "tension_N": 12.0,
+        "stiffness_N_per_mm": stiffness_N_per_mm,
+        "duration_s": 8.0,
+    }
     close = {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 100.0, "contact_tension_N": 12.0}
-    return Task.model_validate({"schema": 1, "name": "push", "description": "push", "phase": (close, hold)})
+    return Task.model_validate(
+        {"schema": 1, "name": "push", "description": "push", "phase": (close, hold)}
+    )
 
 
 figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
 hand = load_hand("jamia")
 for stiffness in (0.0, 30.0):
-    controller = make_controller(hand, Gains(), 500.0, TaskProgram(task(stiffness)), None, arm_at_once=True)
+    controller = make_controller(
+        hand, Gains(), 500.0, TaskProgram(task(stiffness)), None, arm_at_once=True
+    )
     force, place = [], []
     with SimulatorSettings(hand, SCENE, homed=True).against(controller) as run:
         for entry, _ in run.ticks(START_S + LARGEST_N / RATE_N_PER_S):
@@ -58,8 +67,12 @@ for stiffness in (0.0, 30.0):
     force_now = np.array(force)[pushed]  # [N]
     moved_mm = 1e3 * (np.array(place)[pushed] - place[int(np.argmax(pushed))])
     given_way = int(np.argmax(moved_mm > SHOWN_MM))
-    axes.plot(moved_mm[:given_way], force_now[:given_way], label=f"{stiffness:g} N/mm at each tendon")
-    print(f"stiffness {stiffness:g} N/mm: {force_now[given_way]:.1f} N move the object by {SHOWN_MM:g} mm")
+    axes.plot(
+        moved_mm[:given_way], force_now[:given_way], label=f"{stiffness:g} N/mm at each tendon"
+    )
+    print(
+        f"stiffness {stiffness:g} N/mm: {force_now[given_way]:.1f} N move the object by {SHOWN_MM:g} mm"
+    )
 axes.set(xlabel="displacement of the object [mm]", ylabel="force out of the palm [N]")
 axes.set_title("A push on a held cylinder")
 axes.legend()

@@ -31,14 +31,21 @@ SEGMENTS = {  # proximal, middle and distal segment as fractions of the hand's l
     "ring": (0.244, 0.165, 0.107),
     "thumb": (0.196, 0.158),
 }
-CLOSED_DEG = {"index": 36.0, "middle": 30.0, "ring": 30.0, "thumb": 8.0}  # at larger angles, fingers and thumb touch
+CLOSED_DEG = {
+    "index": 36.0,
+    "middle": 30.0,
+    "ring": 30.0,
+    "thumb": 8.0,
+}  # at larger angles, fingers and thumb touch
 
 
 def human_tip(name, t):
     """Return the position of a human fingertip from the knuckle [m]: x along the straight finger, y to the palm."""
     delay = 0.4 * list(SEGMENTS).index(name)
     phase = np.clip((t - 0.5 - delay) / 3.5, 0.0, 1.0)
-    knuckle = np.radians(CLOSED_DEG[name]) * 0.5 * (1.0 - np.cos(2.0 * np.pi * phase))  # closes and opens
+    knuckle = (
+        np.radians(CLOSED_DEG[name]) * 0.5 * (1.0 - np.cos(2.0 * np.pi * phase))
+    )  # closes and opens
     turns = [knuckle, 1.1 * knuckle, 2.0 / 3.0 * 1.1 * knuckle][: len(SEGMENTS[name])]
     angles = np.cumsum(turns)
     lengths = HAND_LENGTH_M * np.array(SEGMENTS[name])
@@ -67,21 +74,30 @@ with handctl.connect("jamia11", "local:lab", *sys.argv[1:]) as hand:
         print(stream.status)
         last = hand.observe().k
 distances_mm = 1e3 * np.array(distances_m)
-print(f"error of the inverse kinematics: {distances_mm.mean():.2f} mm on average, {distances_mm.max():.2f} mm at most")
+print(
+    f"error of the inverse kinematics: {distances_mm.mean():.2f} mm on average, {distances_mm.max():.2f} mm at most"
+)
 
-with RunLog(hand.result["log"]) as log:  # the log has every tick, also ticks that this program did not observe
+with RunLog(
+    hand.result["log"]
+) as log:  # the log has every tick, also ticks that this program did not observe
     streamed = (log.k > first) & (log.k < last)
     names = log.names("q")
     times = log.times[streamed]
     q = log.field("q")[streamed]
-reached = np.array([tips.tips(dict(zip(names, row, strict=True))) for row in q])  # (ticks, digits, 3)
+reached = np.array(
+    [tips.tips(dict(zip(names, row, strict=True))) for row in q]
+)  # (ticks, digits, 3)
 
 figure, axes = plt.subplots(1, len(SEGMENTS), figsize=(11, 3.4), layout="constrained")
 errors = []
 for d, (name, ax) in enumerate(zip(SEGMENTS, axes, strict=True)):
     digit = digits[name]
     human = np.array([retarget(digit, name, t) for t in times - began_s])
-    path = [(points - digit.mount_position) @ digit.mount_rotation * 1e3 for points in (human, reached[:, d])]
+    path = [
+        (points - digit.mount_position) @ digit.mount_rotation * 1e3
+        for points in (human, reached[:, d])
+    ]
     errors.append(np.sqrt(np.mean(np.sum((path[0] - path[1]) ** 2, axis=1))))
     ax.plot(path[0][:, 0], path[0][:, 1], "k--", label="human, scaled")
     ax.plot(path[1][:, 0], path[1][:, 1], label="robot")

@@ -29,18 +29,31 @@ with bus_lock(BUS):  # one host at a time
     rig = DriveRig(make_drive(MOTOR, 0), bus, clock)
     try:
         if not rig.until(DriveTarget.POLL, lambda state: state.phase == DrivePhase.READY, 5.0):
-            raise SystemExit(f"the drive is not ready: {rig.state.error_text or rig.state.phase.name}")
+            raise SystemExit(
+                f"the drive is not ready: {rig.state.error_text or rig.state.phase.name}"
+            )
         if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0):
-            raise SystemExit(f"the drive does not enable: {rig.state.error_text or rig.state.phase.name}")
+            raise SystemExit(
+                f"the drive does not enable: {rig.state.error_text or rig.state.phase.name}"
+            )
         goal = rig.state.position + 1.0
         for tick in range(400):  # 2 s
             state = rig.state
-            torque = STIFFNESS_N_M_PER_RAD * (goal - state.position) - DAMPING_N_M_S_PER_RAD * state.velocity
+            torque = (
+                STIFFNESS_N_M_PER_RAD * (goal - state.position)
+                - DAMPING_N_M_S_PER_RAD * state.velocity
+            )
             rig.tick(DriveTarget.ENABLE, max(-LIMIT_N_M, min(LIMIT_N_M, torque)))
             if tick % 50 == 0:
-                print(f"{tick * PERIOD_NS / 1e9:4.2f} s: {goal - rig.state.position:+.3f} rad to go")
+                print(
+                    f"{tick * PERIOD_NS / 1e9:4.2f} s: {goal - rig.state.position:+.3f} rad to go"
+                )
     finally:
         off = rig.confirm_off(WATCHDOG_MS / 1e3)
         bus.close()
-print("the drive has confirmed that it is off" if off else "REMOVE THE POWER: the drive has not confirmed it is off")
+print(
+    "the drive has confirmed that it is off"
+    if off
+    else "REMOVE THE POWER: the drive has not confirmed it is off"
+)
 raise SystemExit(0 if off else 71)

@@ -23,18 +23,24 @@ with handctl.connect("jamia", "local:lab", *sys.argv[1:]) as hand:
     first = hand.observe().k
     with hand.stream(rate_Hz=100, space="digit", names=["index"]) as stream:
         for tick in range(round(SECONDS * stream.rate_Hz)):
-            t = tick / stream.rate_Hz + stream.horizon_s  # time at which the hand reaches the target
+            t = (
+                tick / stream.rate_Hz + stream.horizon_s
+            )  # time at which the hand reaches the target
             stream.send([MIDDLE_DEG + SWING_DEG * math.sin(2.0 * math.pi * t)])
             stream.sleep()
         print(stream.status)
         last = hand.observe().k
     hand.move(index=0)
 
-with RunLog(hand.result["log"]) as log:  # the log has every tick, also ticks that this program did not observe
+with RunLog(
+    hand.result["log"]
+) as log:  # the log has every tick, also ticks that this program did not observe
     streamed = (log.k > first) & (log.k < last)
     joints = [name.startswith("index") for name in log.names("q")]
     t = log.times[streamed]
-    q, goal = (np.degrees(log.field(name)[streamed][:, joints]).mean(axis=1) for name in ("q", "q_goal"))
+    q, goal = (
+        np.degrees(log.field(name)[streamed][:, joints]).mean(axis=1) for name in ("q", "q_goal")
+    )
 print(f"RMS of the tracking error: {np.sqrt(np.mean((q - goal) ** 2)):.2f} deg")
 
 figure, (above, below) = plt.subplots(2, sharex=True, figsize=(7, 4.5), layout="constrained")

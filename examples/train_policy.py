@@ -27,7 +27,12 @@ ITERATIONS = int(sys.argv[1]) if len(sys.argv) > 1 else 25
 DIRECTIONS, BEST, STEP, DECAY, NOISE = 4, 4, 0.12, 0.93, 0.05
 INPUTS = ("reference_ahead_rad", "reference_rad", "q_rad")
 TEST_SEEDS = range(1001, 1006)
-COLORS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f")  # one for each digit, as in the figures of handctl
+COLORS = (
+    "#3b6fb6",
+    "#d9822b",
+    "#3c9d5d",
+    "#b8436f",
+)  # one for each digit, as in the figures of handctl
 
 env = gymnasium.make("handctl/Track-v0", duration_s=2.0).unwrapped
 assert isinstance(env, handctl.gym.TrackEnv)
@@ -60,12 +65,17 @@ curve = []
 for iteration in range(ITERATIONS):
     directions = rng.standard_normal((DIRECTIONS, len(policy)))
     seed = int(rng.integers(1000))  # both signs get the same episode
-    scores = np.array([[episode(policy + sign * NOISE * d, seed)[0] for sign in (1, -1)] for d in directions])
+    scores = np.array(
+        [[episode(policy + sign * NOISE * d, seed)[0] for sign in (1, -1)] for d in directions]
+    )
     best = np.argsort(scores.max(axis=1))[-BEST:]
     slope = sum((scores[i, 0] - scores[i, 1]) * directions[i] for i in best)
     policy += STEP * DECAY**iteration / (BEST * scores[best].std() + 1e-9) * slope
     curve.append(np.mean([episode(policy, seed)[0] for seed in TEST_SEEDS]))
-    print(f"iteration {iteration + 1}: mean reward {curve[-1]:.3f} of 1, weights {policy.round(2)}", flush=True)
+    print(
+        f"iteration {iteration + 1}: mean reward {curve[-1]:.3f} of 1, weights {policy.round(2)}",
+        flush=True,
+    )
 
 np.save("policy.npy", policy)
 before, after = (episode(p, TEST_SEEDS[0])[1] for p in (first, policy))

@@ -37,7 +37,10 @@ def main(words: list[str]) -> int:
     except ModuleNotFoundError as error:
         if error.name not in EXTRA_PACKAGES:
             raise
-        print(f"firmware_sim: a simulated hand needs {error.name}: pip install 'handctl[sim]'", file=sys.stderr)
+        print(
+            f"firmware_sim: a simulated hand needs {error.name}: pip install 'handctl[sim]'",
+            file=sys.stderr,
+        )
         return 2
     except SimulatorError as error:
         print(f"firmware_sim: {one_line(str(error))}", file=sys.stderr)

@@ -101,7 +101,9 @@ def machine_code(module: ModuleType) -> Any:
         names[name] = getattr(machine_code(owner), vars(module)[name].__name__)
     digest = _source_digest(set(imported.values()))
     for name, arguments in _KERNEL_ARGUMENTS[module.__name__].items():
-        kernel = FunctionType(vars(module)[name].__code__, names, name)  # calls compiled kernels, not Python functions
+        kernel = FunctionType(
+            vars(module)[name].__code__, names, name
+        )  # calls compiled kernels, not Python functions
         # The qualified name is a part of numba's cache key. With the digest, a change in an
         # imported kernel changes the key.
         kernel.__qualname__ = f"{name}{digest}"
@@ -133,7 +135,8 @@ def _source_digest(modules: set[ModuleType]) -> str:
         new = {owner for module in new for owner in _imported_kernels(module).values()} - reached
         reached |= new
     sources = [
-        Path(str(module.__file__)).read_bytes() for module in sorted(reached, key=lambda module: module.__name__)
+        Path(str(module.__file__)).read_bytes()
+        for module in sorted(reached, key=lambda module: module.__name__)
     ]
     return "_" + hashlib.sha256(b"".join(sources)).hexdigest()[:12] if sources else ""
 
@@ -144,7 +147,9 @@ def _compile_kernel(arguments: tuple[Any, ...], kernel: FunctionType) -> Any:
 
     try:
         return njit(arguments, cache=True, error_model="numpy")(kernel)
-    except RuntimeError:  # No cache folder is writable, neither with the sources nor in the user's home.
+    except (
+        RuntimeError
+    ):  # No cache folder is writable, neither with the sources nor in the user's home.
         return njit(arguments, error_model="numpy")(kernel)
 
 
@@ -187,7 +192,9 @@ def _call_intrinsic() -> Any:
         pointer = ir.IntType(8).as_pointer()
         kind = ir.FunctionType(ir.VoidType(), [pointer, pointer]).as_pointer()
         target, *values = arguments
-        builder.call(builder.inttoptr(target, kind), [builder.inttoptr(value, pointer) for value in values])
+        builder.call(
+            builder.inttoptr(target, kind), [builder.inttoptr(value, pointer) for value in values]
+        )
         return context.get_dummy_value()
 
     def typed(typing: Any, function: Any, first: Any, second: Any) -> Any:
@@ -223,4 +230,8 @@ def addresses(arrays: Iterable[Any]) -> list[int]:
 
 def array_of(memory: Any, structure: type[ctypes.Structure]) -> Any:
     """Return the memory of an array of structures as a numpy array of rows."""
-    return np.frombuffer(memory, np.dtype(structure)) if ctypes.sizeof(memory) else np.empty(0, np.dtype(structure))
+    return (
+        np.frombuffer(memory, np.dtype(structure))
+        if ctypes.sizeof(memory)
+        else np.empty(0, np.dtype(structure))
+    )

@@ -346,7 +346,9 @@ def find_hand(name_or_path: str) -> Path:
         candidates = [Path(root) / "hand" / "hands" / f"{name_or_path}.toml" for root in roots]
         path = next((candidate for candidate in candidates if candidate.is_file()), path)
     if not path.is_file():
-        raise SimulatorError(f"no such hand: {name_or_path}; expected a packaged name such as jamia or a .toml file")
+        raise SimulatorError(
+            f"no such hand: {name_or_path}; expected a packaged name such as jamia or a .toml file"
+        )
     return path
 
 
@@ -364,7 +366,9 @@ def load_hand(name_or_path: str) -> Hand:
     except (ValueError, RecursionError) as error:  # A number is too long, or the file is not UTF-8.
         raise SimulatorError(f"{path}: not TOML: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
-        raise SimulatorError(f"{path}: not a complete hand: missing or wrong key {error}") from error
+        raise SimulatorError(
+            f"{path}: not a complete hand: missing or wrong key {error}"
+        ) from error
 
 
 def _resolved_file(raw: dict[str, Any]) -> dict[str, Any]:
@@ -377,13 +381,17 @@ def _resolved_file(raw: dict[str, Any]) -> dict[str, Any]:
         name, links = digit["name"], len(digit["link_length_m"])
         motors = digit.pop("motor", {})
         for short, motor in motors.items():
-            sections["motor"].append(_with_template(raw, "motor", motor) | {"name": f"{name}_{short}"})
+            sections["motor"].append(
+                _with_template(raw, "motor", motor) | {"name": f"{name}_{short}"}
+            )
         for short, entry in digit.pop("tendon", {}).items():
             tendon = _with_template(raw, "tendon", entry) | {"name": f"{name}_{short}"}
             if tendon["motor"] in motors:
                 tendon["motor"] = f"{name}_{tendon['motor']}"
             arms = tendon["moment_arm_m"].items()
-            tendon["moment_arm_m"] = {f"{name}_{j}" if re.fullmatch("j[0-9]+", j) else j: arm for j, arm in arms}
+            tendon["moment_arm_m"] = {
+                f"{name}_{j}" if re.fullmatch("j[0-9]+", j) else j: arm for j, arm in arms
+            }
             sections["tendon"].append(tendon)
         listed = {
             key: [digit[key]] * links
@@ -398,7 +406,9 @@ def _resolved_file(raw: dict[str, Any]) -> dict[str, Any]:
         node["tendons"] = [tendon["name"] for tendon in sections["tendon"]]
     if node.get("joints") == "all":
         digits = sections["digit"]
-        node["joints"] = [f"{one['name']}_j{i + 1}" for one in digits for i in range(len(one["link_length_m"]))]
+        node["joints"] = [
+            f"{one['name']}_j{i + 1}" for one in digits for i in range(len(one["link_length_m"]))
+        ]
     return raw | sections | {"sensor_node": node}
 
 
@@ -426,7 +436,9 @@ def _hand(raw: dict[str, Any], folder: Path) -> Hand:
         digits=[_digit(digit) for digit in raw["digit"]],
         tendons=[_tendon(tendon, _joint_ranges(raw)) for tendon in raw["tendon"]],
         motors=[_motor(motor) for motor in raw["motor"]],
-        sensors=_sensors(sensors) if sensors and (sensors["tendons"] or sensors.get("joints")) else None,
+        sensors=_sensors(sensors)
+        if sensors and (sensors["tendons"] or sensors.get("joints"))
+        else None,
         meshes=tuple(_meshes(raw, folder)),
     )
 
@@ -477,7 +489,10 @@ def _digit(raw: dict[str, Any]) -> Digit:
         length=tuple(raw["link_length_m"]),
         axis=tuple(map(tuple, raw.get("joint_axis", [(0.0, 0.0, 1.0)] * count))),
         joint_rpy_deg=tuple(map(tuple, raw.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * count))),
-        com=tuple((com, 0.0, 0.0) if isinstance(com, int | float) else tuple(com) for com in raw["link_com_m"]),
+        com=tuple(
+            (com, 0.0, 0.0) if isinstance(com, int | float) else tuple(com)
+            for com in raw["link_com_m"]
+        ),
         mass=tuple(raw["link_mass_kg"]),
         inertia=tuple(_inertia(raw, i) for i in range(count)),
         radius=raw["link_radius_m"],
@@ -542,14 +557,18 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
         for i in range(count):
             if i != k:
                 factor = rows[i][k]
-                rows[i] = [value - factor * above for value, above in zip(rows[i], rows[k], strict=True)]
+                rows[i] = [
+                    value - factor * above for value, above in zip(rows[i], rows[k], strict=True)
+                ]
     return [row[count] for row in rows]
 
 
 def _tendon(raw: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
     given = raw["moment_arm_m"]
     curves = {
-        joint: _curve(arm, ranges.get(joint, (0.0, 1.0))) for joint, arm in given.items() if isinstance(arm, dict)
+        joint: _curve(arm, ranges.get(joint, (0.0, 1.0)))
+        for joint, arm in given.items()
+        if isinstance(arm, dict)
     }
     return TendonSpec(
         name=raw["name"],

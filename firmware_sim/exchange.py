@@ -53,12 +53,17 @@ class TickExchange:
         self._max_answers += len(world.row_of)
         self._draws = 2 * len(orders[0]) + len(orders[1])
         self._drive_structs = tuple(
-            rows.get(layout, np.empty(0, layout)) for layout in (MitStruct, OdriveStruct, Cia402Struct)
+            rows.get(layout, np.empty(0, layout))
+            for layout in (MitStruct, OdriveStruct, Cia402Struct)
         )
         self._sensor_arrays = rows.get(SensorStruct, np.empty(0, SensorStruct)), *orders, bias
         self.sends_unsolicited = True
         self._sent = np.empty(INITIAL_CAPACITY, FRAME_DTYPE)
-        noise = (sensor.noise.numbers, sensor.noise.bounds) if sensor else (np.empty(0), np.zeros(2, np.int64))
+        noise = (
+            (sensor.noise.numbers, sensor.noise.bounds)
+            if sensor
+            else (np.empty(0), np.zeros(2, np.int64))
+        )
         self._sample_arrays = *noise, *world.plant.sampled
         self._table: Any = None
         self._receivers: Any = None
@@ -140,7 +145,8 @@ class TickExchange:
             # frame for this node.
             by_kernel = [id(node) in world.row_of and "receive" not in vars(node) for node in nodes]
             cyclic_ids = {
-                id(node): node.cyclic_ids if compiled else () for node, compiled in zip(nodes, by_kernel, strict=True)
+                id(node): node.cyclic_ids if compiled else ()
+                for node, compiled in zip(nodes, by_kernel, strict=True)
             }
             for can_id in {can_id for ids in cyclic_ids.values() for can_id in ids}:
                 accepting = [node for node in nodes if _does_node_accept(node, can_id)]
@@ -158,8 +164,14 @@ class TickExchange:
         self._identifiers_seen = self._identifiers()
         self._table = table
         self._receivers = np.array(receivers, Receiver)
-        rows = [world.row_of.get(id(node), (SENSOR_NODE_KIND, 0)) for nodes in world.nodes for node in nodes]
-        self._drive_rows = np.array([(*row, -1) for row in rows if row[0] != SENSOR_NODE_KIND], Receiver)
+        rows = [
+            world.row_of.get(id(node), (SENSOR_NODE_KIND, 0))
+            for nodes in world.nodes
+            for node in nodes
+        ]
+        self._drive_rows = np.array(
+            [(*row, -1) for row in rows if row[0] != SENSOR_NODE_KIND], Receiver
+        )
         arrays = (
             self._progress,
             table,
@@ -176,11 +188,15 @@ class TickExchange:
 
         A node returns another object after a change.
         """
-        return [getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes]
+        return [
+            getattr(node, "accepted_ids", node.ids) for nodes in self._world.nodes for node in nodes
+        ]
 
     def _drop_stale_table(self) -> None:
         """Remove the table of receivers if the identifiers of a node have changed."""
-        if self._table is not None and any(map(is_not, self._identifiers_seen, self._identifiers())):
+        if self._table is not None and any(
+            map(is_not, self._identifiers_seen, self._identifiers())
+        ):
             self._table = None
 
     @property
@@ -212,7 +228,9 @@ class TickExchange:
             self._sent = np.concatenate((self._sent, np.empty(len(self._sent), FRAME_DTYPE)))
         rotors = self._world.plant.sampled[3]
         return bool(
-            self._kernels.send_due(self._drive_rows, *self._drive_structs, rotors, now_ns, self._sent, self._progress)
+            self._kernels.send_due(
+                self._drive_rows, *self._drive_structs, rotors, now_ns, self._sent, self._progress
+            )
         )
 
     def take_sent(self) -> Any:

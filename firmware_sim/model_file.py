@@ -25,7 +25,11 @@ UNSUPPORTED_JOINTS = {
     mujoco.mjtJoint.mjJNT_SLIDE: "a prismatic joint",
 }
 """Joint types of MuJoCo that a hand cannot have."""
-ROUND_SHAPES = (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE)
+ROUND_SHAPES = (
+    mujoco.mjtGeom.mjGEOM_CAPSULE,
+    mujoco.mjtGeom.mjGEOM_CYLINDER,
+    mujoco.mjtGeom.mjGEOM_SPHERE,
+)
 """Shapes with a radius, the preferred ones first. They give the radius of a link."""
 BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 """Corners of a box around the origin with edges of length 2, (8, 3)."""
@@ -95,14 +99,20 @@ def _root(path: str, kind: str) -> ET.Element:
     try:
         root = ET.parse(path).getroot()
     except OSError as error:
-        raise SimulatorError(f"{path}: cannot be read: {error.strerror}; expected a readable file") from None
+        raise SimulatorError(
+            f"{path}: cannot be read: {error.strerror}; expected a readable file"
+        ) from None
     except (ET.ParseError, UnicodeError, ValueError) as error:
         raise SimulatorError(f"{path}: not XML: {error}; expected {_form_text(kind)}") from None
     if any("xacro" in str(part.tag) for part in root.iter()):
         raise SimulatorError(f"{path}: xacro; expected the URDF that the command xacro makes of it")
     if root.tag != ROOT_TAGS[kind]:
-        other = next((f": give it with --{name}" for name, tag in ROOT_TAGS.items() if tag == root.tag), "")
-        raise SimulatorError(f"{path}: its first element is <{root.tag}>; expected {_form_text(kind)}{other}")
+        other = next(
+            (f": give it with --{name}" for name, tag in ROOT_TAGS.items() if tag == root.tag), ""
+        )
+        raise SimulatorError(
+            f"{path}: its first element is <{root.tag}>; expected {_form_text(kind)}{other}"
+        )
     return root
 
 
@@ -218,10 +228,14 @@ def _check_structure(model: Any, path: str) -> None:
     for body in range(model.nbody):
         if model.body_jntnum[body] > 1:
             what = f"body {model.body(body).name} has {model.body_jntnum[body]} joints"
-            raise SimulatorError(f"{path}: {what}; expected one hinge for each body, with a body of some mass between")
+            raise SimulatorError(
+                f"{path}: {what}; expected one hinge for each body, with a body of some mass between"
+            )
     if model.neq:
         what = f"the equality {model.equality(0).name or '0'} closes a loop or couples joints"
-        raise SimulatorError(f"{path}: {what}; expected a tree; the hand file couples joints by the key coupling")
+        raise SimulatorError(
+            f"{path}: {what}; expected a tree; the hand file couples joints by the key coupling"
+        )
 
 
 def _joint_name(model: Any, joint: int) -> str:
@@ -264,7 +278,9 @@ def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict
     zero = float(model.qpos0[model.jnt_qposadr[joint]])
     mass, com, inertia = _inertia(model, data, _members(model, body), origin, turn)
     if mass <= 0.0:
-        raise SimulatorError(f"{path}: link {model.body(body).name} has no mass; expected its mass and its inertia")
+        raise SimulatorError(
+            f"{path}: link {model.body(body).name} has no mass; expected its mass and its inertia"
+        )
     points, radius = _shapes(model, data, _members(model, body), origin, turn)
     return {
         "name": model.body(body).name,
@@ -333,7 +349,9 @@ def _frames(model: Any, data: Any, root: int, origin: Any, turn: Any) -> dict[st
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
         if body in members:
-            places[model.site(site).name] = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.site_pos[site]
+            places[model.site(site).name] = (
+                data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.site_pos[site]
+            )
     return {name: (turn.T @ (place - origin)).tolist() for name, place in places.items() if name}
 
 
@@ -346,14 +364,21 @@ def _shapes(
     for geom in range(model.ngeom):
         body = int(model.geom_bodyid[geom])
         kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-        if body not in members or kind in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD):
+        if body not in members or kind in (
+            mujoco.mjtGeom.mjGEOM_PLANE,
+            mujoco.mjtGeom.mjGEOM_HFIELD,
+        ):
             continue
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         axes = data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
         place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
         corners.append((place + (centre + BOX_CORNERS * half) @ axes.T - origin) @ turn)
         rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
-        width = float(model.geom_size[geom, 0]) if kind in ROUND_SHAPES else float(np.sort(half)[:2].mean())
+        width = (
+            float(model.geom_size[geom, 0])
+            if kind in ROUND_SHAPES
+            else float(np.sort(half)[:2].mean())
+        )
         radii[rank] = max(radii.get(rank, 0.0), width)
     if not corners:
         return [], None
@@ -368,9 +393,14 @@ def _tendons(model: Any, notes: list[str]) -> list[dict[str, Any]]:
         first = int(model.tendon_adr[tendon])
         parts = range(first, first + int(model.tendon_num[tendon]))
         if any(model.wrap_type[part] != mujoco.mjtWrap.mjWRAP_JOINT for part in parts):
-            notes.append(f"tendon {name} is not read: its path is given by points, and its moment arms change")
+            notes.append(
+                f"tendon {name} is not read: its path is given by points, and its moment arms change"
+            )
             continue
-        arms = {_joint_name(model, int(model.wrap_objid[part])): float(model.wrap_prm[part]) for part in parts}
+        arms = {
+            _joint_name(model, int(model.wrap_objid[part])): float(model.wrap_prm[part])
+            for part in parts
+        }
         motors = [
             actuator
             for actuator in range(model.nu)
@@ -393,4 +423,7 @@ def _pull_direction(model: Any, motors: list[int]) -> dict[str, Any]:
     )
     scale = float(model.actuator_gainprm[motor, 0] * model.actuator_gear[motor, 0])
     largest = scale * float(model.actuator_ctrlrange[motor, 1])
-    return {"motor": model.actuator(motor).name or None, "tension_max": largest if by_force else None}
+    return {
+        "motor": model.actuator(motor).name or None,
+        "tension_max": largest if by_force else None,
+    }

@@ -49,7 +49,9 @@ def _urdf_path(name: str, folder: Path) -> Path:
     if not name.startswith(PACKAGE_PREFIX):
         return folder / name.removeprefix(SCHEME_PREFIX)
     package, *parts = PurePath(name.removeprefix(PACKAGE_PREFIX)).parts
-    places = [above.joinpath(*parts) for above in (folder, *folder.parents) if above.name == package]
+    places = [
+        above.joinpath(*parts) for above in (folder, *folder.parents) if above.name == package
+    ]
     places += [above.joinpath(package, *parts) for above in (folder, *folder.parents)]
     places.append(folder / PurePath(name).name)
     return next((place for place in places if place.is_file()), folder.joinpath(*parts))
@@ -111,7 +113,9 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
         scale = np.array(asset.scale)
         reference = rotation_of(np.array(asset.refquat) / np.linalg.norm(asset.refquat))
         if np.ptp(scale) and not np.array_equal(reference, np.eye(3)):
-            notes.append(f"mesh {asset.file} is not read: it is scaled differently along axes after a turn")
+            notes.append(
+                f"mesh {asset.file} is not read: it is scaled differently along axes after a turn"
+            )
             continue
         # MuJoCo moves each vertex v to scale * reference^T (v - refpos), then turns the mesh to its
         # principal axes of inertia.
@@ -120,7 +124,9 @@ def mjcf_meshes(spec: Any, model: Any, folder: Path, notes: list[str]) -> Iterat
         origin = model.geom_pos[geom] - rotation @ model.mesh_pos[mesh]
         yield BodyMesh(
             body=body,
-            file=folder / spec.meshdir / (PurePath(asset.file).name if spec.strippath else asset.file),
+            file=folder
+            / spec.meshdir
+            / (PurePath(asset.file).name if spec.strippath else asset.file),
             scale=scale,
             position=origin - rotation @ (scale * (reference.T @ asset.refpos)),
             rotation=rotation @ reference.T,

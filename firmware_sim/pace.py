@@ -98,7 +98,9 @@ class PaceCounter:
             self._report_line(self._too_slow(now.wall_s - self._mark.wall_s))
         else:
             times = "" if self._slips == 1 else f" {self._slips} times"
-            self._report_line(f"firmware_sim: {self._lost_ns / 1e6:.0f} ms behind, clock slipped{times}")
+            self._report_line(
+                f"firmware_sim: {self._lost_ns / 1e6:.0f} ms behind, clock slipped{times}"
+            )
         self._reported_s = now.wall_s
         self._mark = now
         self._slips = self._lost_ns = 0
@@ -121,9 +123,12 @@ class PaceCounter:
         """Update the advised pace from the pace since the last report."""
         measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
         advice = ADVISED_FRACTION * min(
-            measured, CORE_FRACTION * _pace_ratio(self._mark, now) * (1 if len(_usable_cores()) == 1 else 2)
+            measured,
+            CORE_FRACTION * _pace_ratio(self._mark, now) * (1 if len(_usable_cores()) == 1 else 2),
         )
-        self.advice = rounded_down(advice) if self.advice is None else min(self.advice, rounded_down(advice))
+        self.advice = (
+            rounded_down(advice) if self.advice is None else min(self.advice, rounded_down(advice))
+        )
 
     def _at(self, plant_ns: int) -> ClockReadings:
         return ClockReadings(self._wall_s(), self._cpu_s(), plant_ns * 1e-9)

@@ -40,7 +40,9 @@ def run_dir() -> Path:
         ]:  # top down: in a checked directory, no other user can replace an entry.
             _check_directory(path, mine=len(folder.parts) - len(path.parts) < path_parts)
     except OSError as error:
-        raise SimulatorError(f"run directory {folder}: {error.strerror}; HANDCTL_RUN_DIR names another") from error
+        raise SimulatorError(
+            f"run directory {folder}: {error.strerror}; HANDCTL_RUN_DIR names another"
+        ) from error
     return folder
 
 
@@ -86,7 +88,9 @@ def _check_directory(path: Path, mine: bool) -> None:
 
 def _path_error(path: Path, problem: str) -> SimulatorError:
     """Build the error for a directory that cannot be a run directory."""
-    expected = "expected a directory of mode 0700 that belongs to you; HANDCTL_RUN_DIR names another"
+    expected = (
+        "expected a directory of mode 0700 that belongs to you; HANDCTL_RUN_DIR names another"
+    )
     return SimulatorError(f"run directory {path}: {problem}; {expected}")
 
 

@@ -29,7 +29,9 @@ def take_priority() -> bool:
     if not sys.platform.startswith("linux"):
         return False
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(REALTIME_PRIORITY))
+        os.sched_setscheduler(
+            0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(REALTIME_PRIORITY)
+        )
     except OSError:
         return False
     return True
@@ -78,7 +80,9 @@ class RealTimePriority:
         """Take the real-time priority, because frames of a host have arrived."""
         if not self.active and self._now_s() >= self._not_before_s:
             self.active = self._take()
-            self._not_before_s = self._now_s() + ORDINARY_PRIORITY_S  # no new request in every turn after a refusal
+            self._not_before_s = (
+                self._now_s() + ORDINARY_PRIORITY_S
+            )  # no new request in every turn after a refusal
 
     def note_slip(self) -> None:
         """Count a slip of the clock, and give the priority back after ``MAX_SLIPS`` slips."""

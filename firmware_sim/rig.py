@@ -92,7 +92,11 @@ class LockstepHand:
         answers, in_order = self._exchange.answer(frames, t_ns, self._period_ns - 1)
         world.advance(end_ns, self._exchange.wake_ns)
         unsolicited = world.take_unsolicited_records()
-        return answers if in_order and not len(unsolicited) else self._exchange.merged(answers, unsolicited)
+        return (
+            answers
+            if in_order and not len(unsolicited)
+            else self._exchange.merged(answers, unsolicited)
+        )
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
         """Answer the host's frames of one tick, given and returned as objects. See ``exchange``.
@@ -121,12 +125,18 @@ class LockstepHand:
     def truth(self) -> dict[str, list[float]]:
         """Return parts of the present true state, for tests: tensions [N] and commanded motor torques [N m]."""
         motors = self.world.plant.motors.values()
-        return {"tension": self.world.plant.tensions(), "torque": [motor.servo.torque for motor in motors]}
+        return {
+            "tension": self.world.plant.tensions(),
+            "torque": [motor.servo.torque for motor in motors],
+        }
 
     def close(self) -> None:
         """Complete and close the truth file, if any."""
         if self._truth is not None:
-            counts = {"foreign_frames": self.world.foreign, "malformed_frames": self.world.malformed}
+            counts = {
+                "foreign_frames": self.world.foreign,
+                "malformed_frames": self.world.malformed,
+            }
             self._truth.close(counts | ({"wire_load": self._loads()} if self.wired else {}))
             self._truth = None
 

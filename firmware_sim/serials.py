@@ -13,7 +13,9 @@ SERIAL_NUMBER_BITS = {"mit": 32, "cia402": 32, "odrive": 48, "moteus": 96, "robs
 
 Drives of other protocols have no serial number.
 """
-EXPECTED_FORM = "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
+EXPECTED_FORM = (
+    "expected a number, or MOTOR=NUMBER, as in --serial 0x4000 or --serial index_motor=0x4001"
+)
 """Part of the error message for a wrong serial number."""
 
 
@@ -32,7 +34,9 @@ def with_serial_numbers(hand: Hand, words: Iterable[str]) -> Hand:
     for word in words:
         name, equals, text = word.rpartition("=")
         if equals and name not in serials:
-            raise SimulatorError(f"--serial {word}: no motor {name!r}; expected one of {', '.join(serials)}")
+            raise SimulatorError(
+                f"--serial {word}: no motor {name!r}; expected one of {', '.join(serials)}"
+            )
         try:
             number = int(text, 0)
         except ValueError:
@@ -43,5 +47,9 @@ def with_serial_numbers(hand: Hand, words: Iterable[str]) -> Hand:
         given = serials[motor.name]
         if given is not None and not 0 <= given < 1 << SERIAL_NUMBER_BITS.get(motor.protocol, 64):
             highest = (1 << SERIAL_NUMBER_BITS[motor.protocol]) - 1
-            raise SimulatorError(f"--serial: {motor.name} would have {given}; expected 0 to {highest:#x}")
-    return replace(hand, motors=[replace(motor, serial=serials[motor.name]) for motor in hand.motors])
+            raise SimulatorError(
+                f"--serial: {motor.name} would have {given}; expected 0 to {highest:#x}"
+            )
+    return replace(
+        hand, motors=[replace(motor, serial=serials[motor.name]) for motor in hand.motors]
+    )

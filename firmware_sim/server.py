@@ -198,7 +198,9 @@ class BusServer:
         # The time of the world is behind the wall clock by the time that slips have lost.
         due_ns = self._world.t_ns + self._world.slip_ns + MAX_TURN_NS
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
-        return self._ready_links(max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9))
+        return self._ready_links(
+            max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9)
+        )
 
     def _ready_links(self, timeout_s: float) -> list[socket.socket]:
         """Wait for at most ``timeout_s``, and return the sockets that are ready for reading."""
@@ -257,5 +259,7 @@ class BusServer:
             "foreign_frames": self._world.foreign,
             "malformed_frames": self._world.malformed,
             "lost_frames": sum(port.lost for port in self._ports),
-            "wire_load": [round(port.load, 4) for port in self._ports if isinstance(port, TimedPort)],
+            "wire_load": [
+                round(port.load, 4) for port in self._ports if isinstance(port, TimedPort)
+            ],
         }

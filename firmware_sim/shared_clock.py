@@ -59,7 +59,9 @@ class SharedClock:
         """
         self.scale = scale
         self._path: Path | None = None
-        self._numbers = memoryview(array("q", [CLOCK_FILE_VERSION, OPEN_GATE_NS, *[0] * (INTEGER_COUNT - 2)]))
+        self._numbers = memoryview(
+            array("q", [CLOCK_FILE_VERSION, OPEN_GATE_NS, *[0] * (INTEGER_COUNT - 2)])
+        )
 
     def publish(self, path: Path) -> None:
         """Create the file of the clock, for sharing with a controller.
@@ -72,7 +74,9 @@ class SharedClock:
         """
         try:
             path.unlink(missing_ok=True)
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+            descriptor = os.open(
+                path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
+            )
             try:
                 os.write(descriptor, self._numbers)
                 self._numbers = memoryview(mmap.mmap(descriptor, self._numbers.nbytes)).cast("q")

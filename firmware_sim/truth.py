@@ -51,7 +51,9 @@ def truth_columns(plant: Plant) -> list[tuple[str, str]]:
     named += [(f"dq/{joint}", "rad/s") for joint in hand.joints]
     named += [(f"motor/{motor.name}", "rad") for motor in hand.motors]
     named += [(f"torque/{motor.name}", "N m") for motor in hand.motors]
-    named += [(f"contact_force/{digit.name}/{axis}", "N") for digit in hand.digits for axis in "xyz"]
+    named += [
+        (f"contact_force/{digit.name}/{axis}", "N") for digit in hand.digits for axis in "xyz"
+    ]
     named += [(f"object/{axis}", "m") for axis in "xyz"]
     named += [(f"object/{part}", "1") for part in ("qw", "qx", "qy", "qz")]
     named += [("slip", "m/s")]
@@ -59,7 +61,9 @@ def truth_columns(plant: Plant) -> list[tuple[str, str]]:
         named += [("support", "m")]
     if plant.load:
         named += [("load", "N"), *[(f"normal/{digit.name}", "N") for digit in hand.digits]]
-    named += [(f"tension/{pair.name}/{part}", "N") for pair in hand.pairs for part in ("first", "second")]
+    named += [
+        (f"tension/{pair.name}/{part}", "N") for pair in hand.pairs for part in ("first", "second")
+    ]
     return named
 
 

@@ -89,7 +89,9 @@ class SimulatedWorld:
         self.foreign = 0
         rng = random.Random(f"encoders {seed}")
         spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
-        self.encoder_offset = {motor.name: motor.zero + rng.uniform(-spread, spread) for motor in hand.motors}
+        self.encoder_offset = {
+            motor.name: motor.zero + rng.uniform(-spread, spread) for motor in hand.motors
+        }
         self.nodes: list[list[SimulatedNode]] = [[] for _ in hand.buses]
         self.row_of: dict[int, tuple[int, int]] = {}
         rows: dict[type, Any] = {}
@@ -113,7 +115,9 @@ class SimulatedWorld:
     def _bus_index(self, name: str) -> int:
         """Return the index of a bus of the hand by its name."""
         if name not in self.hand.buses:
-            raise SimulatorError(f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}")
+            raise SimulatorError(
+                f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}"
+            )
         return self.hand.buses.index(name)
 
     def _build_drives(self, compiled: bool, rows: dict[type, Any]) -> dict[str, DriveNode]:
@@ -135,7 +139,9 @@ class SimulatedWorld:
                 )
         for protocol, kind in PROTOCOL_SPECS.items():
             motors = [motor for motor in self.hand.motors if motor.protocol == protocol]
-            memory: Any = (kind.row * len(motors))() if compiled and kind.row else [None] * len(motors)
+            memory: Any = (
+                (kind.row * len(motors))() if compiled and kind.row else [None] * len(motors)
+            )
             for number, (motor, row) in enumerate(zip(motors, memory, strict=True)):
                 arguments = motor, self.plant.motors[motor.name], self.encoder_offset[motor.name]
                 if row is None:
@@ -161,7 +167,12 @@ class SimulatedWorld:
         self.sensor_orders = tendon_order, joint_order
         if spec.node_ids:
             return LoadCellAmplifiers(spec, lambda: plant.cells()[tendon_order], self.seed)
-        arguments = spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed
+        arguments = (
+            spec,
+            lambda: plant.cells()[tendon_order],
+            lambda: plant.engine.q[joint_order],
+            self.seed,
+        )
         if not compiled:
             return SensorNode(*arguments)
         memory = (SensorNodeRow * 1)()
@@ -205,10 +216,14 @@ class SimulatedWorld:
         faults = self.faults
         wire_faulty = faults.wire_faults_of  # a fault may also react to frames for other nodes
         receivers = (
-            self._nodes_of_bus[bus] if wire_faulty else self._by_id[bus].get(frame[0]) or self._receivers(bus, frame[0])
+            self._nodes_of_bus[bus]
+            if wire_faulty
+            else self._by_id[bus].get(frame[0]) or self._receivers(bus, frame[0])
         )
         for node, ids in receivers:
-            replies = faults.exchange(node, frame, t_ns) if wire_faulty else node.receive(frame, t_ns)
+            replies = (
+                faults.exchange(node, frame, t_ns) if wire_faulty else node.receive(frame, t_ns)
+            )
             if node.ids is not ids:
                 self.refresh_identifiers()
             if replies is not None:
@@ -225,9 +240,13 @@ class SimulatedWorld:
         """Return True if a node may answer the frame. The answer would sample the plant."""
         return bool(self._by_id[frame[3]].get(frame[0]) or self._receivers(frame[3], frame[0]))
 
-    def _receivers(self, bus: int, can_id: int) -> list[tuple[SimulatedNode, frozenset[int] | None]]:
+    def _receivers(
+        self, bus: int, can_id: int
+    ) -> list[tuple[SimulatedNode, frozenset[int] | None]]:
         """Return the nodes that may answer an identifier, each with the present identifiers."""
-        receivers = [(node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids]
+        receivers = [
+            (node, ids) for node, ids in self._nodes_of_bus[bus] if ids is None or can_id in ids
+        ]
         self._by_id[bus][can_id] = receivers
         return receivers
 
@@ -302,7 +321,11 @@ class SimulatedWorld:
         if not self.exchange:
             return min([node.wake_ns for _, node in self._nodes_by_bus], default=NEVER_NS)
         wake_ns = self.exchange.next_wake() if row_wake_ns is None else row_wake_ns
-        return min(wake_ns, *[node.wake_ns for node in self._without_row]) if self._without_row else wake_ns
+        return (
+            min(wake_ns, *[node.wake_ns for node in self._without_row])
+            if self._without_row
+            else wake_ns
+        )
 
     def _wake(self, now_ns: int) -> int | None:
         """Wake the due nodes, and store the frames sent by them.
@@ -317,7 +340,11 @@ class SimulatedWorld:
                 unsolicited = node.wake(now_ns)
                 if unsolicited:
                     stamped = [frame._replace(bus=bus, t_ns=now_ns) for frame in unsolicited]
-                    self._unsolicited += self.faults.unsolicited(node, stamped, now_ns) if self.faults.on else stamped
+                    self._unsolicited += (
+                        self.faults.unsolicited(node, stamped, now_ns)
+                        if self.faults.on
+                        else stamped
+                    )
         return None
 
     def queue_frames(self, frames: list[Frame]) -> None:
@@ -338,7 +365,9 @@ class SimulatedWorld:
         It is valid until the next frame is sent.
         """
         assert self.exchange
-        return to_records(self.take_unsolicited()) if self._unsolicited else self.exchange.take_sent()
+        return (
+            to_records(self.take_unsolicited()) if self._unsolicited else self.exchange.take_sent()
+        )
 
     @property
     def malformed(self) -> int:

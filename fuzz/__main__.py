@@ -26,13 +26,25 @@ def parsed_arguments() -> argparse.Namespace:
     """Parse the command line."""
     parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
     parser.add_argument(
-        "targets", nargs="*", metavar="TARGET", help=f"parsers: {', '.join(TARGET_NAMES)} (default: all)"
+        "targets",
+        nargs="*",
+        metavar="TARGET",
+        help=f"parsers: {', '.join(TARGET_NAMES)} (default: all)",
     )
     parser.add_argument(
-        "--seconds", type=int, default=10, help="duration for each target (default: %(default)s; 0: no limit)"
+        "--seconds",
+        type=int,
+        default=10,
+        help="duration for each target (default: %(default)s; 0: no limit)",
     )
-    parser.add_argument("--runs", type=int, default=-1, help="inputs for each target (default: limited by time)")
-    parser.add_argument("--blind", action="store_true", help="do not measure which branches an input reaches (faster)")
+    parser.add_argument(
+        "--runs", type=int, default=-1, help="inputs for each target (default: limited by time)"
+    )
+    parser.add_argument(
+        "--blind",
+        action="store_true",
+        help="do not measure which branches an input reaches (faster)",
+    )
     args = parser.parse_args()
     if unknown := set(args.targets) - set(TARGET_NAMES):
         parser.error(f"no target {sorted(unknown)[0]!r}; expected one of {', '.join(TARGET_NAMES)}")
@@ -52,7 +64,16 @@ def fuzz_target(name: str, seconds: int, runs: int, blind: bool = False) -> tupl
     limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={crashes}/"]
     command = [sys.executable, "-m", "fuzz.one", name, str(corpus), *limits]
     if blind:
-        command = [sys.executable, "-m", "fuzz.blind", name, str(corpus), str(crashes), str(seconds), str(runs)]
+        command = [
+            sys.executable,
+            "-m",
+            "fuzz.blind",
+            name,
+            str(corpus),
+            str(crashes),
+            str(seconds),
+            str(runs),
+        ]
         command.append(str(MAX_INPUT_BYTES[name]))
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     (OUTPUT_FOLDER / f"{name}.txt").write_text(done.stdout + done.stderr)
@@ -63,7 +84,10 @@ def fuzz_target(name: str, seconds: int, runs: int, blind: bool = False) -> tupl
     number = int(count[1])
     took = max(1, int(count[2]))
     if blind and not int(count[3]):
-        return f"{name:13} FAILED  none of {number:,} inputs was accepted: only the first check was tested", False
+        return (
+            f"{name:13} FAILED  none of {number:,} inputs was accepted: only the first check was tested",
+            False,
+        )
     edges = f"edges {covered[-1][0]:>6}" if covered else "no edges"
     seen = f"blind, {100 * int(count[3]) / number:.1f} % accepted" if blind else edges
     return f"{name:13} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {seen}", True

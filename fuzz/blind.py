@@ -48,7 +48,11 @@ def changed_inputs(chance: random.Random, corpus: list[bytes], longest: int) -> 
 
 
 def fuzz(
-    target: Callable[[bytes], bool], inputs: Iterator[bytes], crashes: Path, seconds: float, runs: int
+    target: Callable[[bytes], bool],
+    inputs: Iterator[bytes],
+    crashes: Path,
+    seconds: float,
+    runs: int,
 ) -> tuple[int, int]:
     """Feed inputs to a target.
 
@@ -87,10 +91,15 @@ def main() -> None:
     corpus_inputs += [seed[: int(longest)] for seed in seeds(name, folder)] or [bytes(8)]
     start = time.monotonic()
     inputs = changed_inputs(random.Random(time.time_ns()), corpus_inputs, int(longest))
-    number, taken = fuzz(TARGET_FACTORIES[name](folder), inputs, Path(crashes), float(seconds), int(runs))
+    number, taken = fuzz(
+        TARGET_FACTORIES[name](folder), inputs, Path(crashes), float(seconds), int(runs)
+    )
     took = round(time.monotonic() - start)
     count = len(corpus_inputs)
-    print(f"Done {number} runs in {took} second(s), {taken} inputs accepted, corpus of {count} inputs", file=sys.stderr)
+    print(
+        f"Done {number} runs in {took} second(s), {taken} inputs accepted, corpus of {count} inputs",
+        file=sys.stderr,
+    )
 
 
 if __name__ == "__main__":

@@ -95,7 +95,9 @@ In all other inputs, a parsed document is changed, because parsing is slow.
 """
 
 
-def _document(path: Path, contents: list[FileContent], use: Callable[[FileContent], object]) -> FuzzTarget:
+def _document(
+    path: Path, contents: list[FileContent], use: Callable[[FileContent], object]
+) -> FuzzTarget:
     """Return the target for a document.
 
     Inputs are any bytes, or a valid document with up to four changes.
@@ -124,7 +126,9 @@ def task_target(folder: Path) -> FuzzTarget:
     return _document(
         folder / "task.toml",
         list(contents),
-        lambda content: check_task_for_hand(validate_content(content, Task, "fuzzed"), jamia, "fuzzed"),
+        lambda content: check_task_for_hand(
+            validate_content(content, Task, "fuzzed"), jamia, "fuzzed"
+        ),
     )
 
 
@@ -132,7 +136,12 @@ def trajectory_target(folder: Path) -> FuzzTarget:
     """Return the fuzz target that reads a trajectory_target file and checks it against a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
-    content = {"schema": 1, "name": "t", "time_s": [0.3 * i for i in range(8)], "angle_deg": {"index": angles}}
+    content = {
+        "schema": 1,
+        "name": "t",
+        "time_s": [0.3 * i for i in range(8)],
+        "angle_deg": {"index": angles},
+    }
     return _document(
         folder / "trajectory.toml",
         [content],
@@ -143,11 +152,15 @@ def trajectory_target(folder: Path) -> FuzzTarget:
 def gains_target(folder: Path) -> FuzzTarget:
     """Return the target for a gains file with provenance."""
     packaged = Gains().model_dump(by_alias=True)
-    content = packaged | {"provenance": GainsProvenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()}
+    content = packaged | {
+        "provenance": GainsProvenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()
+    }
     del content["provenance"]["restores"]
     validate_content(content, GainsFile, "packaged")
     return _document(
-        folder / "gains.toml", [content], lambda content: validate_content(content, GainsFile, "fuzzed").gains
+        folder / "gains.toml",
+        [content],
+        lambda content: validate_content(content, GainsFile, "fuzzed").gains,
     )
 
 
@@ -155,7 +168,12 @@ def calibration_target(folder: Path) -> FuzzTarget:
     """Return the target for a calibration with identified values, and for the resulting hand."""
     jamia = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
-    identified = {"names": ["motor_coulomb"], "values": [0.01], "half_widths": [1e-3], "covariance": [[1e-6]]}
+    identified = {
+        "names": ["motor_coulomb"],
+        "values": [0.01],
+        "half_widths": [1e-3],
+        "covariance": [[1e-6]],
+    }
     content = {
         "schema": 1,
         "hand": jamia.name,

@@ -53,7 +53,10 @@ def main() -> int:
     """Run controller and recorder in lockstep. Return 1 if the memory grows or the run fails."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.growth", description=__doc__)
     parser.add_argument(
-        "--hours", type=float, default=1.0, help="duration in simulated time [h] (default: %(default)s)"
+        "--hours",
+        type=float,
+        default=1.0,
+        help="duration in simulated time [h] (default: %(default)s)",
     )
     args = parser.parse_args()
     hand = load_hand("jamia")
@@ -67,7 +70,15 @@ def main() -> int:
         controller = make_controller(hand, plan.gains, 500.0, program, None, arm_at_once=True)
         outcome = run_lockstep(plan, controller, Path(folder) / "long.mcap", clock, looks)
     grows = memory_slope(looks.samples, WARM_S)
-    print(json.dumps({"ticks": outcome.stats.ticks, "failure": outcome.state.failure, "rss_slope_mib_per_h": grows}))
+    print(
+        json.dumps(
+            {
+                "ticks": outcome.stats.ticks,
+                "failure": outcome.state.failure,
+                "rss_slope_mib_per_h": grows,
+            }
+        )
+    )
     return int(bool(outcome.state.failure) or grows is None or grows > SIZE_MIB_PER_H)
 
 

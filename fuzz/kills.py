@@ -9,7 +9,12 @@ from tests.runtime.kills import KillVerdict, batches, summary
 def main() -> int:
     """Kill or stop controllers. Return 1 if a drive has kept its torque or a log is incomplete."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.kills", description=__doc__)
-    parser.add_argument("--times", type=int, default=500, help="number of disturbed controllers (default: %(default)s)")
+    parser.add_argument(
+        "--times",
+        type=int,
+        default=500,
+        help="number of disturbed controllers (default: %(default)s)",
+    )
     parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
     parser.add_argument(
         "--time-scale",

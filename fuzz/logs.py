@@ -93,7 +93,12 @@ def log(folder: Path) -> FuzzTarget:
             at = source.number(len(records))
             records[at] = _changed_record(records[at], source)
         path.write_bytes(
-            b"".join([_join_records(i, changed[i]) if i in changed else joined[i] for i in range(len(parts))])
+            b"".join(
+                [
+                    _join_records(i, changed[i]) if i in changed else joined[i]
+                    for i in range(len(parts))
+                ]
+            )
         )
         return _read(path)
 
@@ -110,11 +115,22 @@ def _parts(path: Path) -> list[list[bytes]]:
     file.close()
     channels = schemas_and_channels(contents[0]).channels
     schemas = {number: schema for number, schema, topic, _, _ in channels if topic in KEPT_TOPICS}
-    chunks = [[record for record in _records(content) if _is_of_channels(record, schemas)] for content in contents]
+    chunks = [
+        [record for record in _records(content) if _is_of_channels(record, schemas)]
+        for content in contents
+    ]
     head = list(_records(raw[8 : result.chunks[0].offset]))
     tail = list(_records(raw[result.chunks[-1].end : -8]))
-    named = [record for record in tail if record[0] not in PER_TOPIC_RECORDS or _is_of_channels(record, schemas)]
-    return [[_without_checksum(record) for record in head], *chunks, [_without_checksum(record) for record in named]]
+    named = [
+        record
+        for record in tail
+        if record[0] not in PER_TOPIC_RECORDS or _is_of_channels(record, schemas)
+    ]
+    return [
+        [_without_checksum(record) for record in head],
+        *chunks,
+        [_without_checksum(record) for record in named],
+    ]
 
 
 def _records(data: bytes) -> Iterator[bytes]:
@@ -153,15 +169,25 @@ def _changed_record(record: bytes, source: ByteSource) -> bytes:
     kind = source.number(8)
     if kind == 0:
         body = bytearray(record)
-    at = source.number(1 << 16) % max(1, len(body) if source.number(2) else min(len(body), NUMERIC_START_BYTES))
-    new = UNUSUAL_BYTES[source.number(len(UNUSUAL_BYTES))] if source.number(2) else source.take(1 + source.number(8))
+    at = source.number(1 << 16) % max(
+        1, len(body) if source.number(2) else min(len(body), NUMERIC_START_BYTES)
+    )
+    new = (
+        UNUSUAL_BYTES[source.number(len(UNUSUAL_BYTES))]
+        if source.number(2)
+        else source.take(1 + source.number(8))
+    )
     end = at if kind == 1 else at + source.number(64) if kind == 2 else at + len(new)
     body[at:end] = b"" if kind == 2 else new
     return bytes(body) if kind == 0 else struct.pack("<BQ", record[0], len(body)) + body
 
 
 def _chunk(content: bytes) -> bytes:
-    body = struct.pack("<QQQII", 0, 1 << 40, len(content), 0, 0) + struct.pack("<Q", len(content)) + content
+    body = (
+        struct.pack("<QQQII", 0, 1 << 40, len(content), 0, 0)
+        + struct.pack("<Q", len(content))
+        + content
+    )
     return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
 
 

@@ -20,7 +20,13 @@ def paths_of_values(node: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
 
     Tables and lists also count as values.
     """
-    entries = node.items() if isinstance(node, Mapping) else enumerate(node) if isinstance(node, list) else ()
+    entries = (
+        node.items()
+        if isinstance(node, Mapping)
+        else enumerate(node)
+        if isinstance(node, list)
+        else ()
+    )
     for key, value in entries:
         yield (*path, key)
         yield from paths_of_values(value, (*path, key))

@@ -15,7 +15,11 @@ def compiled_modules() -> list[str]:
 
     They must not be instrumented, because numba cannot compile instrumented code.
     """
-    paths = [path for path in (REPOSITORY_ROOT / "firmware_sim").rglob("*.py") if "\n@compiled(" in path.read_text()]
+    paths = [
+        path
+        for path in (REPOSITORY_ROOT / "firmware_sim").rglob("*.py")
+        if "\n@compiled(" in path.read_text()
+    ]
     return [".".join(path.relative_to(REPOSITORY_ROOT).with_suffix("").parts) for path in paths]
 
 
@@ -25,7 +29,9 @@ def main() -> None:
     A crash ends the process with an exit code other than 0, after saving the input.
     """
     name, corpus, *options = sys.argv[1:]
-    with atheris.instrument_imports(include=["handctl", "firmware_sim"], exclude=compiled_modules()):
+    with atheris.instrument_imports(
+        include=["handctl", "firmware_sim"], exclude=compiled_modules()
+    ):
         from fuzz.targets import TARGET_FACTORIES, seeds
     shared = Path("/dev/shm")
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))

@@ -55,7 +55,9 @@ def memory_sample(pid: int, t: float) -> MemorySample:
     rss = descriptors = 0
     for one in pids:
         status = Path(f"/proc/{one}/status").read_text()
-        rss += next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0)
+        rss += next(
+            (int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0
+        )
         descriptors += len(os.listdir(f"/proc/{one}/fd"))
     return MemorySample(t, rss / 1024, descriptors)
 
@@ -98,7 +100,9 @@ class SoakTest:
             end(self.simulator)
         words = ("--bus", BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
         command = [sys.executable, "-m", "firmware_sim", *words]
-        self.simulator = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        self.simulator = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        )
         assert self.simulator.stdout
         assert self.simulator.stdout.readline().startswith("firmware_sim: ready")
         self.lives["simulator"].append([])
@@ -108,7 +112,18 @@ class SoakTest:
         """Start a controller. Return True once it has armed and holds the hand bent."""
         self.number += 1
         write_homed(Path("c.toml"), load_hand("jamia"))
-        words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--clear", "--json")
+        words = (
+            "--hand",
+            "jamia",
+            "--bus",
+            BUS,
+            "--calibration",
+            "c.toml",
+            "--task",
+            "long.toml",
+            "--clear",
+            "--json",
+        )
         log = ("--log", f"{self.number}.mcap", "--time-scale", self.scale)
         self.controller = start_handctl("run", *words, *log)
         self.lives["controller"].append([])
@@ -190,10 +205,16 @@ class SoakTest:
 
     def judged(self) -> dict[str, object]:
         """Return the result of the soak: counts, growth of memory, numbers of descriptors, and all errors."""
-        slopes = {name: [memory_slope(one) for one in lives if one] for name, lives in self.lives.items()}
-        known_slopes = {name: [one for one in found if one is not None] for name, found in slopes.items()}
+        slopes = {
+            name: [memory_slope(one) for one in lives if one] for name, lives in self.lives.items()
+        }
+        known_slopes = {
+            name: [one for one in found if one is not None] for name, found in slopes.items()
+        }
         for name, found in known_slopes.items():
-            self.wrong += [f"{name} grows by {one:.2f} MiB/h" for one in found if one > SIZE_MIB_PER_H]
+            self.wrong += [
+                f"{name} grows by {one:.2f} MiB/h" for one in found if one > SIZE_MIB_PER_H
+            ]
         rose = {name: max((one[-1].rss - one[0].rss for one in lives if one), default=0) for name, lives in
                 self.lives.items()}  # fmt: skip
         descriptors = {name: sorted({s.descriptors for one in lives for s in one}) for name, lives in
@@ -213,8 +234,15 @@ class SoakTest:
 def main() -> int:
     """Run the soak. Return 1 after any error."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.soak", description=__doc__)
-    parser.add_argument("--hours", type=float, default=24.0, help="duration [h] (default: %(default)s)")
-    parser.add_argument("--every", type=float, default=60.0, help="time between two faults [s] (default: %(default)s)")
+    parser.add_argument(
+        "--hours", type=float, default=24.0, help="duration [h] (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--every",
+        type=float,
+        default=60.0,
+        help="time between two faults [s] (default: %(default)s)",
+    )
     parser.add_argument("--seed", type=int, default=1, help="random seed (default: %(default)s)")
     parser.add_argument(
         "--time-scale",
@@ -222,7 +250,9 @@ def main() -> int:
         default=1.0,
         help="ratio of simulated time to wall time, smaller for a busy machine (default: %(default)s)",
     )
-    parser.add_argument("--calm", action="store_true", help="inject no faults, and report the growth of the memory")
+    parser.add_argument(
+        "--calm", action="store_true", help="inject no faults, and report the growth of the memory"
+    )
     args = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="h-") as folder:
         os.environ["HANDCTL_RUN_DIR"] = folder

@@ -22,7 +22,8 @@ def main() -> int:
         codes: dict[str, int | None] = json.loads(path.read_text())["exit_code_by_key"]
         count = Counter(codes.values())
         survived, untested, not_run = (
-            sum(count[code] for code in kind) for kind in (SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES)
+            sum(count[code] for code in kind)
+            for kind in (SURVIVED_CODES, UNTESTED_CODES, NOT_RUN_CODES)
         )
         judged = len(codes) - not_run
         if not judged:
@@ -33,7 +34,9 @@ def main() -> int:
         left = f"{survived:4} survived {untested:4} untested {not_run:4} not run"
         print(f"{name:32} {killed:4} of {judged:4} killed {100 * killed / judged:5.1f} %  {left}")
         unexplained += [
-            key for key, code in codes.items() if code in SURVIVED_CODES + UNTESTED_CODES and f"`{key}`" not in reasons
+            key
+            for key, code in codes.items()
+            if code in SURVIVED_CODES + UNTESTED_CODES and f"`{key}`" not in reasons
         ]
     for key in unexplained:
         print(f"no reason: {key}   (mutmut show {key})")

@@ -33,7 +33,11 @@ def seeds(name: str, folder: Path) -> list[bytes]:
     if name == "log-bytes":
         return [logs.small_log(folder).read_bytes()]
     if name == "request":
-        return [b'{"do": "arm"}', b'{"do": "move", "angle_deg": {"index": 20}}', b'{"do": "gains", "set": {"a": 1}}']
+        return [
+            b'{"do": "arm"}',
+            b'{"do": "move", "angle_deg": {"index": 20}}',
+            b'{"do": "gains", "set": {"a": 1}}',
+        ]
     if name == "fault":
         return [b"\1\0drop node=3 p=0.05 at=3s for=2s", b"\1\0snap tendon=index_tendon"]
     return []

@@ -46,7 +46,16 @@ def frames_of_input(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tup
         size = 8 if shape & 3 else more % (MAX_PAYLOAD_BYTES + 1)
         payload = data[at + 3 : at + 3 + size]
         t_ns += LONG_SILENCE_NS if more >= SILENCE_BYTE else STEP_NS
-        yield Frame(can_id | IDENTIFIER_FLAGS[shape >> 5], payload, FDF | BRS if size > 8 else 0, 0, t_ns), more
+        yield (
+            Frame(
+                can_id | IDENTIFIER_FLAGS[shape >> 5],
+                payload,
+                FDF | BRS if size > 8 else 0,
+                0,
+                t_ns,
+            ),
+            more,
+        )
         at += 3 + size
 
 
@@ -85,7 +94,8 @@ def recorded_inputs(name: str, folder: Path) -> list[bytes]:
     inputs = []
     for i, (_, _, received) in enumerate(seen):
         parts = [
-            bytes((ours.index(one.can_id), *_payload_header(one.data))) + one.data for one in received[:MAX_FRAMES]
+            bytes((ours.index(one.can_id), *_payload_header(one.data))) + one.data
+            for one in received[:MAX_FRAMES]
         ]
         inputs.append(bytes((i,)) + b"".join(parts))
     return [data for data in inputs if len(data) > 1]
@@ -111,7 +121,9 @@ def drive_target_factory(name: str) -> Callable[[Path], FuzzTarget]:
     def make(folder: Path) -> FuzzTarget:
         motor, seen = path_to_torque(name, folder)
         ours = selectable_identifiers(motor, seen)
-        return lambda data: _feed_drive(motor, seen[data[0] % len(seen)] if data else seen[0], ours, data)
+        return lambda data: _feed_drive(
+            motor, seen[data[0] % len(seen)] if data else seen[0], ours, data
+        )
 
     return make
 
@@ -133,7 +145,9 @@ def _feed_drive(motor: Drive, begin: RecordedState, ours: Sequence[int], data: b
     return taken
 
 
-def _advance_drive(motor: Drive, state: DriveState, t_ns: int, more: int) -> tuple[DriveState, tuple[Frame, ...]]:
+def _advance_drive(
+    motor: Drive, state: DriveState, t_ns: int, more: int
+) -> tuple[DriveState, tuple[Frame, ...]]:
     if state.phase == DrivePhase.FAULT:
         motor.cause(state.error)
         if more & CLEAR_BIT:

@@ -133,7 +133,9 @@ class Repeats:
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Report the repeated tests and the longest stall in each."""
         for test, longest in self.stalls:
-            terminalreporter.write_line(f"failed while the machine stalled for {longest * 1e3:.0f} ms: {test}")
+            terminalreporter.write_line(
+                f"failed while the machine stalled for {longest * 1e3:.0f} ms: {test}"
+            )
 
     def pytest_unconfigure(self) -> None:
         """Close the meter."""
@@ -149,7 +151,9 @@ def slower(request: pytest.FixtureRequest) -> float:
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that stores the processor time of each test."""
-    parser.addoption("--durations-file", type=Path, help="append the processor time of each test to this file")
+    parser.addoption(
+        "--durations-file", type=Path, help="append the processor time of each test to this file"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -168,10 +172,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if not NIGHTLY:
         for item in items:
             if item.get_closest_marker("nightly"):
-                item.add_marker(pytest.mark.skip(reason="runs with HANDCTL_NIGHTLY=1 (make nightly)"))
+                item.add_marker(
+                    pytest.mark.skip(reason="runs with HANDCTL_NIGHTLY=1 (make nightly)")
+                )
     for path in {item.path for item in items if item.get_closest_marker("realtime")}:
         if not has_clock_tests(path):
-            raise pytest.UsageError(f"{path}: tests on the real clock, but none of {REAL_CLOCK_MARKERS} in the source")
+            raise pytest.UsageError(
+                f"{path}: tests on the real clock, but none of {REAL_CLOCK_MARKERS} in the source"
+            )
     slow = slow_tests(SLOW_S)
     if left_out := [item for item in items if item.nodeid in slow]:
         config.hook.pytest_deselected(items=left_out)

@@ -78,7 +78,10 @@ class Durations:
         processor = processor_time()
         result = yield
         times = (processor_time() - processor, self._elapsed_s.pop(item.nodeid, 0.0))
-        clock = item.get_closest_marker("realtime") is not None or item.get_closest_marker("alone") is not None
+        clock = (
+            item.get_closest_marker("realtime") is not None
+            or item.get_closest_marker("alone") is not None
+        )
         row = [item.nodeid, *(round(one, 3) for one in times), clock]
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
@@ -121,7 +124,9 @@ def main(path: Path, add: bool) -> None:
     head = "# Written by `python -m tests.slow`: seconds, test. `make test` leaves these to longer runs."
     lines = [head, *(f"{slow[test]:.1f} {test}" for test in sorted(slow))]
     SLOW_TESTS.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    sample_s = sum(processor for test, processor, _, clock in rows if test not in slow and not clock)
+    sample_s = sum(
+        processor for test, processor, _, clock in rows if test not in slow and not clock
+    )
     clock_s = sum(elapsed for test, _, elapsed, clock in rows if test not in slow and clock)
     print(f"{len(slow)} of {len(rows)} tests are slow")
     print(f"a sample takes {sample_s:.0f} s of a core, and {clock_s:.0f} s on the real clock")

@@ -31,7 +31,8 @@ class StallMeter:
         """Start the sleeping processes and wait until each has started."""
         command = [sys.executable, "-I", "-S", __file__]
         self._sleepers = [
-            subprocess.Popen([*command, str(core)], stdout=subprocess.PIPE) for core in os.sched_getaffinity(0)
+            subprocess.Popen([*command, str(core)], stdout=subprocess.PIPE)
+            for core in os.sched_getaffinity(0)
         ]
         for sleeper in self._sleepers:
             assert sleeper.stdout

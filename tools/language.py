@@ -19,7 +19,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 REPOSITORY_ROOT = Path(__file__).parents[1]
-LANGUAGE_TERMS = tomllib.loads(Path(__file__).with_name("language_terms.toml").read_text(encoding="utf-8"))
+LANGUAGE_TERMS = tomllib.loads(
+    Path(__file__).with_name("language_terms.toml").read_text(encoding="utf-8")
+)
 LIMITS_FILE = Path(__file__).with_name("language_limits.toml")
 COUNTED_FOLDERS = ("src", "firmware_sim", "tests", "benchmarks", "fuzz", "tools")
 DOCUMENTS = "documents"
@@ -47,7 +49,9 @@ LIMITS_PER_UNIT = 2
 """Limits are multiples of 1 / ROUNDING, so that a single sentence does not exceed a limit."""
 
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
-_PROSE = {name: re.compile(pattern, re.IGNORECASE) for name, pattern in LANGUAGE_TERMS["prose"].items()}
+_PROSE = {
+    name: re.compile(pattern, re.IGNORECASE) for name, pattern in LANGUAGE_TERMS["prose"].items()
+}
 _VERBS = set(LANGUAGE_TERMS["verbs"]["words"].split())
 _CODE = re.compile(r"^```.*?^```|`[^`\n]*`|^\|.*?$|\*\*[^*\n]+:\*\*", re.MULTILINE | re.DOTALL)
 """Parts of a Markdown document that are not prose: blocks of code, quoted code, rows of tables, labels in bold."""
@@ -76,7 +80,11 @@ class FolderTally:
     def ratio(self, count: str) -> float:
         """Return a count divided by its quantity, as ``QUANTITY_PER_COUNT`` defines."""
         quantity, factor = QUANTITY_PER_COUNT[count]
-        return factor * self.counts[count] / max(self.totals[quantity], 1) if quantity else self.counts[count]
+        return (
+            factor * self.counts[count] / max(self.totals[quantity], 1)
+            if quantity
+            else self.counts[count]
+        )
 
 
 def count_prose(tally: FolderTally, text: str, place: str) -> None:
@@ -99,7 +107,12 @@ def count_module(tally: FolderTally, tree: ast.Module, text: str, name: str) -> 
     lines = [line for line in text.splitlines() if line.strip()]
     tally.totals["lines"] += len(lines)
     for number, line in enumerate(text.splitlines(), 1):
-        tally.add("long_lines", f"{name}:{number}", f"{len(line)} characters", len(line) > LONG_LINE_CHARACTERS)
+        tally.add(
+            "long_lines",
+            f"{name}:{number}",
+            f"{len(line)} characters",
+            len(line) > LONG_LINE_CHARACTERS,
+        )
     for node in ast.walk(tree):
         place = f"{name}:{getattr(node, 'lineno', 1)}"
         for defined in _defined(node):
@@ -123,7 +136,11 @@ def _defined(node: ast.AST) -> list[str]:
     match node:
         case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
             return [name]
-        case ast.arg(arg=name) | ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
+        case (
+            ast.arg(arg=name)
+            | ast.Name(id=name, ctx=ast.Store())
+            | ast.Attribute(attr=name, ctx=ast.Store())
+        ):
             return [name]
     return []
 
@@ -149,7 +166,9 @@ def _count_docstring(tally: FolderTally, node: ast.AST, place: str) -> None:
     if first and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
         word = first[1].lower()
         tally.totals["docstrings"] += 1
-        tally.add("openers", place, f"begins with {word!r}", not {word, word.removesuffix("s")} & _VERBS)
+        tally.add(
+            "openers", place, f"begins with {word!r}", not {word, word.removesuffix("s")} & _VERBS
+        )
 
 
 def _attribute_docs(tree: ast.Module) -> Iterator[str]:
@@ -165,7 +184,10 @@ def _attribute_docs(tree: ast.Module) -> Iterator[str]:
 def comments(text: str) -> int:
     """Return the number of comments in a module. Directives for tools do not count."""
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    return sum(token.type == tokenize.COMMENT and not re.search("noqa|type:|fmt:", token.string) for token in tokens)
+    return sum(
+        token.type == tokenize.COMMENT and not re.search("noqa|type:|fmt:", token.string)
+        for token in tokens
+    )
 
 
 def count_folder(folder: Path) -> FolderTally:
@@ -180,7 +202,12 @@ def count_folder(folder: Path) -> FolderTally:
             if isinstance(node, ast.ClassDef):
                 classes[node.name].append(name)
     for name, places in classes.items():
-        tally.add("repeated_classes", places[0], f"{name} is also in {', '.join(places[1:])}", len(places) > 1)
+        tally.add(
+            "repeated_classes",
+            places[0],
+            f"{name} is also in {', '.join(places[1:])}",
+            len(places) > 1,
+        )
     return tally
 
 
@@ -188,20 +215,33 @@ def count_documents(root: Path) -> FolderTally:
     """Count the findings in the Markdown documents at the top of the project and in ``docs``."""
     tally = FolderTally()
     for path in sorted([*root.glob("*.md"), *root.glob("docs/**/*.md")]):
-        count_prose(tally, _CODE.sub(" ", path.read_text(encoding="utf-8")), path.relative_to(root).as_posix())
+        count_prose(
+            tally,
+            _CODE.sub(" ", path.read_text(encoding="utf-8")),
+            path.relative_to(root).as_posix(),
+        )
     return tally
 
 
 def count_all(root: Path) -> dict[str, FolderTally]:
     """Count the findings in every folder and in the documents."""
-    folders = {name: count_folder(root / name) for name in COUNTED_FOLDERS if (root / name).is_dir()}
+    folders = {
+        name: count_folder(root / name) for name in COUNTED_FOLDERS if (root / name).is_dir()
+    }
     return folders | {DOCUMENTS: count_documents(root)}
 
 
 def ratios(tally: FolderTally) -> dict[str, float]:
     """Return all ratios whose quantity a tally has, each rounded up to a multiple of one half."""
-    measured = [count for count, (quantity, _) in QUANTITY_PER_COUNT.items() if not quantity or tally.totals[quantity]]
-    return {count: -(-round(tally.ratio(count) * LIMITS_PER_UNIT, 6) // 1) / LIMITS_PER_UNIT for count in measured}
+    measured = [
+        count
+        for count, (quantity, _) in QUANTITY_PER_COUNT.items()
+        if not quantity or tally.totals[quantity]
+    ]
+    return {
+        count: -(-round(tally.ratio(count) * LIMITS_PER_UNIT, 6) // 1) / LIMITS_PER_UNIT
+        for count in measured
+    }
 
 
 Limits = dict[str, dict[str, float]]
@@ -228,7 +268,10 @@ def excesses(tallies: dict[str, FolderTally], limits: Limits) -> Iterator[str]:
 def lowered_limits(tallies: dict[str, FolderTally], limits: Limits) -> Limits:
     """Return new limits: the current counts, or the old limits where these are lower."""
     return {
-        name: {count: min(ratio, limits.get(name, {}).get(count, ratio)) for count, ratio in ratios(tally).items()}
+        name: {
+            count: min(ratio, limits.get(name, {}).get(count, ratio))
+            for count, ratio in ratios(tally).items()
+        }
         for name, tally in tallies.items()
     }
 
@@ -248,9 +291,15 @@ def print_table(tallies: dict[str, FolderTally]) -> None:
     print(f"{'':30}" + "".join(f"{name:>13}" for name in tallies))
     for count, (quantity, factor) in QUANTITY_PER_COUNT.items():
         label = f"{count} / {factor} {quantity}" if quantity else count
-        cells = (f"{tally.ratio(count):.1f}" if count in ratios(tally) else "-" for tally in tallies.values())
+        cells = (
+            f"{tally.ratio(count):.1f}" if count in ratios(tally) else "-"
+            for tally in tallies.values()
+        )
         print(f"{label:30}" + "".join(f"{cell:>13}" for cell in cells))
-    commented = (1000 * tally.totals["comments"] / max(tally.totals["lines"], 1) for tally in tallies.values())
+    commented = (
+        1000 * tally.totals["comments"] / max(tally.totals["lines"], 1)
+        for tally in tallies.values()
+    )
     print(f"{'comments / 1000 lines':30}" + "".join(f"{ratio:13.1f}" for ratio in commented))
 
 
@@ -258,7 +307,9 @@ def main(words: list[str] | None = None) -> int:
     """Check the counts, or execute the options, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--table", action="store_true", help="print all counts")
-    parser.add_argument("--places", nargs=2, metavar=("COUNT", "FOLDER"), help="print where a count comes from")
+    parser.add_argument(
+        "--places", nargs=2, metavar=("COUNT", "FOLDER"), help="print where a count comes from"
+    )
     tighten = "lower the limit of each rule to its present number of findings"
     parser.add_argument("--tighten", action="store_true", help=tighten)
     args = parser.parse_args(words)
@@ -269,10 +320,14 @@ def main(words: list[str] | None = None) -> int:
     if args.places:
         count, folder = args.places
         if count not in QUANTITY_PER_COUNT or folder not in tallies:
-            parser.error(f"--places takes one of {', '.join(QUANTITY_PER_COUNT)} and one of {', '.join(tallies)}")
+            parser.error(
+                f"--places takes one of {', '.join(QUANTITY_PER_COUNT)} and one of {', '.join(tallies)}"
+            )
         print(*tallies[folder].places[count], sep="\n")
         return 0
-    limits: Limits = tomllib.loads(LIMITS_FILE.read_text(encoding="utf-8")) if LIMITS_FILE.exists() else {}
+    limits: Limits = (
+        tomllib.loads(LIMITS_FILE.read_text(encoding="utf-8")) if LIMITS_FILE.exists() else {}
+    )
     if args.tighten:
         LIMITS_FILE.write_text(to_toml(lowered_limits(tallies, limits)), encoding="utf-8")
         return 0

@@ -29,7 +29,9 @@ class Damiao:
 
         self.controller = DaMiaoController(channel=channel, bustype=interface)
         add = self.controller.add_motor
-        self.motors = [add(motor_id=i, feedback_id=i + 0x10, motor_type="4310") for i in range(1, motors + 1)]
+        self.motors = [
+            add(motor_id=i, feedback_id=i + 0x10, motor_type="4310") for i in range(1, motors + 1)
+        ]
         self.controller._stop_polling()
 
     def send(self, torques):
@@ -173,4 +175,9 @@ class Moteus:
         self.loop.close()
 
 
-CLIENTS = {"damiao-motor": Damiao, "odrive-can": Odrive, "TMotorCANControl": TMotor, "moteus": Moteus}
+CLIENTS = {
+    "damiao-motor": Damiao,
+    "odrive-can": Odrive,
+    "TMotorCANControl": TMotor,
+    "moteus": Moteus,
+}

@@ -32,7 +32,11 @@ class LocalMotors:
         while size < motors * RECORD.size:
             size += len(self.link.recv(1 << 16))
         answers = [of(i + 1) for i in range(motors)]
-        self.link.sendall(b"".join(RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags in answers))
+        self.link.sendall(
+            b"".join(
+                RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags in answers
+            )
+        )
 
     def close(self) -> None:
         if self.link:

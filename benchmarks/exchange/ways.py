@@ -91,7 +91,9 @@ class Ours:
     def receive(self):
         frames = self.bus.drain()
         state = self.state
-        self.start(state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames))
+        self.start(
+            state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames)
+        )
         self.controller._receive(state, frames, 0)
         return frames
 
@@ -123,7 +125,9 @@ class Scalar:
 
     def send(self, torques):
         for i, torque in zip(self.ids, torques, strict=True):
-            self.bus.send(self.can.Message(arbitration_id=i, data=self.encode(torque), is_extended_id=False))
+            self.bus.send(
+                self.can.Message(arbitration_id=i, data=self.encode(torque), is_extended_id=False)
+            )
 
     def receive(self):
         return [self.decode(self.bus.recv(0).data) for _ in self.ids]
@@ -140,7 +144,9 @@ class Cantools(Scalar):
         import cantools
 
         database = cantools.database.load_string(DBC, "dbc")
-        self.command, self.feedback = (database.get_message_by_name(name) for name in ("Command", "Feedback"))
+        self.command, self.feedback = (
+            database.get_message_by_name(name) for name in ("Command", "Feedback")
+        )
 
     def encode(self, torque):
         values = {"position": 0.0, "velocity": 0.0, "kp": 0.0, "kd": 0.0, "torque": torque}

@@ -32,7 +32,9 @@ drop_when = "never"
 
 def task_of(phases: list[dict[str, Any]]) -> TaskProgram:
     """Return the program of a task that consists of these phases."""
-    return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases})))
+    return TaskProgram(
+        Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases}))
+    )
 
 
 def find_contacts(job: tuple[str, int]) -> list[float]:
@@ -46,7 +48,11 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
     wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
     speed = chance.uniform(*SPEED_DEG_S)
     phases = [
-        {"kind": "move", "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}, "duration_s": 0.6},
+        {
+            "kind": "move",
+            "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0},
+            "duration_s": 0.6,
+        },
         {"kind": "close", "angle_deg": 60.0, "speed_deg_s": speed},
         {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3},
     ]
@@ -55,13 +61,17 @@ def find_contacts(job: tuple[str, int]) -> list[float]:
 
 
 def _latencies(run: Run, digits: tuple[str, ...]) -> list[float]:
-    contact_times = {event.where: float(run.t[k]) for k, event in run.events if event.name == "contact"}
+    contact_times = {
+        event.where: float(run.t[k]) for k, event in run.events if event.name == "contact"
+    }
     latencies = []
     for d, name in enumerate(digits):
         above = np.flatnonzero(run.force[:, d] > CONTACT_N)
         if name in contact_times:
             at = float(run.t[above[0]]) if len(above) else np.inf
-            touched = run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max() > TOUCHED_N
+            touched = (
+                run.force[: np.searchsorted(run.t, contact_times[name]) + 1, d].max() > TOUCHED_N
+            )
             latencies += [max(contact_times[name] - at, -1.0)] if touched else []
         elif len(above):
             latencies.append(np.inf)

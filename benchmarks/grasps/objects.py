@@ -47,26 +47,47 @@ class Case:
     def scene(self, seed: int, stages: bool = True) -> str:
         """Return the text of the scene file. With seed 0 the object is at its nominal position."""
         chance = random.Random(f"{self} {seed}")
-        x, y = (v + (chance.uniform(-s, s) if seed else 0.0) for v, s in zip(self.place, SHAKE_M, strict=True))
-        digits, opposed = (2, "false") if self.grasp == "hook" else (2 if self.grasp == "pinch" else 3, "true")
-        lines = ['name = "benchmark"', "[object]", f'shape = "{self.shape}"', f"mass_kg = {self.mass}"]
+        x, y = (
+            v + (chance.uniform(-s, s) if seed else 0.0)
+            for v, s in zip(self.place, SHAKE_M, strict=True)
+        )
+        digits, opposed = (
+            (2, "false") if self.grasp == "hook" else (2 if self.grasp == "pinch" else 3, "true")
+        )
+        lines = [
+            'name = "benchmark"',
+            "[object]",
+            f'shape = "{self.shape}"',
+            f"mass_kg = {self.mass}",
+        ]
         if self.shape == "box":
             lines += [f"size_m = [{self.width}, {self.width}, 0.093]"]
         else:
             lines += [f"diameter_m = {self.width}", "length_m = 0.093"]
-        lines += [f"friction = {self.friction}", f"position_m = [{x:.6f}, {y:.6f}, 0.0]", "[support]"]
+        lines += [
+            f"friction = {self.friction}",
+            f"position_m = [{x:.6f}, {y:.6f}, 0.0]",
+            "[support]",
+        ]
         lines += ['drop_when = "grasped"', "drop_hold_s = 1.0", "sink_speed_m_s = 0.1"]
         lines += [f"drop_digits = {digits}", f"drop_opposed = {opposed}"]
         for down in DOWN[self.grasp] if stages else ():
             push = [PUSH_N * v for v in down]
-            lines += ["[[stage]]", f"down = {list(down)}", f"turn_s = {TURN_S}", f"last_s = {LAST_S}"]
+            lines += [
+                "[[stage]]",
+                f"down = {list(down)}",
+                f"turn_s = {TURN_S}",
+                f"last_s = {LAST_S}",
+            ]
             lines += [f"push_N = {push}", f"push_at_s = {PUSH_AT_S}", f"push_s = {PUSH_S}"]
         return "\n".join(lines) + "\n"
 
 
 def _power(shape: str, millimetres: float, friction: float, mass: float) -> Case:
     """Return an object for a power grasp, 2 mm in front of the palm and midway between fingers and thumb."""
-    return Case("power", shape, millimetres * 1e-3, friction, mass, (millimetres * 0.5e-3 + 2e-3, 0.0))
+    return Case(
+        "power", shape, millimetres * 1e-3, friction, mass, (millimetres * 0.5e-3 + 2e-3, 0.0)
+    )
 
 
 CASES = (

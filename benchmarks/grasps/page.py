@@ -41,15 +41,23 @@ def _success(rows: list[dict[str, Any]]) -> str:
             selected = [row for row in tried if row["hand"] == hand]
             moved = [max(row["motion_mm"]) for row in selected if row["motion_mm"]]
             worst = f", {min(max(moved), 99.0):.1f} mm" if moved else ""
-            cells.append(f"{sum(row['ok'] for row in selected)} of {len(selected)}{worst}" if selected else "-")
+            cells.append(
+                f"{sum(row['ok'] for row in selected)} of {len(selected)}{worst}"
+                if selected
+                else "-"
+            )
         table.append([grasp, thing, *cells])
     totals = []
     for grasp in dict.fromkeys(row["grasp"] for row in rows):
         for hand in hands:
             selected = [row for row in rows if row["hand"] == hand and row["grasp"] == grasp]
-            totals.append(f"{hand} {grasp} {100 * np.mean([row['ok'] for row in selected]):.0f} % of {len(selected)}")
+            totals.append(
+                f"{hand} {grasp} {100 * np.mean([row['ok'] for row in selected]):.0f} % of {len(selected)}"
+            )
     failures = []
-    for (hand, grasp, thing), failed in _groups([row for row in rows if row["why"]], "hand", "grasp", "object").items():
+    for (hand, grasp, thing), failed in _groups(
+        [row for row in rows if row["why"]], "hand", "grasp", "object"
+    ).items():
         by_reason = _groups(failed, "why")
         reasons = [
             f"{reason} (seed {', '.join(str(row['seed']) for row in selected)})"
@@ -168,7 +176,9 @@ def draw(result: dict[str, Any]) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5), width_ratios=(3, 2), layout="constrained")
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(11, 5), width_ratios=(3, 2), layout="constrained"
+    )
     names = list(dict.fromkeys(f"{row['grasp']}: {row['object']}" for row in result["success"]))
     for hand, marker, shift in (("jamia", "o", -0.15), ("jamia11", "s", 0.15)):
         rows = [row for row in result["success"] if row["hand"] == hand and row["motion_mm"]]
@@ -176,9 +186,13 @@ def draw(result: dict[str, Any]) -> None:
         y = [names.index(f"{row['grasp']}: {row['object']}") + shift for row in rows]
         left.scatter(x, y, marker=marker, s=22, label=hand, alpha=0.8)
         bad = [i for i, row in enumerate(rows) if not row["ok"]]
-        left.scatter([x[i] for i in bad], [y[i] for i in bad], marker="x", color="black", s=40, zorder=3)
+        left.scatter(
+            [x[i] for i in bad], [y[i] for i in bad], marker="x", color="black", s=40, zorder=3
+        )
     left.axvline(1e3 * MAX_MOTION_M, color="grey", ls="--")
-    left.set(xscale="log", xlabel="largest motion in 5 s, of three orientations with a push of 1 N [mm]")
+    left.set(
+        xscale="log", xlabel="largest motion in 5 s, of three orientations with a push of 1 N [mm]"
+    )
     left.set_yticks(range(len(names)), names, fontsize=8)
     left.invert_yaxis()
     left.legend(title="x: no success", loc="upper right", fontsize=8)

@@ -33,15 +33,25 @@ def try_load(job: tuple[str, str, int]) -> dict[str, Any]:
     hand, direction, seed = job
     case = CASES[1]
     load = f"[load]\ndirection = {list(ALONG[direction])}\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
-    run = simulate(hand, _at(hand, TENSION_N[hand]), case.scene(seed, stages=False) + load, seed=seed, timeout=LAST_S)
+    run = simulate(
+        hand,
+        _at(hand, TENSION_N[hand]),
+        case.scene(seed, stages=False) + load,
+        seed=seed,
+        timeout=LAST_S,
+    )
     before = run.t < START_S
     settled = run.t > START_S - 0.5
     normal = run.normal[before & settled].mean(axis=0)
     window = max(1, int(0.2 / (run.t[1] - run.t[0])))
-    speed = np.linalg.norm(run.place[window:] - run.place[:-window], axis=1) / (run.t[window] - run.t[0])
+    speed = np.linalg.norm(run.place[window:] - run.place[:-window], axis=1) / (
+        run.t[window] - run.t[0]
+    )
     sliding = np.flatnonzero((speed > SLIDES_M_S) & (run.t[window:] > START_S))
     slid_at = float(run.t[window + sliding[0]]) if len(sliding) else float(run.t[-1])
-    newtons = RATE_N_PER_S * (slid_at - START_S) + (case.mass * 9.81 if direction == "along the hinges" else 0.0)
+    newtons = RATE_N_PER_S * (slid_at - START_S) + (
+        case.mass * 9.81 if direction == "along the hinges" else 0.0
+    )
     return {
         "hand": hand, "direction": direction, "seed": seed,
         "mass_kg": round(newtons / 9.81, 3), "slid": bool(len(sliding)),
@@ -53,7 +63,9 @@ def _at(hand: str, tension: float) -> TaskProgram:
     """Return the packaged power grasp with another tension and without the reaction to slip."""
     program = task_program("grasp", hand, hold_s=60.0)
     phases = [
-        phase.model_copy(update={"tension_N": tension, "slip_limit_N": None, "stiffness_N_per_mm": 0.0})
+        phase.model_copy(
+            update={"tension_N": tension, "slip_limit_N": None, "stiffness_N_per_mm": 0.0}
+        )
         if isinstance(phase, HoldPhase)
         else phase
         for phase in program.task.phase

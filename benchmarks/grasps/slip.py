@@ -25,12 +25,17 @@ def pull(job: tuple[str, bool, int]) -> dict[str, Any]:
     The job consists of hand, reaction to slip, and seed.
     """
     hand, answered, seed = job
-    scene = CASES[1].scene(seed, stages=False).replace("friction = 0.5", f"friction = {SLIPPERY[hand]}")
-    scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
+    scene = (
+        CASES[1].scene(seed, stages=False).replace("friction = 0.5", f"friction = {SLIPPERY[hand]}")
+    )
+    scene += (
+        f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
+    )
     program = task_program("grasp", hand, hold_s=60.0)
     change = {"tension_N": TENSION_N, "slip_limit_N": LIMIT_N if answered else None}
     phases = [
-        phase.model_copy(update=change) if isinstance(phase, HoldPhase) else phase for phase in program.task.phase
+        phase.model_copy(update=change) if isinstance(phase, HoldPhase) else phase
+        for phase in program.task.phase
     ]
     program = TaskProgram(program.task.model_copy(update={"phase": tuple(phases)}))
     run = simulate(hand, program, scene, seed=seed, timeout=LAST_S)

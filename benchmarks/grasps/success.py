@@ -46,7 +46,9 @@ def failure(run: Run, case: Case, motion: list[float]) -> str:
         return "not grasped: too few digits press"
     if max(motion) >= 1e3 * MAX_MOTION_M:
         stage = int(np.argmax([value >= 1e3 * MAX_MOTION_M for value in motion]))
-        return f"the object moves {motion[stage]:.1f} mm with gravity along {DOWN[case.grasp][stage]}"
+        return (
+            f"the object moves {motion[stage]:.1f} mm with gravity along {DOWN[case.grasp][stage]}"
+        )
     if len(motion) < len(DOWN[case.grasp]):
         return "ended early"
     if case.grasp == "pinch" and run.place[-1, 0] - case.width / 2 < PALM_GAP_M:

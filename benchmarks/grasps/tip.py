@@ -25,10 +25,17 @@ def press(job: tuple[str, int]) -> list[dict[str, Any]]:
     chance = random.Random(f"tip {seed}")
     wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
     phases: list[dict[str, Any]] = [
-        {"kind": "move", "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}, "duration_s": 0.6},
+        {
+            "kind": "move",
+            "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0},
+            "duration_s": 0.6,
+        },
         {"kind": "close", "angle_deg": 60.0, "speed_deg_s": 50.0},
     ]
-    phases += [{"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_S} for f in COMMANDS_N]
+    phases += [
+        {"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_S}
+        for f in COMMANDS_N
+    ]
     run = simulate(hand, task_of(phases), wall, seed=seed, until="end", timeout=12.0)
     rows = []
     for command in COMMANDS_N:

@@ -118,7 +118,9 @@ def simulate(
     phases = []
     events = []
     stages = []
-    with SimulatorSettings(hand, scene, seed, perturb, homed=True).against(controller) as simulation:
+    with SimulatorSettings(hand, scene, seed, perturb, homed=True).against(
+        controller
+    ) as simulation:
         plant = simulation.peer.world.plant
         simulation.record = False
         for entry, out in simulation.ticks(timeout):
@@ -153,12 +155,19 @@ def simulate(
 def _over(plant: Plant) -> bool:
     """Return True if the run has passed all stages of the scene."""
     dropped = plant.table.dropped_at if plant.table else None
-    return bool(plant.stages) and dropped is not None and plant.steps * STEP_S - dropped > plant.stages.duration
+    return (
+        bool(plant.stages)
+        and dropped is not None
+        and plant.steps * STEP_S - dropped > plant.stages.duration
+    )
 
 
 def _is_lost(plant: Plant) -> bool:
     """Return True if the object has left the hand."""
-    return plant.scene.grasp_object is not None and np.linalg.norm(plant.engine.object_pose()[:3]) > LOST_M
+    return (
+        plant.scene.grasp_object is not None
+        and np.linalg.norm(plant.engine.object_pose()[:3]) > LOST_M
+    )
 
 
 def stage_motion(run: Run) -> list[float]:

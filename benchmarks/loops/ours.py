@@ -81,7 +81,9 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     if rate_hz:
         clock.spin = priority.realtime
     described = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf_text(hand).encode()}
-    recorder = Recorder.start(log, RunHeader.of_hand(hand.to_toml(), plan.period_ns, attachments=described))
+    recorder = Recorder.start(
+        log, RunHeader.of_hand(hand.to_toml(), plan.period_ns, attachments=described)
+    )
     counter = Counter(seconds)
     cut = controller.cut_frames()
 
@@ -90,7 +92,11 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
 
     took = []
     # Timing takes a few microseconds, which a rate without deadlines must not contain.
-    begin = (lambda state, entry: TimedTick(controller, state, entry, took)) if rate_hz else controller.begin
+    begin = (
+        (lambda state, entry: TimedTick(controller, state, entry, took))
+        if rate_hz
+        else controller.begin
+    )
     loop = ControlLoop(
         clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.events()), record, counter,
         urgent=awake_processors,

@@ -61,14 +61,19 @@ class BaselineLoop:
 
     def tick(self) -> None:
         """Run one tick: compute and send torques, read and filter the replies, and log them."""
-        self.bus.send(can.Message(arbitration_id=self.sync, data=[self.k & 0xFF], is_extended_id=False))
+        self.bus.send(
+            can.Message(arbitration_id=self.sync, data=[self.k & 0xFF], is_extended_id=False)
+        )
         torque = pinocchio.rnea(self.model, self.data, np.zeros(self.model.nq), np.zeros(self.model.nv),
                                 np.zeros(self.model.nv))  # fmt: skip
         for node, one in zip(self.nodes, self.filters, strict=True):
             data = command(0.005 * min(max(float(one.x[0, 0]) + float(torque[0]), 0.0), 10.0) * 0.0)
             self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
         row = {"k": self.k, "t": time.time(), "tension": [], "position": []}
-        expected = self.answers + (self.k % self.hand.sensor_node.joint_decimation == 0) * self.joint_frames()
+        expected = (
+            self.answers
+            + (self.k % self.hand.sensor_node.joint_decimation == 0) * self.joint_frames()
+        )
         for _ in range(expected):
             message = self.bus.recv(0.002)
             if message is None:

@@ -62,15 +62,32 @@ def section(result: dict) -> str:
         "- *whiteness*: correlation of consecutive innovations. The correlation is 0 if the model is right.",
     ]
     for hand, plants in result["hands"].items():
-        rows = [[regime, *(f"{row[c]:.2f}" for c in COLUMNS.values())] for regime, row in plants["as known"].items()]
+        rows = [
+            [regime, *(f"{row[c]:.2f}" for c in COLUMNS.values())]
+            for regime, row in plants["as known"].items()
+        ]
         parts += ["", table([hand, *COLUMNS], rows)]
         others = [plant for plant in plants if plant != "as known"]
         if others:
-            regimes = [r for r in ("free", "reversal", "impact", "hold", "slack") if r in plants["as known"]]
-            columns = [f"{regime}: error at present, ratios at the sample and at present" for regime in regimes]
+            regimes = [
+                r
+                for r in ("free", "reversal", "impact", "hold", "slack")
+                if r in plants["as known"]
+            ]
+            columns = [
+                f"{regime}: error at present, ratios at the sample and at present"
+                for regime in regimes
+            ]
             head = [f"{hand}, wrong parameter", *columns, "NIS free", "NIS hold"]
             parts += ["", table(head, [_wrong(plant, plants[plant], regimes) for plant in others])]
-    parts += ["", _conclusion(result), "", LEGEND, "", "![Tension errors by regime](../figures/control-estimation.png)"]
+    parts += [
+        "",
+        _conclusion(result),
+        "",
+        LEGEND,
+        "",
+        "![Tension errors by regime](../figures/control-estimation.png)",
+    ]
     return "\n".join(parts)
 
 
@@ -79,7 +96,12 @@ def _wrong(plant: str, regimes_table: dict, regimes: list[str]) -> list[str]:
         f"{row['estimate']:.2f} N, {' and '.join(f'{row[ratio]:.2f}' for ratio in WRONG)}"
         for row in (regimes_table[regime] for regime in regimes)
     ]
-    return [plant, *cells, f"{regimes_table['free']['nis']:.2f}", f"{regimes_table['hold']['nis']:.2f}"]
+    return [
+        plant,
+        *cells,
+        f"{regimes_table['free']['nis']:.2f}",
+        f"{regimes_table['hold']['nis']:.2f}",
+    ]
 
 
 def _conclusion(result: dict) -> str:
@@ -93,7 +115,9 @@ def _conclusion(result: dict) -> str:
             ratio = row["filtered / limit"]
             nis = row["nis"]
             good = ratio <= MAX_RATIO and NIS_RANGE[0] <= nis <= NIS_RANGE[1]
-            (met if good else missed).append(f"{hand} {regime}: {ratio:.2f} times the reference, NIS {nis:.2f}")
+            (met if good else missed).append(
+                f"{hand} {regime}: {ratio:.2f} times the reference, NIS {nis:.2f}"
+            )
             strict.append(f"{hand} {regime}: {row['estimate / limit']:.2f}")
     text = (
         f"At the sample, the error of the filter must be at most {MAX_RATIO} times the reference, and NIS must "
@@ -200,7 +224,9 @@ def picture(result: dict) -> None:
     from matplotlib import pyplot as plt
 
     hands = result["hands"]
-    figure, axes = plt.subplots(1, len(hands), figsize=(4.6 * len(hands), 3.4), sharey=True, squeeze=False)
+    figure, axes = plt.subplots(
+        1, len(hands), figsize=(4.6 * len(hands), 3.4), sharey=True, squeeze=False
+    )
     ways = {
         "raw": "#dddddd",
         "filtered": "#88aadd",
@@ -218,7 +244,9 @@ def picture(result: dict) -> None:
         for key, style, where in (("limit", "-", -0.28), ("limit now", ":", 0.14)):
             limits = [row[key] for row in regimes_table.values()]
             name = key.replace("limit", "reference")
-            axis.hlines(limits, places + where - 0.16, places + where + 0.3, "#222222", style, label=name)
+            axis.hlines(
+                limits, places + where - 0.16, places + where + 0.3, "#222222", style, label=name
+            )
         axis.set_xticks(places, list(regimes_table), rotation=20)
         axis.set_title(hand)
     axes[0][0].set_ylabel("RMSE of tension [N]")

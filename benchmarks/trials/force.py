@@ -57,7 +57,12 @@ class Loop:
 LOOPS = {
     "set-point alone": Loop(
         motion={"disturbance_rejection": 0.0},
-        tension={"tension_error_N": 100.0, "speed_error_m_s": 10.0, "force_N": 0.01, "integral_per_s": 0.0},
+        tension={
+            "tension_error_N": 100.0,
+            "speed_error_m_s": 10.0,
+            "force_N": 0.01,
+            "integral_per_s": 0.0,
+        },
     ),
     "loop on the raw sensor": Loop(raw=True),
     "loop on the estimate": Loop(),
@@ -76,7 +81,13 @@ def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
     gains = Gains(motion=MotionGains(**motion), tension=TensionGains(**(fixed | loop.tension)))
     program = TaskProgram(validate_content(TASK, Task, "benchmark"))
     return Trial(
-        hand, program, seed, "cylinder", PLANTS[plant], gains, change=on_raw_tension if loop.raw else unchanged
+        hand,
+        program,
+        seed,
+        "cylinder",
+        PLANTS[plant],
+        gains,
+        change=on_raw_tension if loop.raw else unchanged,
     )
 
 
@@ -87,7 +98,9 @@ def judge(record: TrialRecord) -> dict[str, float]:
     """
     tension = record.tension()
     in_contact = record.of_tendons(record.numbers["contact"] > 0)
-    rows: dict[str, list[float]] = {name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")}
+    rows: dict[str, list[float]] = {
+        name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")
+    }
     for phase, goal, change in (("up", HIGH_N, 1.0), ("down", LOW_N, -1.0)):
         mask = record.phase == phase
         t = record.times[mask] - record.times[mask].min(initial=np.inf)
@@ -99,8 +112,13 @@ def judge(record: TrialRecord) -> dict[str, float]:
             rows["steady_N"].append(float(abs(last.mean())))
             rows["ripple_N"].append(float(last.std()))
             rows["mse"].append(float((error**2).mean()))
-    result = {name: float(np.mean(values)) if values else float("nan") for name, values in rows.items()}
-    return result | {"rmse_N": float(np.sqrt(result.pop("mse"))), "tendons": float(len(rows["mse"]))}
+    result = {
+        name: float(np.mean(values)) if values else float("nan") for name, values in rows.items()
+    }
+    return result | {
+        "rmse_N": float(np.sqrt(result.pop("mse"))),
+        "tendons": float(len(rows["mse"])),
+    }
 
 
 def work(job: tuple) -> dict[str, Any]:
@@ -122,7 +140,9 @@ def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) ->
     results = collect(work, jobs, plan)
     result: dict[str, Any] = {"hands": {}}
     for hand, law, plant in cases:
-        rows = [row for job, row in results.items() if (job[0], job[1], job[3]) == (hand, law, plant)]
+        rows = [
+            row for job, row in results.items() if (job[0], job[1], job[3]) == (hand, law, plant)
+        ]
         if rows:
             result["hands"].setdefault(hand, {}).setdefault(plant, {})[law] = _over_seeds(rows)
     return result
@@ -131,7 +151,15 @@ def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) ->
 def _over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any]:
     good = [row for row in rows if not row["why"] and np.isfinite(row["rmse_N"])]
     names = [name for name in rows[0] if name != "why"]
-    mean = {name: float(np.mean([row[name] for row in good])) if good else float("nan") for name in names}
+    mean = {
+        name: float(np.mean([row[name] for row in good])) if good else float("nan")
+        for name in names
+    }
     spread = float(np.std([row["rmse_N"] for row in good])) if good else float("nan")
     whys = sorted({row["why"] for row in rows if row["why"]})
-    return mean | {"rmse_spread_N": spread, "seeds": len(rows), "ended": len(rows) - len(good), "why": whys}
+    return mean | {
+        "rmse_spread_N": spread,
+        "seeds": len(rows),
+        "ended": len(rows) - len(good),
+        "why": whys,
+    }

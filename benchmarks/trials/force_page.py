@@ -33,14 +33,24 @@ def section(result: dict[str, Any]) -> str:
         if others:
             laws = list(plants["as known"])
             head = [f"{hand}, wrong parameter, RMSE (steady error) [N]", *laws]
-            parts += ["", table(head, [[plant, *[_cell(plants[plant].get(law)) for law in laws]] for plant in others])]
+            parts += [
+                "",
+                table(
+                    head,
+                    [[plant, *[_cell(plants[plant].get(law)) for law in laws]] for plant in others],
+                ),
+            ]
     return "\n".join([*parts, "", _conclusion(result)])
 
 
 def _row(law: str, row: dict[str, Any]) -> list[str]:
     cells = [f"{row[name]:.2f}" for name in COLUMNS]
     cells[0] += f" ± {row['rmse_spread_N']:.2f}"
-    return [law, *cells, f"{row['seeds']}" + (f", {row['ended']} ended early" if row["ended"] else "")]
+    return [
+        law,
+        *cells,
+        f"{row['seeds']}" + (f", {row['ended']} ended early" if row["ended"] else ""),
+    ]
 
 
 def _cell(row: dict[str, Any] | None) -> str:
@@ -54,7 +64,13 @@ def _conclusion(result: dict[str, Any]) -> str:
         none, raw, estimate = plants["as known"].values()
         margin = raw["rmse_N"] - estimate["rmse_N"]
         spread = max(raw["rmse_spread_N"], estimate["rmse_spread_N"])
-        word = "better than" if margin > 2 * spread else "worse than" if margin < -2 * spread else "no better than"
+        word = (
+            "better than"
+            if margin > 2 * spread
+            else "worse than"
+            if margin < -2 * spread
+            else "no better than"
+        )
         texts.append(
             f"{hand}: the loop on the estimate is {word} the loop on the raw sensor (RMSE "
             f"{estimate['rmse_N']:.2f} and "
@@ -67,8 +83,16 @@ def _conclusion(result: dict[str, Any]) -> str:
             f"compared with {raw['ripple_N']:.2f} N of the loop on the raw sensor."
         )
     whys = sorted(
-        {w for plants in result["hands"].values() for laws in plants.values() for r in laws.values() for w in r["why"]}
+        {
+            w
+            for plants in result["hands"].values()
+            for laws in plants.values()
+            for r in laws.values()
+            for w in r["why"]
+        }
     )
     texts += [f"These faults ended runs early: {'; '.join(whys)}."] if whys else []
-    texts.append("A bias of the load cell is an error of the true tension as well, and no loop can remove this error.")
+    texts.append(
+        "A bias of the load cell is an error of the true tension as well, and no loop can remove this error."
+    )
     return "\n\n".join(texts)

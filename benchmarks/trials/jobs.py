@@ -47,7 +47,10 @@ def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
         _keep(work, job, done[job], plan)
         print(f"{len(done)}/{len(jobs)} {work.__name__} {job}", file=sys.stderr, flush=True)
     if len(done) < len(jobs):
-        print(f"{len(jobs) - len(done)} of {len(jobs)} not run: continue with the same --keep", file=sys.stderr)
+        print(
+            f"{len(jobs) - len(done)} of {len(jobs)} not run: continue with the same --keep",
+            file=sys.stderr,
+        )
     return {job: done[job] for job in jobs if job in done}
 
 
@@ -101,11 +104,18 @@ def _through_json(result: Any) -> Any:
 
 def add_options(parser: Any) -> None:
     """Add the options of a benchmark that runs many jobs."""
-    parser.add_argument("--keep", type=Path, help="folder of results: an interrupted benchmark continues")
     parser.add_argument(
-        "--minutes", type=float, default=float("inf"), help="start no further run after this time [min]"
+        "--keep", type=Path, help="folder of results: an interrupted benchmark continues"
     )
-    parser.add_argument("--jobs", type=int, default=0, help="number of processes (default: one per core)")
+    parser.add_argument(
+        "--minutes",
+        type=float,
+        default=float("inf"),
+        help="start no further run after this time [min]",
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=0, help="number of processes (default: one per core)"
+    )
 
 
 def plan_of(args: Any) -> Plan:

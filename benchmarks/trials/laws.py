@@ -20,28 +20,43 @@ from handctl.paper.model import equations
 NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 
 
-def zero_torque(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
+def zero_torque(
+    digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
+) -> tuple[float, ...]:
     """Return zero feedforward torque for each joint, so that only feedback acts."""
     return (0.0,) * digit.joint_count
 
 
-def statics(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
+def statics(
+    digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
+) -> tuple[float, ...]:
     """Return the feedforward torque that balances gravity and springs."""
     return static_torque(digit, q)
 
 
-def springs(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
+def springs(
+    digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
+) -> tuple[float, ...]:
     """Return the feedforward torque that balances the springs, without gravity."""
     return spring_torque(digit, q)
 
 
-def weightless(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
+def weightless(
+    digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
+) -> tuple[float, ...]:
     """Return the feedforward torque of the inverse dynamics without gravity."""
-    parts = zip(required_torque(digit, q, dq, ddq), static_torque(digit, q), spring_torque(digit, q), strict=True)
+    parts = zip(
+        required_torque(digit, q, dq, ddq),
+        static_torque(digit, q),
+        spring_torque(digit, q),
+        strict=True,
+    )
     return tuple(whole - static + spring for whole, static, spring in parts)
 
 
-def misprinted(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> tuple[float, ...]:
+def misprinted(
+    digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
+) -> tuple[float, ...]:
     """Return the torque of Eq. 10 to 12 as printed in the paper, instead of the dynamics of the links.
 
     The torques belong to absolute angles. This function maps them to the joints, and adds the
@@ -61,7 +76,10 @@ def misprinted(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointVal
         names[f"m{i + 1}"] = digit.masses[i] if here else 0.0
         names[f"I{i + 1}"] = float(digit.inertias[i, 2, 2]) if here else 0.0
     names["g"] = -float((digit.gravity @ digit.mount_rotation)[1])
-    printed = [sum(float(term.readings[0].value(names)) for term in terms) for terms in equations.TORQUE_TERMS]
+    printed = [
+        sum(float(term.readings[0].value(names)) for term in terms)
+        for terms in equations.TORQUE_TERMS
+    ]
     joint = (sum(printed), printed[1] + printed[2], printed[2])[: digit.joint_count]
     passive = zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True)
     return tuple(tau + sum(parts) for tau, parts in zip(joint, passive, strict=True))
@@ -84,7 +102,9 @@ class RawTension(Controller):
 
     __slots__ = ()
 
-    def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
+    def _take_in(
+        self, before: State, state: State, entry: TickIn, frames: Frames
+    ) -> tuple[str, ...]:
         signs = super()._take_in(before, state, entry, frames)
         cell = state.tendon[s.MEASURED_TENSION]
         state.tendon[s.TENSION] = np.where(np.isnan(cell), state.tendon[s.TENSION], cell)
@@ -93,7 +113,9 @@ class RawTension(Controller):
 
 def on_raw_tension(controller: Controller) -> Controller:
     """Return a controller that is equal except that its control law uses the raw load cell."""
-    return RawTension(**{each.name: getattr(controller, each.name) for each in fields(controller) if each.init})
+    return RawTension(
+        **{each.name: getattr(controller, each.name) for each in fields(controller) if each.init}
+    )
 
 
 @dataclass(frozen=True)
@@ -116,7 +138,11 @@ class Law:
         The other gains are fixed here, and do not depend on the packaged gains.
         """
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
-        fixed = {"force_N": FORCE_N * force_scale(rate_hz), "disturbance_rejection": 1.0, "tension_feedback": 0.3}
+        fixed = {
+            "force_N": FORCE_N * force_scale(rate_hz),
+            "disturbance_rejection": 1.0,
+            "tension_feedback": 0.3,
+        }
         return Gains(motion=MotionGains(**{**fixed, **weights, **self.motion}))
 
     @property

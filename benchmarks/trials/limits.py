@@ -62,7 +62,9 @@ def limit(model: HandModel, i: int, is_held: bool, encoder: bool = True) -> tupl
     A[5, 5] = -1.0 / JOINT_S
     A[6, 6] = -1.0 / OFFSET_S
     sigma = (MOTOR_N_M / space.spool[i], JOINT_N_M / arm, OFFSET_M)
-    noise = [0.0] * 4 + [2.0 * s**2 / t for s, t in zip(sigma, (MOTOR_S, JOINT_S, OFFSET_S), strict=True)]
+    noise = [0.0] * 4 + [
+        2.0 * s**2 / t for s, t in zip(sigma, (MOTOR_S, JOINT_S, OFFSET_S), strict=True)
+    ]
     A = A * SCALE / SCALE[:, None]
     Q = np.diag(noise) / np.outer(SCALE, SCALE)
     loan = expm(np.block([[-A, Q], [np.zeros((7, 7)), A.T]]) * model.period)

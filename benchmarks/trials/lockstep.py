@@ -111,7 +111,10 @@ class TrialRecord:
 
     def contact_force(self) -> Array:
         """Return the true contact force on each digit (ticks, D) [N]."""
-        axes = [self.truth(f"contact_force/{name}/{axis}" for name in self.hand.digit_names) for axis in "xyz"]
+        axes = [
+            self.truth(f"contact_force/{name}/{axis}" for name in self.hand.digit_names)
+            for axis in "xyz"
+        ]
         return np.sqrt(sum(axis**2 for axis in axes))
 
     def of_tendons(self, per_digit: NDArray[Any]) -> NDArray[Any]:
@@ -125,11 +128,15 @@ def run(trial: Trial) -> TrialRecord:
     """Run a trial and return its record. Equal trials give records that are equal to the bit."""
     hand = hand_by_name(trial.hand)
     rate = trial.rate_hz or RATES_HZ[packaged(trial.hand)]
-    controller = trial.change(make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True))
+    controller = trial.change(
+        make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True)
+    )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "truth"
         file = file_of(trial.hand, Path(folder))
-        twin = SimulatorSettings(file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path)
+        twin = SimulatorSettings(
+            file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path
+        )
         rows: list[Row] = []
         with twin.against(controller) as run:
             inputs = run.state.tendon[[s.FILTER_FORCE, s.PLANNED_TENSION_RATE]].T
@@ -151,11 +158,15 @@ def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
     states = after.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T
     for i, (kind, x) in enumerate(zip(after.tendon_int[s.FILTER_KIND], states, strict=True)):
         block = design.blocks[i][kind]
-        result.append(max(float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ inputs[i])), 0.0))
+        result.append(
+            max(float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ inputs[i])), 0.0)
+        )
     return result
 
 
-def _record(hand: Hand, controller: Controller, rows: list[Row], real: TruthRecord, state: State) -> TrialRecord:
+def _record(
+    hand: Hand, controller: Controller, rows: list[Row], real: TruthRecord, state: State
+) -> TrialRecord:
     active = [row for row in rows if row[1].mode == Mode.ACTIVE]
     fields = TELEMETRY_FIELDS
     events = [(entry.t_ns / 1e9, *event[1:]) for entry, out, *_ in rows for event in out.events]
@@ -165,7 +176,10 @@ def _record(hand: Hand, controller: Controller, rows: list[Row], real: TruthReco
         controller,
         np.array([entry.t_ns for entry, *_ in active]),
         np.array([out.phase for _, out, *_ in active]),
-        {name: np.array([getattr(out.telemetry, name) for _, out, *_ in active]) for name in fields},
+        {
+            name: np.array([getattr(out.telemetry, name) for _, out, *_ in active])
+            for name in fields
+        },
         np.array([inputs[:, 0] for *_, inputs, _ in active]),
         np.array([_filtered(design, inputs, after) for *_, inputs, after in active]),
         real,

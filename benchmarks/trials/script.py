@@ -45,24 +45,40 @@ class Script:
         return LiveProgram().initial(model)
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> tuple[ProgramProgress, tuple[TickEvent, ...]]:
         """Advance to the present step, see ``Program``."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
-            return (replace(progress, step=-1), events) if progress.phase == "live" else (progress, events)
-        if progress.step >= 0 and t - progress.since < self.steps[progress.step].lasts_s - 0.5 * model.period:
+            return (
+                (replace(progress, step=-1), events)
+                if progress.phase == "live"
+                else (progress, events)
+            )
+        if (
+            progress.step >= 0
+            and t - progress.since < self.steps[progress.step].lasts_s - 0.5 * model.period
+        ):
             return progress, ()
         if progress.step + 1 >= len(self.steps):
             return replace(progress, finished=True), ()
         step = self.steps[progress.step + 1]
-        goals = tuple(_goal(model, d, step, progress.goals[d], estimate, t) for d in range(len(model.digits)))
+        goals = tuple(
+            _goal(model, d, step, progress.goals[d], estimate, t) for d in range(len(model.digits))
+        )
         return replace(progress, step=progress.step + 1, since=t, phase=step.name, goals=goals), ()
 
 
-def _goal(model: HandModel, d: int, step: Step, old: DigitGoal, estimate: Estimate, t: float) -> DigitGoal:
+def _goal(
+    model: HandModel, d: int, step: Step, old: DigitGoal, estimate: Estimate, t: float
+) -> DigitGoal:
     if step.angle_deg is not None:
         return motion_to(model.digits[d], estimate, math.radians(step.angle_deg), step.move_s, t)
     if step.tension_N is None:

@@ -78,11 +78,20 @@ def moves(speeds: tuple[str, ...]) -> Script:
     steps = []
     for speed in speeds:
         steps.append(Step(f"home {speed}", BACK_S + REST_S, angle_deg=0.0, move_s=BACK_S))
-        steps.append(Step(speed, SPEEDS[speed] + SETTLE_S, angle_deg=ANGLE_DEG, move_s=SPEEDS[speed]))
+        steps.append(
+            Step(speed, SPEEDS[speed] + SETTLE_S, angle_deg=ANGLE_DEG, move_s=SPEEDS[speed])
+        )
     return Script(tuple(steps))
 
 
-def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: str, speeds: tuple[str, ...]) -> Trial:
+def trial(
+    hand: str,
+    law: str,
+    weights: tuple[float, float],
+    seed: int,
+    plant: str,
+    speeds: tuple[str, ...],
+) -> Trial:
     """Return the trial of a law with two weights."""
     config = LAWS[law]
     return Trial(
@@ -108,7 +117,9 @@ def judge(record: TrialRecord, speeds: tuple[str, ...]) -> dict[str, dict[str, f
         mask = record.phase == speed
         mask &= record.times <= record.times[mask].min(initial=np.inf) + SPEEDS[speed] + SETTLE_S
         if not mask.any():
-            result[speed] = dict.fromkeys(("rmse_deg", "peak_deg", "steady_deg", "settling_s"), float("nan"))
+            result[speed] = dict.fromkeys(
+                ("rmse_deg", "peak_deg", "steady_deg", "settling_s"), float("nan")
+            )
             continue
         t = record.times[mask] - record.times[mask][0]
         e = error[mask]
@@ -144,14 +155,21 @@ def tune(plan: Plan) -> None:
     Print the errors of the fast motion and the weights that keep their margins. If all trials have
     run, write both into the file ``TUNED``.
     """
-    jobs = [(h, law, w, TUNING_SEED, "as known", tuple(SPEEDS)) for h in HANDS for law in LAWS for w in WEIGHTS]
+    jobs = [
+        (h, law, w, TUNING_SEED, "as known", tuple(SPEEDS))
+        for h in HANDS
+        for law in LAWS
+        for w in WEIGHTS
+    ]
     results = collect(work, jobs, plan)
     table: dict = {"rmse_deg": {}, "keeps_margins": {}}
     for (hand, law, weights, *_), rows in results.items():
         error = rows["fast"]["rmse_deg"]
         keeps = keeps_margins(hand, law, weights)
         reason = rows["fast"].get("why", "")
-        print(f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if keeps else ''} {reason}")
+        print(
+            f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if keeps else ''} {reason}"
+        )
         table["rmse_deg"].setdefault(hand, {}).setdefault(law, []).append(
             round(error, 4) if np.isfinite(error) else None
         )
@@ -162,7 +180,9 @@ def tune(plan: Plan) -> None:
 
 def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
     """Return True if every motion loop has margins of 6 dB and 45 degrees on random plants around the hand file."""
-    model = HandModel.of(hand_by_name(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand])
+    model = HandModel.of(
+        hand_by_name(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand]
+    )
     plants = tuple(linear_factors(one) for one in draw_ensemble(PLANTS_DRAWN, 0))
     return keeps_required_margins(model, plants, (LoopKind.MOTION,))
 
@@ -176,11 +196,19 @@ def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
     table = json.loads(TUNED.read_text("utf-8"))
     errors = table["rmse_deg"][hand][law]
     selected = table["keeps_margins"][hand][law]
-    usable = [i for i, error in enumerate(errors) if error is not None and (selected[i] or not careful)]
+    usable = [
+        i for i, error in enumerate(errors) if error is not None and (selected[i] or not careful)
+    ]
     return WEIGHTS[min(usable, key=errors.__getitem__, default=len(WEIGHTS) - 1 if careful else 0)]
 
 
-def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, hands: tuple[str, ...] = HANDS) -> dict:
+def measure(
+    seeds: int,
+    wrong_seeds: int,
+    speeds: tuple[str, ...],
+    plan: Plan,
+    hands: tuple[str, ...] = HANDS,
+) -> dict:
     """Measure mean and spread of all figures over the seeds that the plan has time for."""
     cases = [(hand, law, "as known", False) for hand in hands for law in LAWS]
     cases += [(hand, law, "as known", True) for hand in hands for law in CAREFUL]
@@ -192,11 +220,18 @@ def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, h
         hand, law, plant, careful = case
         return hand, law, tuned(hand, law, careful), seed, plant, speeds
 
-    jobs = [job(case, k) for k in range(max(counts)) for case, n in zip(cases, counts, strict=True) if k < n]
+    jobs = [
+        job(case, k)
+        for k in range(max(counts))
+        for case, n in zip(cases, counts, strict=True)
+        if k < n
+    ]
     results = collect(work, list(dict.fromkeys(jobs)), plan)
     result: dict = {
         "weights": {hand: {law: tuned(hand, law) for law in LAWS} for hand in hands},
-        "careful weights": {hand: {law: tuned(hand, law, True) for law in CAREFUL} for hand in hands},
+        "careful weights": {
+            hand: {law: tuned(hand, law, True) for law in CAREFUL} for hand in hands
+        },
         "hands": {},
         "careful": {},
     }
@@ -204,7 +239,9 @@ def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, h
         hand, law, plant, careful = case
         rows = [results[job(case, k)] for k in range(n) if job(case, k) in results]
         if rows:
-            of_hand = result["careful" if careful else "hands"].setdefault(hand, {}).setdefault(plant, {})
+            of_hand = (
+                result["careful" if careful else "hands"].setdefault(hand, {}).setdefault(plant, {})
+            )
             of_hand[law] = {speed: _over_seeds([row[speed] for row in rows]) for speed in rows[0]}
     return result
 
@@ -217,9 +254,17 @@ def _over_seeds(rows: list[dict]) -> dict:
     whys = sorted({row["why"] for row in rows if "why" in row})
     good = [row for row in rows if np.isfinite(row["rmse_deg"])]
     names = [name for name in rows[0] if name != "why"]
-    mean = {name: float(np.mean([row[name] for row in good])) if good else float("inf") for name in names}
+    mean = {
+        name: float(np.mean([row[name] for row in good])) if good else float("inf")
+        for name in names
+    }
     spread = float(np.std([row["rmse_deg"] for row in good])) if good else float("nan")
-    return mean | {"rmse_spread_deg": spread, "seeds": len(rows), "ended": len(rows) - len(good), "why": whys}
+    return mean | {
+        "rmse_spread_deg": spread,
+        "seeds": len(rows),
+        "ended": len(rows) - len(good),
+        "why": whys,
+    }
 
 
 def show(result: dict) -> None:
@@ -228,9 +273,19 @@ def show(result: dict) -> None:
         print(force_page.section(result["force"]))
     if "tracking" not in result:
         return
-    print("tracking of the mean joint angle, RMSE +- spread over the seeds / peak / steady [deg], settling [s]")
-    shown = [(hand, *item) for hand, plants in result["tracking"]["hands"].items() for item in plants.items()]
-    careful = [(hand, *item) for hand, plants in result["tracking"]["careful"].items() for item in plants.items()]
+    print(
+        "tracking of the mean joint angle, RMSE +- spread over the seeds / peak / steady [deg], settling [s]"
+    )
+    shown = [
+        (hand, *item)
+        for hand, plants in result["tracking"]["hands"].items()
+        for item in plants.items()
+    ]
+    careful = [
+        (hand, *item)
+        for hand, plants in result["tracking"]["careful"].items()
+        for item in plants.items()
+    ]
     for weights, rows in (("best weights", shown), ("weights that keep their margins", careful)):
         for hand, plant, laws in rows:
             print(f"\n{hand}, plant {plant}, {weights}")
@@ -247,20 +302,34 @@ def show(result: dict) -> None:
 def main() -> None:
     """Measure all cases and print the results. Write the weights or the page if the options say so."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one seed, fast motion, one hand (less than a minute)")
+    parser.add_argument(
+        "--quick", action="store_true", help="one seed, fast motion, one hand (less than a minute)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument(
-        "--seeds", type=int, default=10, help="number of runs with the plant of the hand file (default: 10)"
+        "--seeds",
+        type=int,
+        default=10,
+        help="number of runs with the plant of the hand file (default: 10)",
     )
     parser.add_argument(
-        "--wrong-seeds", type=int, default=10, help="number of runs with each changed plant (default: 10)"
+        "--wrong-seeds",
+        type=int,
+        default=10,
+        help="number of runs with each changed plant (default: 10)",
     )
     parser.add_argument(
-        "--parts", default="tracking,force", help="parts of the benchmark, separated by commas (default: %(default)s)"
+        "--parts",
+        default="tracking,force",
+        help="parts of the benchmark, separated by commas (default: %(default)s)",
     )
-    parser.add_argument("--tune", action="store_true", help="search the weights of the control laws again")
+    parser.add_argument(
+        "--tune", action="store_true", help="search the weights of the control laws again"
+    )
     add_options(parser)
-    parser.add_argument("--page", action="store_true", help="write the results into docs/evidence/control.md")
+    parser.add_argument(
+        "--page", action="store_true", help="write the results into docs/evidence/control.md"
+    )
     args = parser.parse_args()
     start = time.monotonic()
     plan = plan_of(args)
@@ -276,7 +345,10 @@ def main() -> None:
     result["wall_s"] = time.monotonic() - start
     print(json.dumps(result, indent=2)) if args.json else show(result)
     if args.page and "tracking" in result:
-        page.write("tracking", tracking_page.section(result["tracking"], (PLAIN, SPRINGS_LAW, BEST, MISPRINTED)))
+        page.write(
+            "tracking",
+            tracking_page.section(result["tracking"], (PLAIN, SPRINGS_LAW, BEST, MISPRINTED)),
+        )
         tracking_page.picture(result["tracking"])
     if args.page and "force" in result:
         page.write("force", force_page.section(result["force"]))

@@ -70,7 +70,14 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
 def _table(title: str, laws: dict) -> str:
     """Return a Markdown table with a row for each law."""
     speeds = list(next(iter(laws.values())))
-    head = [title, *[f"{speed} [deg]" for speed in speeds], "peak [deg]", "steady [deg]", "settled [s]", "seeds"]
+    head = [
+        title,
+        *[f"{speed} [deg]" for speed in speeds],
+        "peak [deg]",
+        "steady [deg]",
+        "settled [s]",
+        "seeds",
+    ]
     rows = []
     for law, row in laws.items():
         fast = row["fast"]
@@ -128,7 +135,11 @@ def _comparison_with_pd(ratio: float) -> str:
 
 def _times(gain: float, spread: float, seeds: int) -> str:
     """Describe the gain in accuracy in units of its spread, if there are enough seeds."""
-    return f", which is {gain / max(spread, 1e-9):.0f} times the spread" if seeds > 1 else " (one seed: no spread)"
+    return (
+        f", which is {gain / max(spread, 1e-9):.0f} times the spread"
+        if seeds > 1
+        else " (one seed: no spread)"
+    )
 
 
 def _steps(laws: dict) -> str:
@@ -138,7 +149,9 @@ def _steps(laws: dict) -> str:
     for law in list(laws)[1:-1]:
         new = laws[law]["fast"]
         if not np.isfinite(new["rmse_deg"]):
-            texts.append(f"'{law}': a fault ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})")
+            texts.append(
+                f"'{law}': a fault ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})"
+            )
             continue
         ended = f", a fault ended {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})"
         some = ended if new["ended"] else ""
@@ -149,7 +162,13 @@ def _steps(laws: dict) -> str:
             continue
         gain = old["rmse_deg"] - new["rmse_deg"]
         spread = float(np.hypot(old["rmse_spread_deg"], new["rmse_spread_deg"]))
-        weak = "" if gain > 2 * spread else " (worse)" if gain < -2 * spread else " (within the spread)"
+        weak = (
+            ""
+            if gain > 2 * spread
+            else " (worse)"
+            if gain < -2 * spread
+            else " (within the spread)"
+        )
         texts.append(f"'{law}': {gain:+.3f} ± {spread:.3f} deg{weak}{some}")
         old = new
     return "\n".join(f"- {line}" for line in texts)
@@ -159,7 +178,8 @@ def _printed(printed: dict, best: dict) -> str:
     """Describe by how much the misprinted equations raise the tracking error."""
     if not printed["ended"]:
         return (
-            f"Eq. 10-12 as printed: {printed['rmse_deg'] / best['rmse_deg']:.1f} times the error of the correct ones."
+            f"Eq. 10-12 as printed: {printed['rmse_deg'] / best['rmse_deg']:.1f} "
+            "times the error of the correct ones."
         )
     reason = "; ".join(printed["why"])
     return (
@@ -172,7 +192,14 @@ def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
     """Describe tracking on plants that differ from the model."""
     speeds = list(plants["as known"][named[2]])
     other = [f"{named[2]}, {speed}" for speed in speeds]
-    head = [f"{hand}, RMSE [deg]", f"{named[0]}, fast", f"{named[1]}, fast", *other, "PD / whole control law", "seeds"]
+    head = [
+        f"{hand}, RMSE [deg]",
+        f"{named[0]}, fast",
+        f"{named[1]}, fast",
+        *other,
+        "PD / whole control law",
+        "seeds",
+    ]
     rows = []
     for plant, laws in plants.items():
         if not all(name in laws for name in named[:3]):
@@ -187,7 +214,11 @@ def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
 def _costs(plants: dict, law: str) -> str:
     """List how much each wrong plant raises the error of a law at the fast motion, largest rise first."""
     nominal = plants["as known"][law]["fast"]["rmse_deg"]
-    more = {plant: laws[law]["fast"]["rmse_deg"] - nominal for plant, laws in plants.items() if law in laws}
+    more = {
+        plant: laws[law]["fast"]["rmse_deg"] - nominal
+        for plant, laws in plants.items()
+        if law in laws
+    }
     dear = sorted((plant for plant in more if plant != "as known"), key=lambda plant: -more[plant])
     costs = ", ".join(f"{plant} {more[plant]:+.2f} deg" for plant in dear)
     return f"Additional error of the whole control law at the fast motion, compared with the plant *as known*: {costs}."
@@ -221,7 +252,9 @@ def picture(result: dict) -> None:
     from matplotlib import pyplot as plt
 
     hands = result["hands"]
-    figure, axes = plt.subplots(1, len(hands), figsize=(5.8 * len(hands), 4.4), sharey=True, squeeze=False)
+    figure, axes = plt.subplots(
+        1, len(hands), figsize=(5.8 * len(hands), 4.4), sharey=True, squeeze=False
+    )
     for axis, (hand, plants) in zip(axes[0], hands.items(), strict=True):
         laws = plants["as known"]
         careful = result["careful"].get(hand, {}).get("as known", {})
@@ -232,8 +265,12 @@ def picture(result: dict) -> None:
         ):
             values = [(list(laws).index(law) + shift, row["fast"]) for law, row in rows.items()]
             good = [(place, row) for place, row in values if np.isfinite(row["rmse_deg"])]
-            mean, spread = ([row[key] for _, row in good] for key in ("rmse_deg", "rmse_spread_deg"))
-            axis.barh([p for p, _ in good], mean, 0.38, xerr=spread, color=colour, label=label, capsize=2)
+            mean, spread = (
+                [row[key] for _, row in good] for key in ("rmse_deg", "rmse_spread_deg")
+            )
+            axis.barh(
+                [p for p, _ in good], mean, 0.38, xerr=spread, color=colour, label=label, capsize=2
+            )
             for place, row in values:
                 value = row["rmse_deg"]
                 text = f"{value:.2f}" if np.isfinite(value) else ENDED

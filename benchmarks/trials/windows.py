@@ -58,7 +58,10 @@ def _since_rise(on: Mask, t: Array) -> Array:
 def _reversals(record: TrialRecord) -> Mask:
     """Return a mask (ticks, N) of the ticks in which the spool reverses."""
     period = record.t_ns[1] - record.t_ns[0]
-    angle = [record.truth((f"motor/{tendon.motor}" for tendon in record.hand.tendon), delay) for delay in (0, period)]
+    angle = [
+        record.truth((f"motor/{tendon.motor}" for tendon in record.hand.tendon), delay)
+        for delay in (0, period)
+    ]
     speed = (angle[0] - angle[1]) / (period * 1e-9)
     direction = np.where(np.abs(speed) > TURNING_RAD_S, np.sign(speed), 0.0)
     turned = np.zeros(direction.shape, dtype=bool)
@@ -72,4 +75,6 @@ def _near(on: Mask, t: Array, distance: float) -> Mask:
     """Return a mask (ticks, N) of the ticks within a time [s] of a true signal."""
     reach = round(distance / (t[1] - t[0]))
     kernel = np.ones(2 * reach + 1)
-    return np.column_stack([np.convolve(column, kernel, "same") > 0.5 for column in on.T.astype(float)])
+    return np.column_stack(
+        [np.convolve(column, kernel, "same") > 0.5 for column in on.T.astype(float)]
+    )

@@ -86,7 +86,13 @@ def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
         with RunLog(path) as log:
             assert sum(1 for _ in log.ticks()) == len(log.field("tension")) == len(ticks)
 
-    return _row(packing + handing, packing + handing + writing, path.stat().st_size, _spent(read), len(ticks))
+    return _row(
+        packing + handing,
+        packing + handing + writing,
+        path.stat().st_size,
+        _spent(read),
+        len(ticks),
+    )
 
 
 def other(path: Path, make: Any, messages: list[Message], ticks: int) -> dict[str, float]:
@@ -128,7 +134,9 @@ def decoded(path: Path) -> list[Message]:
         for schema, channel, one in make_reader(file).iter_messages(log_time_order=False):
             decode = factory.decoder_for(channel.message_encoding, schema)
             content = _plain(decode(one.data))
-            messages.append(Message(channel.topic, schema.name, schema.data.decode(), one.log_time, content))
+            messages.append(
+                Message(channel.topic, schema.name, schema.data.decode(), one.log_time, content)
+            )
     return messages
 
 
@@ -142,7 +150,9 @@ def _plain(value: Any) -> Any:
 
 def show(result: dict[str, Any]) -> None:
     """Print the result as text."""
-    print(f"{result['ticks']} ticks of {result['hand']} at {result['rate_hz']} Hz: {result['messages']} messages")
+    print(
+        f"{result['ticks']} ticks of {result['hand']} at {result['rate_hz']} Hz: {result['messages']} messages"
+    )
     print(f"{'':<18} {'in the loop':>14} {'in all':>14} {'size':>14} {'read':>16}")
     base = result["writers"]["handctl"]
     for name, row in result["writers"].items():
@@ -150,10 +160,18 @@ def show(result: dict[str, Any]) -> None:
             print(f"{name:<18} {row['skipped']}")
             continue
         loop, total, size, read = row.values()
-        print(f"{name:<18} {loop:8.0f} us/tick {total:8.0f} us/tick {size:8.0f} B/tick {read:8.1f} x real time")
+        print(
+            f"{name:<18} {loop:8.0f} us/tick {total:8.0f} us/tick {size:8.0f} B/tick {read:8.1f} x real time"
+        )
         if row is not base:
-            ratios = (loop / base["loop_us_per_tick"], total / base["total_us_per_tick"], size / base["bytes_per_tick"])
-            print(f"{'':<18} {ratios[0]:8.1f} times    {ratios[1]:8.1f} times    {ratios[2]:8.2f} times")
+            ratios = (
+                loop / base["loop_us_per_tick"],
+                total / base["total_us_per_tick"],
+                size / base["bytes_per_tick"],
+            )
+            print(
+                f"{'':<18} {ratios[0]:8.1f} times    {ratios[1]:8.1f} times    {ratios[2]:8.2f} times"
+            )
     _show_sustained(result["sustained"])
 
 
@@ -164,7 +182,13 @@ def _show_sustained(sustained: dict[str, Any]) -> None:
         f"{sustained['dropped']} ticks dropped, {sustained['ticks_in_log']} in the log; "
         f"the recorder took {100 * sustained['recorder_core_share']:.0f} % of its core"
     )
-    print(f"{'lateness of the loop [us]':<28}{'p50':>8}{'p99':>8}{'p99.9':>8}{'max':>8}{'missed':>10}")
+    print(
+        f"{'lateness of the loop [us]':<28}{'p50':>8}{'p99':>8}{'p99.9':>8}{'max':>8}{'missed':>10}"
+    )
     for name in ("without", "with"):
         *late, missed = sustained[f"{name}_us"].values()
-        print(f"  {name + ' recorder':<26}" + "".join(f"{one:8.0f}" for one in late) + f"{100 * missed:8.2f} %")
+        print(
+            f"  {name + ' recorder':<26}"
+            + "".join(f"{one:8.0f}" for one in late)
+            + f"{100 * missed:8.2f} %"
+        )

@@ -66,7 +66,9 @@ def rosbags(path: Path) -> Writer:
     def write(one: Message) -> None:
         if one.topic not in connections:
             types = get_types_from_msg(one.schema, one.kind)
-            store.register({name: kind for name, kind in types.items() if name not in store.fielddefs})
+            store.register(
+                {name: kind for name, kind in types.items() if name not in store.fielddefs}
+            )
             connections[one.topic] = bag.add_connection(one.topic, one.kind, typestore=store)
         data = store.serialize_cdr(_object(store, one.kind, one.content), one.kind)
         bag.write(connections[one.topic], one.t_ns, bytes(data))
@@ -94,7 +96,9 @@ def _object(store: Any, kind: str, content: dict[str, Any]) -> Any:
             fields[name] = [_object(store, inner[0][1], one) for one in value]
         else:
             word = inner[0][1][0]
-            fields[name] = list(value) if word == "string" else np.array(value, word.replace("byte", "uint8"))
+            fields[name] = (
+                list(value) if word == "string" else np.array(value, word.replace("byte", "uint8"))
+            )
     return store.types[kind](**fields)
 
 
@@ -112,7 +116,9 @@ def json_mcap(path: Path) -> Writer:
         if one.topic not in channels:
             schema = writer.register_schema(one.kind, "jsonschema", b'{"type": "object"}')
             channels[one.topic] = writer.register_channel(one.topic, "json", schema)
-        writer.add_message(channels[one.topic], one.t_ns, json.dumps(one.content).encode(), one.t_ns)
+        writer.add_message(
+            channels[one.topic], one.t_ns, json.dumps(one.content).encode(), one.t_ns
+        )
 
     def close() -> None:
         writer.finish()
@@ -151,4 +157,9 @@ def foxglove(path: Path) -> Writer:
     return Writer(write, file.close, read)
 
 
-OTHERS = {"mcap-ros2-support": mcap_ros2, "rosbags": rosbags, "JSON": json_mcap, "foxglove-sdk": foxglove}
+OTHERS = {
+    "mcap-ros2-support": mcap_ros2,
+    "rosbags": rosbags,
+    "JSON": json_mcap,
+    "foxglove-sdk": foxglove,
+}

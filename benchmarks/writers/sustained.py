@@ -46,7 +46,10 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
     Returns:
         content of the log, dropped ticks, fraction of one core for the recorder, lateness of the loop [us].
     """
-    ticks = [as_in_the_loop(*tick) for tick in synthetic.Synthetic(synthetic.header(HAND, RATE_HZ), CYCLE_S)]
+    ticks = [
+        as_in_the_loop(*tick)
+        for tick in synthetic.Synthetic(synthetic.header(HAND, RATE_HZ), CYCLE_S)
+    ]
     recorder = Recorder.start(path, synthetic.header(HAND, RATE_HZ, deterministic=False))
     with _on_separate_cores(recorder._child.pid) as granted:
         before = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
@@ -61,7 +64,14 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
         result = {"ticks": logged.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
     numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
     late = {"without_us": _marks(before, after), "with_us": _marks(logged)}
-    return {"seconds": seconds, "real_time": granted, **result, **numbers, "recorder_core_share": fraction, **late}
+    return {
+        "seconds": seconds,
+        "real_time": granted,
+        **result,
+        **numbers,
+        "recorder_core_share": fraction,
+        **late,
+    }
 
 
 def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
@@ -149,7 +159,9 @@ def _loop(
         return _ReadyTick(state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out)
 
     clock = RealClock(PERIOD_NS, spin=spin)
-    loop = ControlLoop(clock, PERIOD_NS, [_Ready(ticks)], begin, (), tuple, events, record, lambda entry, out: None)
+    loop = ControlLoop(
+        clock, PERIOD_NS, [_Ready(ticks)], begin, (), tuple, events, record, lambda entry, out: None
+    )
     loop.run(0)
     return loop.stats
 
@@ -173,4 +185,6 @@ def _marks(*parts: LoopStats) -> dict[str, float]:
     """Return percentiles of the lateness [us] and the fraction of missed deadlines."""
     us = np.concatenate([np.array(part.late_ns) for part in parts]) / 1e3
     missed = sum(part.missed for part in parts) / sum(part.ticks + part.missed for part in parts)
-    return {name: float(np.percentile(us, mark)) for name, mark in MARKS.items()} | {"missed_share": missed}
+    return {name: float(np.percentile(us, mark)) for name, mark in MARKS.items()} | {
+        "missed_share": missed
+    }

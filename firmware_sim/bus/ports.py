@@ -66,7 +66,9 @@ class BusPort(Protocol):
         ...
 
 
-def open_port(spec: str, bus: int, timed_port: Callable[[str, int], BusPort] | None = None) -> BusPort:
+def open_port(
+    spec: str, bus: int, timed_port: Callable[[str, int], BusPort] | None = None
+) -> BusPort:
     """Open the port of one bus.
 
     Args:
@@ -81,7 +83,9 @@ def open_port(spec: str, bus: int, timed_port: Callable[[str, int], BusPort] | N
     """
     kind, _, name = spec.partition(":")
     if timed_port and kind != "local":
-        raise SimulatorError(f"bus {spec!r}: --wire needs a bus that this process serves, local:NAME")
+        raise SimulatorError(
+            f"bus {spec!r}: --wire needs a bus that this process serves, local:NAME"
+        )
     if kind == "local":
         return timed_port(name, bus) if timed_port else HubPort(name, bus)
     if kind == "join":
@@ -118,7 +122,9 @@ def assign_buses(specs: list[str], buses: list[str]) -> list[str]:
         name, equals, spec = text.partition("=")
         if not equals:
             if len(buses) > 1:
-                raise SimulatorError(f"bus {text}: this hand has {len(buses)} buses; expected {buses[0]}={text}")
+                raise SimulatorError(
+                    f"bus {text}: this hand has {len(buses)} buses; expected {buses[0]}={text}"
+                )
             name = buses[0]
             spec = text
         if name not in buses or name in specs_by_bus:

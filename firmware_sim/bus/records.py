@@ -21,7 +21,14 @@ import numpy as np
 from firmware_sim.bus.frame import Frame
 
 FRAME_DTYPE = np.dtype(
-    [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (64,))]
+    [
+        ("t_ns", "<i8"),
+        ("can_id", "<u4"),
+        ("flags", "<u2"),
+        ("bus", "u1"),
+        ("length", "u1"),
+        ("data", "u1", (64,)),
+    ]
 )
 """Dtype with the fields of ``Frame``.
 
@@ -40,7 +47,9 @@ def to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
         Array of shape (frames,).
     """
     pack = _FRAME_STRUCT.pack
-    packed = [pack(t_ns, can_id, flags, bus, len(data), data) for can_id, data, flags, bus, t_ns in frames]
+    packed = [
+        pack(t_ns, can_id, flags, bus, len(data), data) for can_id, data, flags, bus, t_ns in frames
+    ]
     # The buffer is a bytearray, because kernels write into the array. An array over bytes would be
     # read-only.
     return np.frombuffer(bytearray(b"".join(packed)), FRAME_DTYPE)
@@ -49,4 +58,7 @@ def to_records(frames: Iterable[tuple[Any, ...]]) -> Any:
 def to_frames(records: Any) -> list[Frame]:
     """Convert an array of ``FRAME_DTYPE`` to frames."""
     unpacked = _FRAME_STRUCT.iter_unpack(records.tobytes())
-    return [Frame(can_id, data[:length], flags, bus, t_ns) for t_ns, can_id, flags, bus, length, data in unpacked]
+    return [
+        Frame(can_id, data[:length], flags, bus, t_ns)
+        for t_ns, can_id, flags, bus, length, data in unpacked
+    ]

@@ -41,18 +41,24 @@ class SocketCanPort:
         self._bus = bus
         self.lost = 0
         if not hasattr(socket, "CAN_RAW_FD_FRAMES"):
-            raise SimulatorError(f"socketcan:{interface}: this system has no SocketCAN; use local:NAME")
+            raise SimulatorError(
+                f"socketcan:{interface}: this system has no SocketCAN; use local:NAME"
+            )
         try:
             self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         except OSError as error:
-            raise SimulatorError(f"socketcan:{interface}: {error.strerror}; modprobe can-raw, or local:NAME") from error
+            raise SimulatorError(
+                f"socketcan:{interface}: {error.strerror}; modprobe can-raw, or local:NAME"
+            ) from error
         try:
             self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
             self._socket.bind((interface,))
         except OSError as error:
             self._socket.close()
             hint = f"ip link add dev {interface} type vcan; ip link set {interface} mtu 72 up"
-            raise SimulatorError(f"socketcan:{interface}: {error.strerror}; for a virtual one: {hint}") from error
+            raise SimulatorError(
+                f"socketcan:{interface}: {error.strerror}; for a virtual one: {hint}"
+            ) from error
         self._socket.setblocking(False)
 
     def readers(self) -> list[socket.socket]:
@@ -99,7 +105,9 @@ class SocketCanPort:
             )
             try:
                 self._socket.send(raw)
-            except OSError:  # Lost: the queue is full (ENOBUFS), or the interface is down or lacks CAN FD.
+            except (
+                OSError
+            ):  # Lost: the queue is full (ENOBUFS), or the interface is down or lacks CAN FD.
                 self.lost += 1
 
     def close(self) -> None:

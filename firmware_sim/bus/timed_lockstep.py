@@ -26,7 +26,9 @@ class TimedLockstep:
             spec: behaviour of the simulated wires.
         """
         self._world = world
-        self.wires = [SimulatedWire(spec.rate(*bitrates), spec.options) for bitrates in world.hand.bitrates]
+        self.wires = [
+            SimulatedWire(spec.rate(*bitrates), spec.options) for bitrates in world.hand.bitrates
+        ]
         self.refused = 0
         self._arrived: list[Frame] = []
         self._received: list[Frame] = []

@@ -142,7 +142,12 @@ class TimedPort:
             if left != reported:
                 dropped = link.dropped
                 link.deliver(
-                    pack_record(Frame(QUEUE_REPORT, _QUEUE_STRUCT.pack(left & 0xFFFFFFFF, self.wire.options.queue)))
+                    pack_record(
+                        Frame(
+                            QUEUE_REPORT,
+                            _QUEUE_STRUCT.pack(left & 0xFFFFFFFF, self.wire.options.queue),
+                        )
+                    )
                 )
                 self._queues[link] = arrived, left if link.dropped == dropped else -1
 
@@ -210,7 +215,10 @@ class TimedPort:
 
 
 def timed_port_maker(
-    words: Sequence[str] | None, bitrates: Sequence[tuple[int, int]], now_ns: Callable[[], int], nodes: bool = True
+    words: Sequence[str] | None,
+    bitrates: Sequence[tuple[int, int]],
+    now_ns: Callable[[], int],
+    nodes: bool = True,
 ) -> Callable[[str, int], TimedPort] | None:
     """Build the function that opens the ports of a hand's buses with simulated wires.
 
@@ -230,7 +238,9 @@ def timed_port_maker(
     if words is None:
         return None
     spec = parse_wire_options(words)
-    return lambda name, bus: TimedPort(name, bus, spec.rate(*bitrates[bus]), spec.options, now_ns, nodes, spec.latency)
+    return lambda name, bus: TimedPort(
+        name, bus, spec.rate(*bitrates[bus]), spec.options, now_ns, nodes, spec.latency
+    )
 
 
 def no_latency(number: int) -> AdapterLatency:

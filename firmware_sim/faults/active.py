@@ -95,7 +95,10 @@ class ActiveFaults:
         return [
             {
                 "kind": name,
-                "on": {component: instances_of_component(component, hand, name) for component in kind.components},
+                "on": {
+                    component: instances_of_component(component, hand, name)
+                    for component in kind.components
+                },
                 "size": kind.size,
                 "text": kind.text,
             }
@@ -108,7 +111,11 @@ class ActiveFaults:
         return [
             {
                 "fault": active.fault.text,
-                "state": "waiting" if active in self._waiting else "acting" if active in acting else "over",
+                "state": "waiting"
+                if active in self._waiting
+                else "acting"
+                if active in acting
+                else "over",
                 "start_ns": active.fault.start_ns,
                 "felt": active.effects,
                 "first_ns": active.first_ns,
@@ -129,12 +136,20 @@ class ActiveFaults:
             self._waiting.remove(active)
             self._acting.append((active, plant_faults.start_plant_fault(self._world, active)))
             self._index()
-        for active, undo in [(a, u) for a, u in self._acting if a.fault.start_ns + a.fault.duration_ns <= t_ns]:
+        for active, undo in [
+            (a, u) for a, u in self._acting if a.fault.start_ns + a.fault.duration_ns <= t_ns
+        ]:
             undo()
             self._acting.remove((active, undo))
             self._index()
-        frames = [frame for bus, active in self._all_wire for frame in wire_faults.due_frames([active], t_ns)]
-        if not self._turn_ns or (t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0):
+        frames = [
+            frame
+            for bus, active in self._all_wire
+            for frame in wire_faults.due_frames([active], t_ns)
+        ]
+        if not self._turn_ns or (
+            t_ns >= self._turn_ns and (t_ns - self._turn_ns) % GENERATION_PERIOD_NS == 0
+        ):
             # Generated frames are sent at the ends of whole steps of the plant. A fault can start
             # within a step, so the completed part of this step is subtracted.
             self._turn_ns = t_ns - self._world.plant.part_ns + GENERATION_PERIOD_NS
@@ -145,7 +160,10 @@ class ActiveFaults:
         """Return the time of the next event [ns]: start or end of a fault, a delayed frame, or a generated frame."""
         due = [active.fault.start_ns for active in self._waiting]
         for active, _ in self._acting:
-            due += [active.fault.start_ns + active.fault.duration_ns, *(at_ns for at_ns, _ in active.delayed)]
+            due += [
+                active.fault.start_ns + active.fault.duration_ns,
+                *(at_ns for at_ns, _ in active.delayed),
+            ]
             if active.fault.kind in GENERATING_KINDS:
                 due.append(self._turn_ns)
         return min(due, default=FOREVER_NS)
@@ -155,7 +173,10 @@ class ActiveFaults:
         self._world.refresh_identifiers()
         self.wire_faults_of = {}
         self._all_wire = []
-        self.in_frames = any(active.fault.component not in (TENDON_TARGET, DIGIT_TARGET) for active, _ in self._acting)
+        self.in_frames = any(
+            active.fault.component not in (TENDON_TARGET, DIGIT_TARGET)
+            for active, _ in self._acting
+        )
         for active, _ in self._acting:
             if active.fault.component not in (NODE_TARGET, BUS_TARGET):
                 continue
@@ -169,8 +190,15 @@ class ActiveFaults:
         if fault.component == BUS_TARGET:
             bus = world.hand.buses.index(fault.instance)
             return [(node, bus) for node in world.nodes[bus]]
-        nodes = world.sensor_nodes if fault.instance == SENSOR_NODE_NAME else [world.node_of(fault.instance)]
-        return [(node, next(bus for bus, on_bus in enumerate(world.nodes) if node in on_bus)) for node in nodes]
+        nodes = (
+            world.sensor_nodes
+            if fault.instance == SENSOR_NODE_NAME
+            else [world.node_of(fault.instance)]
+        )
+        return [
+            (node, next(bus for bus, on_bus in enumerate(world.nodes) if node in on_bus))
+            for node in nodes
+        ]
 
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Return the answers of a node to a frame, after faults have acted on the request and on the answers.

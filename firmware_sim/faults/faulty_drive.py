@@ -58,7 +58,9 @@ class FaultyDrive:
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """See ``nodes.Node.receive``."""
         self._feed(t_ns)
-        answers = self.node.receive(self._spec.corrupt_command(frame) if self._fault == "deaf" else frame, t_ns)
+        answers = self.node.receive(
+            self._spec.corrupt_command(frame) if self._fault == "deaf" else frame, t_ns
+        )
         if self._fault == "eager" and self._spec.force_command:
             self._spec.force_command(self.node, frame)
         if self._fault == "mute":
@@ -88,7 +90,11 @@ def with_fault(node: DriveNode, protocol: str, fault: str) -> SimulatedNode:
         fault: key of ``DRIVE_FAULTS``, empty for no fault. ``sign`` and ``twin`` do not change the node:
             the caller applies them with ``with_faulty_specs``.
     """
-    return node if fault in ("", "sign", "twin") else FaultyDrive(node, fault, PROTOCOL_SPECS[protocol])
+    return (
+        node
+        if fault in ("", "sign", "twin")
+        else FaultyDrive(node, fault, PROTOCOL_SPECS[protocol])
+    )
 
 
 def with_faulty_specs(specs: list[MotorSpec], fault: str) -> list[MotorSpec]:
@@ -96,5 +102,8 @@ def with_faulty_specs(specs: list[MotorSpec], fault: str) -> list[MotorSpec]:
     if fault == "sign":
         return [replace(spec, torque_gain=-1.0) for spec in specs]
     if fault == "twin":
-        return specs + [replace(spec, name=f"{spec.name}_twin", serial=TWIN_SERIAL + spec.node_id) for spec in specs]
+        return specs + [
+            replace(spec, name=f"{spec.name}_twin", serial=TWIN_SERIAL + spec.node_id)
+            for spec in specs
+        ]
     return specs

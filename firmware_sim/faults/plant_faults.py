@@ -27,7 +27,13 @@ OUTSIDE_RANGE_N = 1e4
 BLOCKED_JOINT_DAMPING = 1e3
 """Damping of a blocked joint [N m s/rad]."""
 ERROR_CODES = {
-    "error": (FeedbackState.WINDING_HOT, 1 << 13, 0x4310, moteus.OVER_TEMPERATURE, robstride.HOT_FAULT),
+    "error": (
+        FeedbackState.WINDING_HOT,
+        1 << 13,
+        0x4310,
+        moteus.OVER_TEMPERATURE,
+        robstride.HOT_FAULT,
+    ),
     "watchdog": (FeedbackState.COMMUNICATION_LOST, 1 << 24, 0x8130, moteus.TIMEOUT, 0),
     "voltage": (0x9, 1 << 9, 0x3220, moteus.UNDER_VOLTAGE, robstride.UNDER_VOLTAGE),
 }
@@ -61,7 +67,9 @@ def _start_reading_fault(world: Any, active: ActiveFault) -> UndoFunction:
     node = world.sensor_node
     spec = world.hand.sensors
     names, table = (
-        (spec.tendons, node.cell_faults) if fault.component == CELL_TARGET else (spec.joints, node.joint_faults)
+        (spec.tendons, node.cell_faults)
+        if fault.component == CELL_TARGET
+        else (spec.joints, node.joint_faults)
     )
     index = names.index(fault.instance)
     table[index] = change
@@ -128,7 +136,11 @@ def _start_mute(world: Any, active: ActiveFault) -> UndoFunction:
     if active.fault.component == CELL_TARGET:
         can_id = node.frame_of_cell(spec.tendons.index(active.fault.instance))
     else:
-        can_id = spec.base_id + JOINT_OFFSET + spec.joints.index(active.fault.instance) // CHANNELS_PER_FRAME
+        can_id = (
+            spec.base_id
+            + JOINT_OFFSET
+            + spec.joints.index(active.fault.instance) // CHANNELS_PER_FRAME
+        )
     node.suppressed[can_id] = lambda: active.note_effect(int(world.t_ns))
     return lambda: node.suppressed.pop(can_id, None) and None
 
@@ -204,9 +216,14 @@ def _start_reset(world: Any, active: ActiveFault) -> UndoFunction:
         case MitNode() | MoteusNode() | RobstrideNode():
             node.power_cycle()
         case OdriveNode():
-            node.receive(Frame(world.motor_spec(active.fault.instance).node_id << 5 | 0x16, b""), world.t_ns)
+            node.receive(
+                Frame(world.motor_spec(active.fault.instance).node_id << 5 | 0x16, b""), world.t_ns
+            )
         case Cia402Node():
-            node.receive(Frame(0x000, bytes((0x81, world.motor_spec(active.fault.instance).node_id))), world.t_ns)
+            node.receive(
+                Frame(0x000, bytes((0x81, world.motor_spec(active.fault.instance).node_id))),
+                world.t_ns,
+            )
             node.wake_ns = 0
     return lambda: None
 
@@ -273,7 +290,11 @@ def _start_exchange(world: Any, active: ActiveFault) -> UndoFunction:
     for i, node in enumerate(nodes):
         motor_of_node = motors[i]
         other_motor = motors[1 - i]
-        node.motor = _CrossedMotor(other_motor, motor_of_node) if swapped else _CrossedMotor(motor_of_node, other_motor)
+        node.motor = (
+            _CrossedMotor(other_motor, motor_of_node)
+            if swapped
+            else _CrossedMotor(motor_of_node, other_motor)
+        )
     active.note_effect(world.t_ns)
 
     def undo() -> None:
@@ -313,9 +334,11 @@ def _start_servo(world: Any, active: ActiveFault) -> UndoFunction:
     torque_max = world.motor_spec(fault.instance).torque_max
 
     def apply(command: float) -> float:
-        changed: float = {"disobey": fault.size * command, "runaway": fault.size * torque_max, "off": 0.0}.get(
-            fault.kind, last_torque
-        )
+        changed: float = {
+            "disobey": fault.size * command,
+            "runaway": fault.size * torque_max,
+            "off": 0.0,
+        }.get(fault.kind, last_torque)
         if abs(changed - command) > 1e-9:
             active.note_effect(int(world.t_ns))
         return changed

@@ -95,7 +95,11 @@ class FaultSocket:
             return {"pace": pace.report(self._faults.t_ns - self._faults.slip_ns)}
         elif not isinstance(request, dict) or not request.get("list"):
             return {"error": 'expected {"inject": TEXT}, {"list": true} or {"kinds": true}'}
-        return {"faults": self._faults.states()[-20:], "t_ns": self._faults.t_ns, "slip_ns": self._faults.slip_ns}
+        return {
+            "faults": self._faults.states()[-20:],
+            "t_ns": self._faults.t_ns,
+            "slip_ns": self._faults.slip_ns,
+        }
 
     def close(self) -> None:
         """Close the fault socket and remove its file."""

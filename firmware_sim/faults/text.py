@@ -153,7 +153,9 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
     """
     kind, *pairs = text.split() or [""]
     if kind not in FAULT_KINDS:
-        raise SimulatorError(f"fault {text!r}: no such kind {kind!r}; expected one of {', '.join(FAULT_KINDS)}")
+        raise SimulatorError(
+            f"fault {text!r}: no such kind {kind!r}; expected one of {', '.join(FAULT_KINDS)}"
+        )
     given = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")
@@ -161,24 +163,33 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
             raise SimulatorError(f"fault {text!r}: {pair!r} is not a new KEY=VALUE")
         given[key] = value
     component = _component(text, kind, given)
-    instance = _instance(text, instances_of_component(component, hand, kind), component, given.pop(component), hand)
+    instance = _instance(
+        text, instances_of_component(component, hand, kind), component, given.pop(component), hand
+    )
     fault = Fault(
         kind=kind,
         component=component,
         instance=instance,
         size=_number_from_text(
-            text, "size", given.pop("size", str(FAULT_KINDS[kind].size)), *SIZE_RANGES.get(kind, DEFAULT_SIZE_RANGE)
+            text,
+            "size",
+            given.pop("size", str(FAULT_KINDS[kind].size)),
+            *SIZE_RANGES.get(kind, DEFAULT_SIZE_RANGE),
         ),
         p=_number_from_text(text, "p", given.pop("p", "1"), 0.0, 1.0),
         start_ns=now_ns + _time_from_text(text, "at", given.pop("at", "0s")),
-        duration_ns=_time_from_text(text, "for", given.pop("for")) if "for" in given else FOREVER_NS,
+        duration_ns=_time_from_text(text, "for", given.pop("for"))
+        if "for" in given
+        else FOREVER_NS,
         seed=int(_number_from_text(text, "seed", given.pop("seed", "0"), 0, 1e9)),
         hz=_number_from_text(text, "hz", given.pop("hz", "25"), 0.0, 1e4),
         text=text,
         other=_other(text, kind, instance, given, hand),
     )
     if given:
-        raise SimulatorError(f"fault {text!r}: unknown {next(iter(given))!r}; expected size, p, hz, at, for or seed")
+        raise SimulatorError(
+            f"fault {text!r}: unknown {next(iter(given))!r}; expected size, p, hz, at, for or seed"
+        )
     return fault
 
 
@@ -187,11 +198,22 @@ def _component(text: str, kind: str, given: dict[str, str]) -> str:
     components = [
         key
         for key in given
-        if key in (NODE_TARGET, BUS_TARGET, ENCODER_TARGET, JOINT_TARGET, CELL_TARGET, TENDON_TARGET, DIGIT_TARGET)
+        if key
+        in (
+            NODE_TARGET,
+            BUS_TARGET,
+            ENCODER_TARGET,
+            JOINT_TARGET,
+            CELL_TARGET,
+            TENDON_TARGET,
+            DIGIT_TARGET,
+        )
     ]
     allowed = FAULT_KINDS[kind].components
     if len(components) != 1 or components[0] not in allowed:
-        raise SimulatorError(f"fault {text!r}: {kind} needs {' or '.join(f'{name}=NAME' for name in allowed)}")
+        raise SimulatorError(
+            f"fault {text!r}: {kind} needs {' or '.join(f'{name}=NAME' for name in allowed)}"
+        )
     return components[0]
 
 
@@ -201,7 +223,9 @@ def _other(text: str, kind: str, first: str, given: dict[str, str], hand: Hand) 
         return ""
     if "with" not in given:
         raise SimulatorError(f"fault {text!r}: {kind} needs with=NAME, the other motor")
-    other = _instance(text, instances_of_component(NODE_TARGET, hand, kind), NODE_TARGET, given.pop("with"), hand)
+    other = _instance(
+        text, instances_of_component(NODE_TARGET, hand, kind), NODE_TARGET, given.pop("with"), hand
+    )
     if other == first:
         raise SimulatorError(f"fault {text!r}: {kind} needs two motors, not {first!r} twice")
     return other
@@ -217,7 +241,9 @@ def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[s
     """
     motors = [motor.name for motor in hand.motors]
     return {
-        NODE_TARGET: [*motors, SENSOR_NODE_NAME] if hand.sensors and kind not in DRIVE_KINDS else motors,
+        NODE_TARGET: [*motors, SENSOR_NODE_NAME]
+        if hand.sensors and kind not in DRIVE_KINDS
+        else motors,
         BUS_TARGET: hand.buses,
         ENCODER_TARGET: motors,
         JOINT_TARGET: hand.sensors.joints if hand.sensors else [],
@@ -233,7 +259,9 @@ def _instance(text: str, names: list[str], component: str, name: str, hand: Hand
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}
         name = numbers.get(name, name)
     if name not in names:
-        raise SimulatorError(f"fault {text!r}: no {component} {name!r}; expected one of {', '.join(names) or 'none'}")
+        raise SimulatorError(
+            f"fault {text!r}: no {component} {name!r}; expected one of {', '.join(names) or 'none'}"
+        )
     return name
 
 
@@ -244,7 +272,9 @@ def _number_from_text(text: str, key: str, word: str, low: float, high: float) -
     except ValueError:
         value = math.nan
     if not low <= value <= high:
-        raise SimulatorError(f"fault {text!r}: {key}={word}: expected a number from {low:g} to {high:g}")
+        raise SimulatorError(
+            f"fault {text!r}: {key}={word}: expected a number from {low:g} to {high:g}"
+        )
     return value
 
 
@@ -252,5 +282,9 @@ def _time_from_text(text: str, key: str, word: str) -> int:
     """Parse a time with a unit, and return the time [ns]."""
     unit = next((unit for unit in _TIME_UNITS_NS if word.endswith(unit)), "")
     if not unit:
-        raise SimulatorError(f"fault {text!r}: {key}={word}: expected a time with its unit, as in 3s or 200ms")
-    return round(_number_from_text(text, key, word.removesuffix(unit), 0.0, 1e9) * _TIME_UNITS_NS[unit])
+        raise SimulatorError(
+            f"fault {text!r}: {key}={word}: expected a time with its unit, as in 3s or 200ms"
+        )
+    return round(
+        _number_from_text(text, key, word.removesuffix(unit), 0.0, 1e9) * _TIME_UNITS_NS[unit]
+    )

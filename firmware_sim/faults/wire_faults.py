@@ -51,7 +51,9 @@ def loses_request(actives: Sequence[ActiveFault], t_ns: int) -> bool:
     return False
 
 
-def transmitted_frames(actives: Sequence[ActiveFault], frames: list[Frame], t_ns: int) -> list[Frame]:
+def transmitted_frames(
+    actives: Sequence[ActiveFault], frames: list[Frame], t_ns: int
+) -> list[Frame]:
     """Apply the faults of a node to frames sent by the node.
 
     Returns:
@@ -69,7 +71,9 @@ def due_frames(actives: Sequence[ActiveFault], t_ns: int) -> list[Frame]:
     frames = []
     for active in actives:
         if active.delayed:
-            frames += [frame._replace(t_ns=at_ns) for at_ns, frame in active.delayed if at_ns <= t_ns]
+            frames += [
+                frame._replace(t_ns=at_ns) for at_ns, frame in active.delayed if at_ns <= t_ns
+            ]
             active.delayed = [pair for pair in active.delayed if pair[0] > t_ns]
     return frames
 
@@ -136,7 +140,9 @@ def _corrupt_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list
     sent = []
     for frame in frames:
         if frame.data and active.hits():
-            bits = active.rng.sample(range(8 * len(frame.data)), min(int(active.fault.size), 8 * len(frame.data)))
+            bits = active.rng.sample(
+                range(8 * len(frame.data)), min(int(active.fault.size), 8 * len(frame.data))
+            )
             word = int.from_bytes(frame.data, "little")
             for bit in bits:
                 word ^= 1 << bit
@@ -200,7 +206,9 @@ def _replay_frames(active: ActiveFault, frames: list[Frame], t_ns: int) -> list[
         return frames
     active.note_effect(t_ns)
     old = [frame for number, frame in active.delayed if number == NEVER_NS + then]
-    active.delayed = [(number, frame) for number, frame in active.delayed if number > NEVER_NS + then]
+    active.delayed = [
+        (number, frame) for number, frame in active.delayed if number > NEVER_NS + then
+    ]
     return [frame._replace(t_ns=t_ns) for frame in old]
 
 

@@ -192,7 +192,9 @@ class CubemarsNode:
             word = word << bits | code
         data = word.to_bytes(6, "big")
         if not self.short:
-            data += bytes((min(255, max(0, int(self.thermal.mosfet) - TEMPERATURE_ZERO_C)), self.error))
+            data += bytes(
+                (min(255, max(0, int(self.thermal.mosfet) - TEMPERATURE_ZERO_C)), self.error)
+            )
         return Frame(self._id, data, frame.flags, frame.bus, t_ns)
 
     def trip(self, error: FeedbackError) -> None:
@@ -245,7 +247,11 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 def _force_command(node: CubemarsNode, frame: Frame) -> None:
     """Apply an MIT command in any state of the motor."""
-    if frame.can_id in node.ids and len(frame.data) == 8 and frame.data[:7] != _SPECIAL_COMMAND_START:
+    if (
+        frame.can_id in node.ids
+        and len(frame.data) == 8
+        and frame.data[:7] != _SPECIAL_COMMAND_START
+    ):
         enabled = node.enabled
         node.enabled = True
         node._apply_command(frame.data)

@@ -33,7 +33,13 @@ from firmware_sim.nodes.cia402.kernels import (
 from firmware_sim.nodes.cia402.kernels import THERMAL_PERIOD_NS as CIA402_THERMAL_PERIOD_NS
 from firmware_sim.nodes.cia402.kernels import schedule as schedule_cia402
 from firmware_sim.nodes.cia402.kernels import watchdog_expired as cia402_watchdog_expired
-from firmware_sim.nodes.mit.codec import ENABLED_STATE, MitStruct, apply_command, feedback_word, schedule
+from firmware_sim.nodes.mit.codec import (
+    ENABLED_STATE,
+    MitStruct,
+    apply_command,
+    feedback_word,
+    schedule,
+)
 from firmware_sim.nodes.mit.registers import MODE_MIT
 from firmware_sim.nodes.odrive.kernels import (
     THERMAL_PERIOD_NS,
@@ -107,7 +113,9 @@ def table_index(bus: int, can_id: int) -> int:
     if can_id & ~REMOTE >= _STANDARD_ID_COUNT:
         return -1
     # The index selects the blocks of the bus, and then the block of data frames or remote frames.
-    return (2 * bus + (1 if can_id & REMOTE else 0)) * _STANDARD_ID_COUNT + (can_id & (_STANDARD_ID_COUNT - 1))
+    return (2 * bus + (1 if can_id & REMOTE else 0)) * _STANDARD_ID_COUNT + (
+        can_id & (_STANDARD_ID_COUNT - 1)
+    )
 
 
 @kernel_helper
@@ -163,7 +171,9 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
     if node.state == ENABLED_STATE:
         apply_command(node, rotor.servo_row, _word(frame.data))
     temperatures = node.temperatures
-    word = feedback_word(node, rotor, encoded(rotor.theta), temperatures.mosfet, temperatures.winding)
+    word = feedback_word(
+        node, rotor, encoded(rotor.theta), temperatures.mosfet, temperatures.winding
+    )
     schedule(node)
     _fill_header(answer, node.reply_id, 8, frame.flags, frame.bus)
     data = answer.data
@@ -183,7 +193,10 @@ def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
     """Return True if Python must process a torque setpoint or an encoder request for an ODrive."""
     if frame.flags & FDF or rotor.faulty != 0 or node.motion_due_ns > 0:
         return True
-    return bool(frame.can_id & REMOTE == 0 and (frame.length < 4 or not math.isfinite(_get_float(frame.data))))
+    return bool(
+        frame.can_id & REMOTE == 0
+        and (frame.length < 4 or not math.isfinite(_get_float(frame.data)))
+    )
 
 
 @kernel_helper
@@ -259,7 +272,9 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
 
 
 @kernel_helper
-def _write_sensor_frames(words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int) -> int:
+def _write_sensor_frames(
+    words: Any, channels: int, can_id: int, frame: Any, answers: Any, count: int
+) -> int:
     """Write payloads of the sensor node into frames that answer SYNC.
 
     Args:
@@ -328,13 +343,17 @@ def _answer_sync(  # noqa: PLR0913 - compiled functions take flat arrays
         codes = np.empty(joints, np.int64)
         words = np.empty(-(-joints // CHANNELS_PER_FRAME), np.int64)
         encode(angles, _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET, counter, codes, words)
-        count = _write_sensor_frames(words, joints, node.base_id + JOINT_OFFSET, frame, answers, count)
+        count = _write_sensor_frames(
+            words, joints, node.base_id + JOINT_OFFSET, frame, answers, count
+        )
     noise_bounds[0] = at
     return count
 
 
 @kernel_helper
-def _stamp_in_sequence(frames: Any, answers: Any, count: int, t_ns: int, last_ns: int, buses: int) -> bool:
+def _stamp_in_sequence(
+    frames: Any, answers: Any, count: int, t_ns: int, last_ns: int, buses: int
+) -> bool:
     """Set the times of answers as if each bus carried all frames and answers one after the other.
 
     Args:
@@ -372,12 +391,16 @@ def _drive_needs_python(
 ) -> bool:
     """Return True if Python must process a frame for a drive."""
     if receiver_row.kind == MIT_KIND:
-        return _mit_needs_python(mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns)
+        return _mit_needs_python(
+            mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns
+        )
     if receiver_row.kind == ODRIVE_KIND:
         return _odrive_needs_python(
             odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], frame
         )
-    return _cia402_needs_python(cia402[receiver_row.number], rotors[cia402[receiver_row.number].motor_number], frame)
+    return _cia402_needs_python(
+        cia402[receiver_row.number], rotors[cia402[receiver_row.number].motor_number], frame
+    )
 
 
 @kernel_helper
@@ -391,15 +414,29 @@ def _answer_drive(  # noqa: PLR0913 - compiled functions take flat arrays
     """
     if receiver_row.kind == MIT_KIND:
         _answer_mit(
-            mit[receiver_row.number], rotors[mit[receiver_row.number].motor_number], frame, t_ns, answers[count]
+            mit[receiver_row.number],
+            rotors[mit[receiver_row.number].motor_number],
+            frame,
+            t_ns,
+            answers[count],
         )
         return count + 1
     if receiver_row.kind == ODRIVE_KIND:
         return _answer_odrive(
-            odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], frame, t_ns, answers, count
+            odrive[receiver_row.number],
+            rotors[odrive[receiver_row.number].motor_number],
+            frame,
+            t_ns,
+            answers,
+            count,
         )
     return _answer_cia402(
-        cia402[receiver_row.number], rotors[cia402[receiver_row.number].motor_number], frame, t_ns, answers, count
+        cia402[receiver_row.number],
+        rotors[cia402[receiver_row.number].motor_number],
+        frame,
+        t_ns,
+        answers,
+        count,
     )
 
 
@@ -409,7 +446,9 @@ def _wake_ns(receiver_row: Any, mit: Any, odrive: Any, cia402: Any) -> int:
     if receiver_row.kind == MIT_KIND:
         return int(mit[receiver_row.number].wake_ns)
     return int(
-        odrive[receiver_row.number].wake_ns if receiver_row.kind == ODRIVE_KIND else cia402[receiver_row.number].wake_ns
+        odrive[receiver_row.number].wake_ns
+        if receiver_row.kind == ODRIVE_KIND
+        else cia402[receiver_row.number].wake_ns
     )
 
 
@@ -497,10 +536,23 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
             if receiver_row.kind == SENSOR_NODE_KIND:
                 tensions(tendons, joints, arms, rotors, q, dq, cells)
                 count = _answer_sync(
-                    sensor[0], frame, t_ns, cells, q, cell_order, joint_order, bias, noise, noise_bounds, answers, count
+                    sensor[0],
+                    frame,
+                    t_ns,
+                    cells,
+                    q,
+                    cell_order,
+                    joint_order,
+                    bias,
+                    noise,
+                    noise_bounds,
+                    answers,
+                    count,
                 )
             else:
-                count = _answer_drive(receiver_row, mit, odrive, cia402, rotors, frame, t_ns, answers, count)
+                count = _answer_drive(
+                    receiver_row, mit, odrive, cia402, rotors, frame, t_ns, answers, count
+                )
             receiver = receiver_row.next
         progress[NEXT_FRAME] = i + 1
     progress[ANSWERS] = count
@@ -611,7 +663,14 @@ def _send_odrive(node: Any, rotor: Any, now_ns: int, sent: Any, count: int) -> i
 
 @compiled(*DRIVE_ARGUMENTS, RotorStruct, "count", FRAME_DTYPE, "counts")
 def send_due(
-    drives: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, now_ns: int, sent: Any, progress: Any
+    drives: Any,
+    mit: Any,
+    odrive: Any,
+    cia402: Any,
+    rotors: Any,
+    now_ns: int,
+    sent: Any,
+    progress: Any,
 ) -> bool:
     """Write the unsolicited frames of all drives that are due.
 
@@ -634,10 +693,14 @@ def send_due(
             continue
         if receiver_row.kind == ODRIVE_KIND:
             needs_python = _odrive_needs_wake(
-                odrive[receiver_row.number], rotors[odrive[receiver_row.number].motor_number], now_ns
+                odrive[receiver_row.number],
+                rotors[odrive[receiver_row.number].motor_number],
+                now_ns,
             )
         else:
-            needs_python = receiver_row.kind == MIT_KIND or _cia402_needs_wake(cia402[receiver_row.number], now_ns)
+            needs_python = receiver_row.kind == MIT_KIND or _cia402_needs_wake(
+                cia402[receiver_row.number], now_ns
+            )
         if needs_python:
             return False
     for i in range(len(drives)):
@@ -646,7 +709,9 @@ def send_due(
             continue
         if receiver_row.kind == ODRIVE_KIND:
             rotor = rotors[odrive[receiver_row.number].motor_number]
-            progress[SENT] = _send_odrive(odrive[receiver_row.number], rotor, now_ns, sent, progress[SENT])
+            progress[SENT] = _send_odrive(
+                odrive[receiver_row.number], rotor, now_ns, sent, progress[SENT]
+            )
         else:
             progress[SENT] = _send_cia402(cia402[receiver_row.number], now_ns, sent, progress[SENT])
     progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)

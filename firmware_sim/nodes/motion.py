@@ -91,7 +91,9 @@ class MotionSetpoint:
         self.acceleration = change / step_s
         self.position += step_s * self.velocity
 
-    def trapezoid(self, target: float, speed: float, rise: float, fall: float, step_s: float) -> bool:
+    def trapezoid(
+        self, target: float, speed: float, rise: float, fall: float, step_s: float
+    ) -> bool:
         """Move the setpoint towards a position with a trapezoidal velocity profile.
 
         Each step plans the rest again.
@@ -119,7 +121,9 @@ class MotionSetpoint:
         if abs(rest) <= min(slowest, speed) * step_s and abs(self.velocity) <= 2.0 * slowest:
             self.jump(target)
             return True
-        self.ramp(math.copysign(min(speed, stoppable, abs(rest) / step_s), rest), rise, fall, step_s)
+        self.ramp(
+            math.copysign(min(speed, stoppable, abs(rest) / step_s), rest), rise, fall, step_s
+        )
         return False
 
     def filter(self, position: float, velocity: float, bandwidth: float, step_s: float) -> None:
@@ -128,7 +132,9 @@ class MotionSetpoint:
         Source: ODrive firmware, controller.cpp, INPUT_MODE_POS_FILTER.
         """
         damping = 2.0 * bandwidth
-        change = 0.25 * damping * damping * (position - self.position) + damping * (velocity - self.velocity)
+        change = 0.25 * damping * damping * (position - self.position) + damping * (
+            velocity - self.velocity
+        )
         self.acceleration = change
         self.velocity += step_s * change
         self.position += step_s * self.velocity
@@ -147,7 +153,13 @@ class CascadeController:
         self.integral = 0.0
 
     def regulate(
-        self, setpoint: MotionSetpoint, gains: LoopGains, speed: float, limit: float, step_s: float, torque: float = 0.0
+        self,
+        setpoint: MotionSetpoint,
+        gains: LoopGains,
+        speed: float,
+        limit: float,
+        step_s: float,
+        torque: float = 0.0,
     ) -> None:
         """Compute velocity demand and torque, and set the servo of the motor for the next step.
 

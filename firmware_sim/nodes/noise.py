@@ -70,7 +70,9 @@ class NormalNoise:
         """Draw the next block of random numbers."""
         uniform = self._uniform.random_sample(BLOCK_SIZE)
         block = np.empty(BLOCK_SIZE)
-        if isinstance(_normal, FunctionType):  # If the kernel is not compiled, lists are faster than arrays.
+        if isinstance(
+            _normal, FunctionType
+        ):  # If the kernel is not compiled, lists are faster than arrays.
             plain = [0.0] * BLOCK_SIZE
             _normal(uniform.tolist(), plain)
             return plain

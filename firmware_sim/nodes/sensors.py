@@ -89,7 +89,9 @@ def _pack(counter: int, codes: Any, words: Any) -> None:
 
 
 @compiled("vector", "real", "real", "count", "count", "counts", "counts")
-def encode(values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any) -> None:
+def encode(
+    values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any
+) -> None:
     """Encode values and pack their codes. See ``_code`` and ``_pack``.
 
     Args:
@@ -107,7 +109,9 @@ def encode(values: Any, low: float, step: float, offset: int, counter: int, code
 
 
 @compiled("vector", "vector", "vector", "real", "real", "vector")
-def read_cells(true: Any, bias: Any, normal: Any, drift: float, noise: float, readings: Any) -> None:
+def read_cells(
+    true: Any, bias: Any, normal: Any, drift: float, noise: float, readings: Any
+) -> None:
     """Compute the readings of the load cells: the sum of true tension, random walk of the bias, and noise.
 
     Args:
@@ -178,7 +182,9 @@ class PayloadEncoder:
         _pack(counter, self._codes, self._words)
         return self._cut()
 
-    def of_values(self, counter: int, values: Any, low: float, step: float, offset: int) -> list[bytes]:
+    def of_values(
+        self, counter: int, values: Any, low: float, step: float, offset: int
+    ) -> list[bytes]:
         """Encode values and pack the codes into payloads. See ``encode``."""
         encode(values, low, step, offset, counter, self._codes, self._words)
         return self._cut()
@@ -209,7 +215,9 @@ class SensorNode:
         wake_ns: a time that is never reached, because the node need not be woken.
     """
 
-    def __init__(self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int) -> None:
+    def __init__(
+        self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int
+    ) -> None:
         """Set up the sensor node.
 
         Args:
@@ -264,12 +272,17 @@ class SensorNode:
             self.malformed += 1
             return []
         spec, counter, (cells, encoders) = self._spec, frame.data[0], self._payloads
-        payloads = [*enumerate(cells.of_values(counter, self._sample(t_ns), *TENSION_CODE), spec.base_id)]
+        payloads = [
+            *enumerate(cells.of_values(counter, self._sample(t_ns), *TENSION_CODE), spec.base_id)
+        ]
         if has_joints(self, len(spec.joints), counter):
             readings = _with_faults(
-                self._angles() + self.noise.take(len(spec.joints)) * spec.joint_noise, self.joint_faults
+                self._angles() + self.noise.take(len(spec.joints)) * spec.joint_noise,
+                self.joint_faults,
             )
-            payloads += enumerate(encoders.of_values(counter, readings, *JOINT_CODE), spec.base_id + JOINT_OFFSET)
+            payloads += enumerate(
+                encoders.of_values(counter, readings, *JOINT_CODE), spec.base_id + JOINT_OFFSET
+            )
         sent = [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
         return self._audible(sent) if self.suppressed else sent
 
@@ -294,7 +307,9 @@ class SensorNode:
 class SensorNodeRow(SensorStruct, SensorNode):
     """A sensor node whose numbers are kept in a row of an array, for compiled kernels."""
 
-    def prepare(self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int) -> None:
+    def prepare(
+        self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int
+    ) -> None:
         """Initialize the row of the node. See ``SensorNode``."""
         SensorNode.__init__(self, spec, tensions, angles, seed)
 

@@ -54,10 +54,14 @@ class DriveTemperatures:
         # The mean copper loss is the squared current times the resistance. The current is torque /
         # torque constant.
         watt = torque_squared / elapsed_s * self._ohm_per_kt2
-        self.winding = _low_pass(self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S)
+        self.winding = _low_pass(
+            self.winding, AMBIENT_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S
+        )
         if self.forced is not None:
             self.winding = self.forced
-        self.mosfet = _low_pass(self.mosfet, AMBIENT_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S)
+        self.mosfet = _low_pass(
+            self.mosfet, AMBIENT_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S
+        )
 
 
 class ThermalStruct(ctypes.Structure, DriveTemperatures):

@@ -149,7 +149,9 @@ def _add_friction(tendon: Any, joints: Any, arms: Any, q: Any, torque: Any) -> N
 
 
 @kernel_helper
-def _apply_tendon(tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any, torque: Any) -> None:
+def _apply_tendon(
+    tendon: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any, torque: Any
+) -> None:
     """Add the joint torques of a tendon to ``torque`` [N m].
 
     The kernel also sets tension, speed and slope of the tendon, and adds the tendon's torque to the
@@ -202,7 +204,13 @@ def measure_angle(rotor: Any) -> None:
 
 @kernel_helper
 def within_speed(
-    rotor: Any, command: float, inertia: float, drag: float, speed: float, slope: float, brakes: bool
+    rotor: Any,
+    command: float,
+    inertia: float,
+    drag: float,
+    speed: float,
+    slope: float,
+    brakes: bool,
 ) -> float:
     """Limit a torque command [N m] to the range from slope (-speed - omega) to slope (speed - omega).
 
@@ -266,7 +274,9 @@ def compute_command(rotor: Any) -> None:
     elif command < -limit:
         command = -limit
     if servo.speed_gain > 0.0:
-        command = within_speed(rotor, command, inertia, drag, servo.speed_limit, servo.speed_gain, True)
+        command = within_speed(
+            rotor, command, inertia, drag, servo.speed_limit, servo.speed_gain, True
+        )
     if rotor.top_speed > 0.0:
         # The back-EMF reduces the voltage that drives the current, linearly down to zero at the
         # no-load speed.
@@ -310,7 +320,15 @@ def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any,
 
 @compiled(*DRIVETRAIN_ARGUMENTS, "vector", "vector", "vector", "vector", "flag")
 def step_drivetrain(
-    tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any, all_rotors: bool
+    tendons: Any,
+    joints: Any,
+    arms: Any,
+    rotors: Any,
+    q: Any,
+    dq: Any,
+    torque: Any,
+    damping: Any,
+    all_rotors: bool,
 ) -> None:
     """Compute the part of a step that is not done by the engine: tendons and rotors.
 

@@ -81,7 +81,9 @@ class RigidBodyEngine:
             Function without arguments. Its result lists the components x, y, z of each digit's
             force in the palm frame, digit by digit.
         """
-        index = np.array([address + axis for address in self.force_indices(kind, digits) for axis in range(3)])
+        index = np.array(
+            [address + axis for address in self.force_indices(kind, digits) for axis in range(3)]
+        )
         data = self._data.sensordata
         # The sensor gives the force that the first body (the digit) exerts on the second. Therefore
         # the sign is changed.
@@ -97,7 +99,9 @@ class RigidBodyEngine:
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the sum of the normal forces between each digit and the object [N]."""
         first = [self._sensor(f"normal/{digit}") for digit in digits]
-        index = np.array([[address + 3 * contact for contact in range(MAX_CONTACTS)] for address in first])
+        index = np.array(
+            [[address + 3 * contact for contact in range(MAX_CONTACTS)] for address in first]
+        )
         data = self._data.sensordata
         return lambda: np.abs(data[index]).sum(axis=1).tolist()  # type: ignore[no-any-return,unused-ignore]
 

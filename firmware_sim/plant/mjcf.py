@@ -132,7 +132,9 @@ def rest_poses(digit: Digit) -> list[tuple[Any, Any]]:
 
 def _rotation(rpy_deg: Sequence[float]) -> Any:
     """Compute the rotation matrix of extrinsic roll, pitch and yaw [deg], shape (3, 3)."""
-    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle), math.cos(angle)) for angle in map(math.radians, rpy_deg))
+    (sr, cr), (sp, cp), (sy, cy) = (
+        (math.sin(angle), math.cos(angle)) for angle in map(math.radians, rpy_deg)
+    )
     x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
     z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
@@ -231,7 +233,9 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
         for one in carrier:
             # The carrying link is a capsule along the x axis of this frame.
             nearest = np.clip(points[:, :1], 0.0, one.length[-1]) * np.array([1.0, 0.0, 0.0])
-            overlap |= bool((np.linalg.norm(points - nearest, axis=1) <= digit.radius + one.radius).any())
+            overlap |= bool(
+                (np.linalg.norm(points - nearest, axis=1) <= digit.radius + one.radius).any()
+            )
         overlaps.append(overlap)
     return overlaps
 
@@ -251,7 +255,9 @@ def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool], shown: dict[str, 
         opening += f'<body name="{digit.name}_link{i + 1}" pos="{offset}" euler="{_text(turn)}">'
         bits = _carrier_bits() if carries else _digit_bits(opposed[digit.name], near_palm[i])
         # A link that carries other digits ends at the face of the box with their mounts.
-        length = max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
+        length = (
+            max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
+        )
         mesh = shown.get(f"{digit.name}_link{i + 1}")
         body = _body(digit, i, length, bits, mesh is not None)
         opening += f"{_joint(digit, i)}{body}{_mesh_geom(mesh)}\n"
@@ -289,7 +295,11 @@ def _joint(digit: Digit, i: int) -> str:
 def _body(digit: Digit, i: int, length: float, bits: tuple[int, int], has_mesh: bool) -> str:
     """Build inertia and collision shape of link ``i``: a capsule of a length [m], or a ball if the length is 0."""
     moments = digit.inertia[i]
-    inertia = f'fullinertia="{_text(moments)}"' if any(moments[3:]) else f'diaginertia="{_text(moments[:3])}"'
+    inertia = (
+        f'fullinertia="{_text(moments)}"'
+        if any(moments[3:])
+        else f'diaginertia="{_text(moments[:3])}"'
+    )
     shape = f'type="capsule" fromto="0 0 0 {length} 0 0"' if length else 'type="sphere"'
     return (
         f'<inertial pos="{_text(digit.com[i])}" mass="{digit.mass[i]}" {inertia}/>'
@@ -310,7 +320,8 @@ def _tendon(tendon: TendonSpec) -> str:
 def _contact(hand: Hand, digit: Digit) -> str:
     """Build the sensor that measures the net contact force on a digit."""
     return (
-        f'<contact name="contact/{digit.name}" {_touch_sensors(hand, digit)} num="1" reduce="netforce" data="force"/>'
+        f'<contact name="contact/{digit.name}" {_touch_sensors(hand, digit)} '
+        'num="1" reduce="netforce" data="force"/>'
     )
 
 
@@ -359,12 +370,18 @@ def shapes(scene: Scene) -> dict[str, dict[str, object]]:
     """Return shape and extents [m] of object and table, and the position of the table [m], for drawing them."""
     if scene.grasp_object is None:
         return {}
-    grasp_object: dict[str, object] = {"shape": scene.grasp_object.shape, "size_m": scene.grasp_object.size}
+    grasp_object: dict[str, object] = {
+        "shape": scene.grasp_object.shape,
+        "size_m": scene.grasp_object.size,
+    }
     if scene.support is None:
         return {"object": grasp_object}
     size = tuple(2.0 * half for half in TABLE_HALF_EXTENTS)
     position = table_position(scene.grasp_object)
-    return {"object": grasp_object, "table": {"shape": "box", "size_m": size, "position_m": position}}
+    return {
+        "object": grasp_object,
+        "table": {"shape": "box", "size_m": size, "position_m": position},
+    }
 
 
 def table_position(grasp_object: GraspObject) -> tuple[float, float, float]:

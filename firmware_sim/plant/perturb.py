@@ -37,7 +37,9 @@ def perturbed_hand(hand: Hand, factors: dict[str, float]) -> Hand:
     """
     for key, value in factors.items():
         if key not in PERTURBATION_KEYS:
-            raise SimulatorError(f"--perturb: no such parameter: {key}; expected one of {', '.join(PERTURBATION_KEYS)}")
+            raise SimulatorError(
+                f"--perturb: no such parameter: {key}; expected one of {', '.join(PERTURBATION_KEYS)}"
+            )
         if not math.isfinite(value) or (value < 0 and key != "bias"):
             raise SimulatorError(f"--perturb: {key}={value:g}; expected a finite factor, 0 or more")
         if value == 0 and key in ("mass", "motor_inertia"):
@@ -49,7 +51,9 @@ def perturbed_hand(hand: Hand, factors: dict[str, float]) -> Hand:
             digits=[_digit(digit, f) for digit in hand.digits],
             tendons=[_tendon(tendon, f) for tendon in hand.tendons],
             motors=[_motor(motor, f) for motor in hand.motors],
-            sensors=_sensors(hand.sensors, f["noise"], factors.get("bias", 0.0)) if hand.sensors else None,
+            sensors=_sensors(hand.sensors, f["noise"], factors.get("bias", 0.0))
+            if hand.sensors
+            else None,
         )
     except (ArithmeticError, TypeError) as error:
         raise SimulatorError(f"hand {hand.name}: a value is not a number: {error}") from error

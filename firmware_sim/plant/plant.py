@@ -53,7 +53,9 @@ class Plant:
         part_ns: completed part of the step in progress [ns].
     """
 
-    def __init__(self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, compiled: bool = True) -> None:
+    def __init__(
+        self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, compiled: bool = True
+    ) -> None:
         """Build the plant as it is at power-up.
 
         Args:
@@ -87,24 +89,34 @@ class Plant:
         # tendon.
         firsts = [i for i, spec in enumerate(hand.tendons) if spec.pretension]
         self._antagonist = {i: len(hand.tendons) + place for place, i in enumerate(firsts)}
-        self.motors = {spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)}
+        self.motors = {
+            spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)
+        }
         routing = self._routing(compiled)
         self.tendons = [(tendon, self._rotors[tendon.motor]) for tendon in routing.tendons]
         self._drivetrain = routing.rows, routing.joints, routing.arms, rotors
         engine = self.engine
-        self._bodies = (engine.q, engine.dq, engine.applied, engine.tendon_damping) if compiled else None
+        self._bodies = (
+            (engine.q, engine.dq, engine.applied, engine.tendon_damping) if compiled else None
+        )
         native = engine.native
         arrays = (*self._drivetrain, *self._bodies) if self._bodies else ()
         # The kernel gets one array of addresses, because each argument costs 0.2 us in every tick.
-        self._addresses = np.array([*addresses(arrays), *native], np.int64) if arrays and native else None
+        self._addresses = (
+            np.array([*addresses(arrays), *native], np.int64) if arrays and native else None
+        )
         self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
         self.table = self._table(scene.support, compiled) if scene.support else None
-        self.contact_forces = self.engine.forces_on("contact", [digit.name for digit in hand.digits])
+        self.contact_forces = self.engine.forces_on(
+            "contact", [digit.name for digit in hand.digits]
+        )
         self.load = scene.load
         self.stages = StageSequence(scene.stages, hand.gravity) if scene.stages else None
         self.stage = -1
-        self.normal_forces = self.engine.normal_forces([digit.name for digit in hand.digits]) if scene.load else list
+        self.normal_forces = (
+            self.engine.normal_forces([digit.name for digit in hand.digits]) if scene.load else list
+        )
         if not homed:
             self._slacken(seed)
 
@@ -113,7 +125,11 @@ class Plant:
 
         Contact forces would throw hand and object apart.
         """
-        overlaps = {name: depth for name, depth in self.engine.overlaps().items() if depth > LARGEST_OVERLAP_M}
+        overlaps = {
+            name: depth
+            for name, depth in self.engine.overlaps().items()
+            if depth > LARGEST_OVERLAP_M
+        }
         if overlaps:
             name = max(overlaps, key=lambda name: overlaps[name])
             depth = f"{1e3 * overlaps[name]:.0f} mm"
@@ -130,9 +146,15 @@ class Plant:
             unknown = set(spec.arms) - set(hand.joints)
             if spec.motor not in motors or unknown:
                 wrong = ", ".join(sorted(unknown)) or spec.motor
-                raise SimulatorError(f"hand {hand.name}: {spec.name}: no such motor or joint: {wrong}")
+                raise SimulatorError(
+                    f"hand {hand.name}: {spec.name}: no such motor or joint: {wrong}"
+                )
         return TendonRouting(
-            hand.every_tendon, hand.joints, motors, [motor.spool_radius for motor in hand.motors], compiled
+            hand.every_tendon,
+            hand.joints,
+            motors,
+            [motor.spool_radius for motor in hand.motors],
+            compiled,
         )
 
     def _table(self, support: SinkingTable, compiled: bool) -> SupportTable:
@@ -151,7 +173,9 @@ class Plant:
     def _slacken(self, seed: int) -> None:
         """Unwind each spool by a random slack."""
         rng = random.Random(f"slack {seed}")
-        for i, (spec, (tendon, motor)) in enumerate(zip(self.hand.tendons, self.tendons, strict=False)):
+        for i, (spec, (tendon, motor)) in enumerate(
+            zip(self.hand.tendons, self.tendons, strict=False)
+        ):
             wound = -rng.uniform(*SLACK_M)  # A negative length is unwound.
             motor.theta = wound / tendon.radius
             if spec.pretension:
@@ -274,7 +298,9 @@ class Plant:
         """
         engine = self.engine
         q, dq, torque, damping = self._bodies or self._joint_lists()
-        if not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S:  # also true if the sum is NaN
+        if (
+            not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S
+        ):  # also true if the sum is NaN
             raise self._diverged()
         if faulty_motors:
             for motor in self._rotors:
@@ -296,12 +322,20 @@ class Plant:
     def _diverged(self) -> SimulatorError:
         """Build the error that reports a diverged plant."""
         when = self.steps * STEP_S
-        return SimulatorError(f"the plant diverged at {when:.4f} s; expected less extreme parameters")
+        return SimulatorError(
+            f"the plant diverged at {when:.4f} s; expected less extreme parameters"
+        )
 
     def _update_table(self, table: SupportTable) -> None:
         """Lower the table once the hand holds the object, and then apply the stages of the scene."""
         before = table.depth
-        forces = self.engine.sensed if self._bodies else [] if table.dropped_at is not None else self.contact_forces()
+        forces = (
+            self.engine.sensed
+            if self._bodies
+            else []
+            if table.dropped_at is not None
+            else self.contact_forces()
+        )
         depth = table.update(self.steps * STEP_S, forces)
         if depth != before:
             self.engine.lower_table(depth - before)

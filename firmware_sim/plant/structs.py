@@ -49,7 +49,15 @@ class ServoStruct(ctypes.Structure, Servo):
     _fields_ = [
         (name, ctypes.c_double)
         for name in (
-            "kp", "kd", "position", "velocity", "torque", "limit", "speed_limit", "speed_gain", "target_speed",
+            "kp",
+            "kd",
+            "position",
+            "velocity",
+            "torque",
+            "limit",
+            "speed_limit",
+            "speed_gain",
+            "target_speed",
         )
     ]
 
@@ -59,7 +67,10 @@ class RotorStruct(ctypes.Structure):
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("theta", "omega", "torque", "velocity", "heat")),
-        *((name, ctypes.c_double) for name in ("inertia", "viscous", "coulomb", "gain", "step", "lag", "velocity_lag")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("inertia", "viscous", "coulomb", "gain", "step", "lag", "velocity_lag")
+        ),
         *((name, ctypes.c_double) for name in ("load", "angle", "command", "drag", "impedance")),
         *((name, ctypes.c_double) for name in ("top_speed", "stall_torque")),
         *((name, ctypes.c_int64) for name in ("steps_alone", "faulty")),

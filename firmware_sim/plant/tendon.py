@@ -103,7 +103,12 @@ class TendonRouting:
     """
 
     def __init__(
-        self, specs: Sequence[TendonSpec], joints: list[str], motors: list[str], radii: list[float], compiled: bool
+        self,
+        specs: Sequence[TendonSpec],
+        joints: list[str],
+        motors: list[str],
+        radii: list[float],
+        compiled: bool,
     ) -> None:
         """Build the tendons and their pulleys.
 

@@ -19,10 +19,13 @@ def run(words: list[str]) -> None:
         SimulatorError: the program cannot use the arguments.
     """
     parser = CommandParser(
-        prog="python -m firmware_sim bus", description="Serve a local bus without a hand until SIGTERM or SIGINT."
+        prog="python -m firmware_sim bus",
+        description="Serve a local bus without a hand until SIGTERM or SIGINT.",
     )
     parser.add_argument("name", help="name of the bus, which clients reach as local:NAME")
-    parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)")
+    parser.add_argument(
+        "--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)"
+    )
     args = parser.parse_args(words)
     now_ns = SharedClock().now_ns
     timed_port = timed_port_maker(args.wire, [DEFAULT_BITRATES], now_ns, nodes=False)
@@ -33,7 +36,9 @@ def run(words: list[str]) -> None:
     try:
         while running:
             wait_ns = max(0, port.due_ns - now_ns())
-            ready, _, _ = select.select(port.readers(), port.writers(), [], min(_POLL_S, wait_ns * 1e-9))
+            ready, _, _ = select.select(
+                port.readers(), port.writers(), [], min(_POLL_S, wait_ns * 1e-9)
+            )
             while port.receive(ready):
                 ready = []
     finally:

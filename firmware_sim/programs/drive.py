@@ -15,7 +15,12 @@ from firmware_sim.faults.faulty_drive import DRIVE_FAULTS, with_fault, with_faul
 from firmware_sim.faults.socket import FaultSocket, is_served
 from firmware_sim.nodes import PROTOCOL_SPECS
 from firmware_sim.nodes.cia402.dictionary import EDS_PATH
-from firmware_sim.nodes.mit.node import CLEAR_ANSWERS, EACH_CLEAR_ANSWERED, FED_BY_COMMANDS, WATCHDOG_BEHAVIOURS
+from firmware_sim.nodes.mit.node import (
+    CLEAR_ANSWERS,
+    EACH_CLEAR_ANSWERED,
+    FED_BY_COMMANDS,
+    WATCHDOG_BEHAVIOURS,
+)
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.nodes.odrive.motion import MOTION_ENDPOINTS
 from firmware_sim.nodes.protocol_spec import SimulatedNode
@@ -102,7 +107,11 @@ class SimulatedDriveBench:
         else:
             answers = [node.receive(frame, self.t_ns) for node in self.nodes]
         self.foreign += all(answer is None for answer in answers)
-        return [reply._replace(bus=frame.bus, t_ns=self.t_ns) for answer in answers for reply in answer or ()]
+        return [
+            reply._replace(bus=frame.bus, t_ns=self.t_ns)
+            for answer in answers
+            for reply in answer or ()
+        ]
 
     def advance(self, t_ns: int) -> None:
         """Advance the drives towards ``t_ns`` in whole steps."""
@@ -111,7 +120,9 @@ class SimulatedDriveBench:
             self.part_ns = 0
             for node in self.nodes:
                 if self.t_ns >= node.wake_ns:
-                    frames = [frame._replace(t_ns=self.t_ns) for frame in node.wake(self.t_ns) or ()]
+                    frames = [
+                        frame._replace(t_ns=self.t_ns) for frame in node.wake(self.t_ns) or ()
+                    ]
                     self.queue_frames(self.faults.unsolicited(node, frames, self.t_ns))
             if self.faults.on:
                 self.queue_frames(self.faults.advance(self.t_ns))
@@ -170,10 +181,20 @@ def _parser() -> CommandParser:
     texts = "; ".join(f"{key}: {text}" for key, text in CLEAR_ANSWERS.items())
     add("--clear-answers", choices=list(CLEAR_ANSWERS), default=EACH_CLEAR_ANSWERED,
         help=f"answers of MIT motors to the clear command. {texts} ({EACH_CLEAR_ANSWERED})")  # fmt: skip
-    add("--inertia", type=float, metavar="KG_M2", help="inertia of each shaft [kg m2] (assumed for the motor type)")
+    add(
+        "--inertia",
+        type=float,
+        metavar="KG_M2",
+        help="inertia of each shaft [kg m2] (assumed for the motor type)",
+    )
     add("--wire", nargs="*", metavar="KEY=VALUE", help="simulate the wire with its timing (off)")
     faults = "; ".join(f"{key}: {text}" for key, text in DRIVE_FAULTS.items())
-    add("--broken", choices=sorted(DRIVE_FAULTS), default="", help=f"deliberate fault of all drives. {faults}")
+    add(
+        "--broken",
+        choices=sorted(DRIVE_FAULTS),
+        default="",
+        help=f"deliberate fault of all drives. {faults}",
+    )
     add("--time-scale", type=float, default=1.0, metavar="X", help="drive time per wall time (1)")
     return parser
 
@@ -193,7 +214,9 @@ def _behaviour(args: argparse.Namespace) -> dict[str, object]:
     wrong = [name for name, (protocol, _, on) in given.items() if on and args.protocol != protocol]
     if wrong:
         raise SimulatorError(f"{wrong[0]}: only for drive {given[wrong[0]][0]}")
-    behaviour = {name: value for name, (_, value, on) in given.items() if on and name != "--firmware"}
+    behaviour = {
+        name: value for name, (_, value, on) in given.items() if on and name != "--firmware"
+    }
     return {name.removeprefix("--").replace("-", "_"): value for name, value in behaviour.items()}
 
 
@@ -214,7 +237,9 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
     try:
         numbers = [int(word, 0) for word in args.ids.split(",")]
     except ValueError:
-        raise SimulatorError(f"--ids {args.ids}: expected numbers with commas, as in 1,2,0x10") from None
+        raise SimulatorError(
+            f"--ids {args.ids}: expected numbers with commas, as in 1,2,0x10"
+        ) from None
     if len(set(numbers)) < len(numbers):
         raise SimulatorError(f"--ids {args.ids}: expected each number once")
     kind = args.motor_type or ""
@@ -242,7 +267,10 @@ def run(words: list[str]) -> None:
             server.running = False
 
         until_signal(stop)
-        print(f"firmware_sim: ready drive={args.protocol} ids={args.ids} bus={printable_text(args.bus)}", flush=True)
+        print(
+            f"firmware_sim: ready drive={args.protocol} ids={args.ids} bus={printable_text(args.bus)}",
+            flush=True,
+        )
         server.run()
         counts = " ".join(f"{key}={value}" for key, value in server.summary().items())
         print(f"firmware_sim: ended {counts}", file=sys.stderr)
@@ -263,6 +291,9 @@ def fault_socket(bus: str, bench: SimulatedDriveBench) -> FaultSocket | None:
     """
     path = faults_path(bus)
     if is_served(path):
-        print(f"firmware_sim: another simulator on {printable_text(bus)} takes the faults", file=sys.stderr)
+        print(
+            f"firmware_sim: another simulator on {printable_text(bus)} takes the faults",
+            file=sys.stderr,
+        )
         return None
     return FaultSocket(path, bench.faults)

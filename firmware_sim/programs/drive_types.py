@@ -8,7 +8,10 @@ from firmware_sim.nodes.protocol_spec import ShaftSpec
 from firmware_sim.nodes.robstride import bench as robstride_bench
 from firmware_sim.nodes.robstride.node import FULL_SCALE
 
-MIT_TYPES = {**dict.fromkeys(mit_bench.MOTOR_TYPE_RANGES, "mit"), **dict.fromkeys(cubemars.FULL_SCALE, "cubemars")}
+MIT_TYPES = {
+    **dict.fromkeys(mit_bench.MOTOR_TYPE_RANGES, "mit"),
+    **dict.fromkeys(cubemars.FULL_SCALE, "cubemars"),
+}
 """Motor types that speak MIT mode, each with the name of the protocol in handctl."""
 ROBSTRIDE_PROTOCOLS = ("robstride", "robstride_mit")
 """Protocols of RobStride motors."""
@@ -86,5 +89,9 @@ def _shaft(protocol: str, motor_type: str, fd: bool, firmware: str) -> ShaftSpec
         return cubemars.shaft_of_motor(motor_type or cubemars.DEFAULT_TYPE)
     if protocol == "mit":
         kind = motor_type or mit_bench.DEFAULT_TYPE
-        return mit_bench.shaft_of_mit_motor(kind, fd=True) if fd else mit_bench.shaft_of_mit_motor(kind)
+        return (
+            mit_bench.shaft_of_mit_motor(kind, fd=True)
+            if fd
+            else mit_bench.shaft_of_mit_motor(kind)
+        )
     return PROTOCOL_SPECS[protocol].shaft

@@ -66,7 +66,12 @@ def _parser() -> argparse.ArgumentParser:
     add("--time-scale", type=float, default=1.0, metavar="X", help="plant time per wall time (1)")
     add("--strict-clock", action="store_true",
         help="do not pause the clock of a controller on this machine if the machine is too slow")  # fmt: skip
-    add("--truth", type=Path, metavar="FILE", help="file for the true state of the plant (in the run directory)")
+    add(
+        "--truth",
+        type=Path,
+        metavar="FILE",
+        help="file for the true state of the plant (in the run directory)",
+    )
     add("--json", action="store_true", help="print the line with the word ready as JSON")
     add("--dry-run", action="store_true", help="check all arguments and exit without opening a bus")
     wire = "simulate bit rate and queues of the CAN wire on a local bus (default: off)"
@@ -84,11 +89,15 @@ def _factors(words: list[str]) -> dict[str, float]:
     for word in words:
         key, _, value = word.partition("=")
         if key in factors:
-            raise SimulatorError(f"--perturb: {key} is given twice; expected one factor for each key")
+            raise SimulatorError(
+                f"--perturb: {key} is given twice; expected one factor for each key"
+            )
         try:
             factors[key] = float(value)
         except ValueError:
-            raise SimulatorError(f"--perturb {word}: expected KEY=FACTOR, as in stiffness=1.2") from None
+            raise SimulatorError(
+                f"--perturb {word}: expected KEY=FACTOR, as in stiffness=1.2"
+            ) from None
     return factors
 
 
@@ -120,19 +129,37 @@ def run(words: list[str]) -> None:
             clock.publish(clock_path(specs[0]))
         path = args.truth or truth_path(specs[0])
         with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
-            header = {**world.header("monotonic"), "perturb": factors, "time_scale": args.time_scale}
-            ready = {"hand": world.hand.name, "scene": world.plant.scene.name, "bus": " ".join(args.bus)}
+            header = {
+                **world.header("monotonic"),
+                "perturb": factors,
+                "time_scale": args.time_scale,
+            }
+            ready = {
+                "hand": world.hand.name,
+                "scene": world.plant.scene.name,
+                "bus": " ".join(args.bus),
+            }
             ready["truth"] = str(path)
             pairs = " ".join(f"{key}={printable_text(value)}" for key, value in ready.items())
-            ready_line = json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
-            _serve(BusServer(world, ports, clock, faults, RealTimePriority()), world, path, header, ready_line)
+            ready_line = (
+                json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
+            )
+            _serve(
+                BusServer(world, ports, clock, faults, RealTimePriority()),
+                world,
+                path,
+                header,
+                ready_line,
+            )
     finally:
         clock.close()
         for port in ports:
             port.close()
 
 
-def _serve(server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready: str) -> None:
+def _serve(
+    server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready: str
+) -> None:
     """Serve a simulated hand and record its truth file."""
     try:
         truth = TruthWriter(path, world.plant, header)

@@ -93,7 +93,9 @@ class Scene:
 def packaged_scenes() -> list[str]:
     """List the names of the scenes that are packaged with the simulator."""
     folder = importlib.resources.files("firmware_sim") / "scenes"
-    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+    return sorted(
+        item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml")
+    )
 
 
 def load_scene(text: str | None) -> Scene:
@@ -113,7 +115,9 @@ def load_scene(text: str | None) -> Scene:
     name, _, diameter = text.partition(":")
     if name not in packaged_scenes():
         packaged_names = ", ".join(packaged_scenes())
-        raise SimulatorError(f"no such scene: {text}; expected {packaged_names}, NAME:MILLIMETRES or a .toml file")
+        raise SimulatorError(
+            f"no such scene: {text}; expected {packaged_names}, NAME:MILLIMETRES or a .toml file"
+        )
     scene = _read(importlib.resources.files("firmware_sim") / "scenes" / f"{name}.toml", name)
     return _resized_scene(scene, diameter, text) if diameter else scene
 
@@ -131,7 +135,11 @@ def _resized_scene(scene: Scene, millimetres: str, text: str) -> Scene:
     # The face of the palm is the plane x = 0.
     gap = old.position[0] - old.size[0] / 2.0
     position = (diameter / 2.0 + gap, old.position[1], old.position[2])
-    return replace(scene, name=text, grasp_object=replace(old, size=(diameter, diameter, height), position=position))
+    return replace(
+        scene,
+        name=text,
+        grasp_object=replace(old, size=(diameter, diameter, height), position=position),
+    )
 
 
 def _read(path: Any, where: str) -> Scene:
@@ -144,7 +152,11 @@ def _read(path: Any, where: str) -> Scene:
         support = _support(raw.get("support"))
         load = _load(raw.get("load"))
         scene = Scene(
-            raw["name"], grasp_object, support, load, tuple(read_stage(stage) for stage in raw.get("stage", ()))
+            raw["name"],
+            grasp_object,
+            support,
+            load,
+            tuple(read_stage(stage) for stage in raw.get("stage", ())),
         )
     except KeyError as error:
         raise SimulatorError(f"scene {where}: missing or unknown key {error}") from error
@@ -155,9 +167,13 @@ def _read(path: Any, where: str) -> Scene:
     if scene.load and not scene.grasp_object:
         raise SimulatorError(f"scene {where}: a load without an object")
     if scene.stages and (scene.support is None or scene.support.drop_when != "grasped"):
-        raise SimulatorError(f"scene {where}: a stage without a support that sinks when the object is grasped")
+        raise SimulatorError(
+            f"scene {where}: a stage without a support that sinks when the object is grasped"
+        )
     if scene.stages and scene.load:
-        raise SimulatorError(f"scene {where}: stages and load both push the object; expected one of them")
+        raise SimulatorError(
+            f"scene {where}: stages and load both push the object; expected one of them"
+        )
     return scene
 
 
@@ -174,11 +190,19 @@ def _grasp_object(raw: dict[str, Any] | None) -> GraspObject | None:
         diameter = float(raw["diameter_m"])
         size = (diameter, diameter, diameter if shape == "sphere" else float(raw["length_m"]))
     position = tuple(float(value) for value in raw["position_m"])
-    if len(size) != 3 or len(position) != 3 or not all(0 < value < 1 for value in (*size, raw["mass_kg"] / 100)):
-        raise ValueError("object: expected three positive extents, a positive mass and three coordinates")
+    if (
+        len(size) != 3
+        or len(position) != 3
+        or not all(0 < value < 1 for value in (*size, raw["mass_kg"] / 100))
+    ):
+        raise ValueError(
+            "object: expected three positive extents, a positive mass and three coordinates"
+        )
     friction = float(raw["friction"])
     if not (0.0 <= friction <= 10.0 and all(map(math.isfinite, position))):
-        raise ValueError(f"object: friction {friction}, position {position}: expected finite, friction 0 to 10")
+        raise ValueError(
+            f"object: friction {friction}, position {position}: expected finite, friction 0 to 10"
+        )
     return GraspObject(shape, size, float(raw["mass_kg"]), friction, position)
 
 
@@ -202,6 +226,9 @@ def _load(raw: dict[str, Any] | None) -> GrowingLoad | None:
     length = math.hypot(x, y, z)
     start = float(raw["start_s"])
     rate = float(raw["rate_N_per_s"])
-    if not (0.0 < length < math.inf and 0.0 <= start < math.inf and 0.0 < rate < math.inf) or len(raw) != 3:
+    if (
+        not (0.0 < length < math.inf and 0.0 <= start < math.inf and 0.0 < rate < math.inf)
+        or len(raw) != 3
+    ):
         raise ValueError("load: expected direction (not zero), start_s and a positive rate_N_per_s")
     return GrowingLoad((x / length, y / length, z / length), start, rate)

@@ -115,12 +115,17 @@ class StageSequence:
         for i, stage in enumerate(self._stages):
             since = time - start
             target = gravity if stage.down is None else _scaled_vector(stage.down, GRAVITY_M_S2)
-            friction = stage.friction if stage.friction is not None and since >= stage.turn else friction
+            friction = (
+                stage.friction if stage.friction is not None and since >= stage.turn else friction
+            )
             if since < stage.turn + stage.duration or i == len(self._stages) - 1:
                 pushing = stage.push_at <= since - stage.turn < stage.push_at + stage.push_duration
                 fraction = min(since / stage.turn, 1.0) if stage.turn > 0.0 else 1.0
                 return StageState(
-                    i, _turned_vector(gravity, target, fraction), stage.push if pushing else (0.0, 0.0, 0.0), friction
+                    i,
+                    _turned_vector(gravity, target, fraction),
+                    stage.push if pushing else (0.0, 0.0, 0.0),
+                    friction,
                 )
             start = start + stage.turn + stage.duration
             gravity = target

@@ -10,7 +10,9 @@ from firmware_sim.scene.scene import SinkingTable
 
 
 @compiled("vector", "counts", "counts", "real", "count", "flag")
-def grasped(forces: Any, indices: Any, opposed: Any, min_force_squared: float, digits: int, both_sides: bool) -> bool:
+def grasped(
+    forces: Any, indices: Any, opposed: Any, min_force_squared: float, digits: int, both_sides: bool
+) -> bool:
     """Check whether enough digits press on the object and, if required, from both sides.
 
     Args:
@@ -44,7 +46,11 @@ class SupportTable:
     """
 
     def __init__(
-        self, support: SinkingTable, opposed: list[bool], indices: Sequence[int] = (), kernels: Any = None
+        self,
+        support: SinkingTable,
+        opposed: list[bool],
+        indices: Sequence[int] = (),
+        kernels: Any = None,
     ) -> None:
         """Set up the table at its initial position.
 
@@ -60,7 +66,9 @@ class SupportTable:
         starts = list(indices) or list(range(0, 3 * len(opposed), 3))
         sides = [int(side) for side in opposed]
         self._grasped: Callable[..., bool] = kernels.grasped if kernels else grasped
-        self._digits = (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
+        self._digits = (
+            (np.array(starts, np.int64), np.array(sides, np.int64)) if kernels else (starts, sides)
+        )
         # A hand with fewer digits must hold the object with all of them.
         digits = min(support.drop_digits, len(opposed))
         self._criteria = support.drop_force**2, digits, support.drop_opposed
@@ -88,12 +96,16 @@ class SupportTable:
         if self.dropped_at is None:
             self._check_grasp(time, forces)
         if self.dropped_at is not None:
-            self.depth = min(self._support.sink_depth, self._support.sink_speed * (time - self.dropped_at))
+            self.depth = min(
+                self._support.sink_depth, self._support.sink_speed * (time - self.dropped_at)
+            )
         return self.depth
 
     def _check_grasp(self, time: float, forces: Any) -> None:
         """Start to sink once the digits have held the object for the time ``drop_hold`` without a break."""
-        if self._support.drop_when != "grasped" or not self._grasped(forces, *self._digits, *self._criteria):
+        if self._support.drop_when != "grasped" or not self._grasped(
+            forces, *self._digits, *self._criteria
+        ):
             self._grasped_since = None
             return
         if self._grasped_since is None:

@@ -34,11 +34,18 @@ class AdapterClass(NamedTuple):
 
 ADAPTER_CLASSES = {
     "none": AdapterClass(0, 0, 0, "controller on the processor's own bus, as on Jetson"),
-    "spi": AdapterClass(0, 0, 100_000, "controller behind SPI, as on Pi hats; 100 us a frame are an assumption"),
+    "spi": AdapterClass(
+        0, 0, 100_000, "controller behind SPI, as on Pi hats; 100 us a frame are an assumption"
+    ),
     "usb-hs": AdapterClass(125_000, 125_000, 0, "high-speed USB: PCAN-USB Pro FD, Kvaser Leaf v3"),
-    "usb-fs": AdapterClass(1_000_000, 1_000_000, 0, "full-speed USB: candleLight, CANable, also with slcan"),
+    "usb-fs": AdapterClass(
+        1_000_000, 1_000_000, 0, "full-speed USB: candleLight, CANable, also with slcan"
+    ),
     "ftdi": AdapterClass(
-        1_000_000, 16_000_000, 0, "serial adapter with FTDI chip, latency timer at its default of 16 ms"
+        1_000_000,
+        16_000_000,
+        0,
+        "serial adapter with FTDI chip, latency timer at its default of 16 ms",
     ),
 }
 """Classes of adapters by name."""

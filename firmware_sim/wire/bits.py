@@ -107,7 +107,13 @@ def _identifier(can_id: int) -> str:
     """Return the bits from start of frame to IDE, or to the RTR bit of a 29-bit identifier."""
     remote = "1" if can_id & REMOTE else "0"
     if can_id & EXTENDED:
-        return "0" + format(can_id >> 18 & 0x7FF, "011b") + "11" + format(can_id & 0x3FFFF, "018b") + remote
+        return (
+            "0"
+            + format(can_id >> 18 & 0x7FF, "011b")
+            + "11"
+            + format(can_id & 0x3FFFF, "018b")
+            + remote
+        )
     return "0" + format(can_id & 0x7FF, "011b") + remote + "0"
 
 

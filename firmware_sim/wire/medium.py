@@ -78,7 +78,9 @@ class SimulatedWire:
         self._end_ns = NEVER_NS
         self._restarts: list[tuple[int, CanController]] = []
 
-    def add(self, on_receive: Callable[[Frame, int], None] | None = None, queue: int | None = None) -> CanController:
+    def add(
+        self, on_receive: Callable[[Frame, int], None] | None = None, queue: int | None = None
+    ) -> CanController:
         """Create a controller and connect it to the wire.
 
         Args:
@@ -163,7 +165,9 @@ class SimulatedWire:
         if not self._intact:
             # An error flag replaces the end of the frame. The flag is longer if several controllers
             # send it.
-            span += self.rate.bits_ns((ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - UNSENT_END_BITS)
+            span += self.rate.bits_ns(
+                (ERROR_FLAGS_BITS if self._acknowledged else ERROR_FLAG_BITS) - UNSENT_END_BITS
+            )
         self.busy_ns += span
         self._end_ns = t_ns + span
 
@@ -203,7 +207,11 @@ class SimulatedWire:
             controller.count_sent(t_ns)
             self._suspend(controller, t_ns)
         for controller in self._controllers:
-            if (controller.on_receive or controller.rx_errors) and controller.on_bus and controller not in senders:
+            if (
+                (controller.on_receive or controller.rx_errors)
+                and controller.on_bus
+                and controller not in senders
+            ):
                 controller.deliver(frame, t_ns)
 
     def _destroy(self, senders: list[CanController], t_ns: int) -> None:
@@ -216,7 +224,9 @@ class SimulatedWire:
             if controller.on_bus and controller not in senders:
                 controller.count_error_seen(t_ns)
         for controller in senders:
-            (controller.count_destroyed if self._acknowledged else controller.count_unacknowledged)(t_ns)
+            (controller.count_destroyed if self._acknowledged else controller.count_unacknowledged)(
+                t_ns
+            )
             self._suspend(controller, t_ns)
             if not controller.on_bus and self.options.restart_ms >= 0.0:
                 wait_ns = round(self.options.restart_ms * 1e6) + self.rate.bits_ns(RECOVERY_BITS)

@@ -78,7 +78,9 @@ def _updated_spec(spec: WireSpec, word: str) -> WireSpec:
     """Return a specification with the change made by a word."""
     key, _, text = word.partition("=")
     if key not in WIRE_OPTION_KEYS:
-        raise SimulatorError(f"--wire {word}: expected one of {', '.join(WIRE_OPTION_KEYS)}, as in queue=10")
+        raise SimulatorError(
+            f"--wire {word}: expected one of {', '.join(WIRE_OPTION_KEYS)}, as in queue=10"
+        )
     if key == "stuffing":
         if text not in ("worst", "actual"):
             raise SimulatorError(f"--wire {word}: expected stuffing=worst or stuffing=actual")
@@ -88,13 +90,21 @@ def _updated_spec(spec: WireSpec, word: str) -> WireSpec:
             raise SimulatorError(f"--wire {word}: expected one of {', '.join(ADAPTER_CLASSES)}")
         return replace(spec, adapter=text)
     if key == "error_rate":
-        return replace(spec, options=replace(spec.options, error_rate=_number(word, text, 0.0, 1.0)))
+        return replace(
+            spec, options=replace(spec.options, error_rate=_number(word, text, 0.0, 1.0))
+        )
     if key == "restart_ms":
-        return replace(spec, options=replace(spec.options, restart_ms=_number(word, text, 0.0, 1e6)))
+        return replace(
+            spec, options=replace(spec.options, restart_ms=_number(word, text, 0.0, 1e6))
+        )
     if key == "queue":
-        return replace(spec, options=replace(spec.options, queue=int(_number(word, text, 1, 100_000))))
+        return replace(
+            spec, options=replace(spec.options, queue=int(_number(word, text, 1, 100_000)))
+        )
     if key == "seed":
-        return replace(spec, options=replace(spec.options, seed=int(_number(word, text, 0, 1 << 32))))
+        return replace(
+            spec, options=replace(spec.options, seed=int(_number(word, text, 0, 1 << 32)))
+        )
     rate = int(_number(word, text, 1_000, _MAX_BITRATE))
     return replace(spec, bitrate=rate) if key == "bitrate" else replace(spec, data_bitrate=rate)
 

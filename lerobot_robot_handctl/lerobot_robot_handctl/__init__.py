@@ -1,6 +1,10 @@
 """Hands of handctl as robots of LeRobot, and two teleoperators. LeRobot imports this package by its name."""
 
-from lerobot_robot_handctl.config_handctl import HandctlKeyboardConfig, HandctlLogConfig, HandctlRobotConfig
+from lerobot_robot_handctl.config_handctl import (
+    HandctlKeyboardConfig,
+    HandctlLogConfig,
+    HandctlRobotConfig,
+)
 from lerobot_robot_handctl.leaders import HandctlKeyboard, HandctlLog
 from lerobot_robot_handctl.robot import HandctlRobot
 

@@ -91,7 +91,9 @@ class HandctlKeyboard(Leader):
         super().__init__(config)
         hand = load_hand(config.hand)
         self.joints = hand.joints
-        self._digits = [(hand.digit_joints[name], hand.digit_named(name)) for name in hand.digit_names]
+        self._digits = [
+            (hand.digit_joints[name], hand.digit_named(name)) for name in hand.digit_names
+        ]
         self._step = np.radians(config.step_deg)
         self._angles = np.zeros(len(self.joints))
         self._settings: Any = None
@@ -120,7 +122,9 @@ class HandctlKeyboard(Leader):
 
     def _keys(self) -> str:
         """Return the keys that were pressed since the last call, without waiting."""
-        return os.read(0, 1024).decode("ascii", "ignore") if select.select([0], [], [], 0.0)[0] else ""
+        return (
+            os.read(0, 1024).decode("ascii", "ignore") if select.select([0], [], [], 0.0)[0] else ""
+        )
 
     def _press(self, key: str) -> None:
         """Move the target angles of the digit that a key selects."""
@@ -160,7 +164,9 @@ class HandctlLog(Leader):
             self._angles = np.where(np.isnan(goal), log.field("q")[active], goal)
             self._times = log.times[active]
         if not len(self._times):
-            raise ValueError(f"teleop.log: {config.log}: never active; expected a run that moved the hand")
+            raise ValueError(
+                f"teleop.log: {config.log}: never active; expected a run that moved the hand"
+            )
         self._times = self._times - self._times[0]
         self._start_s: float | None = None
 

@@ -28,5 +28,7 @@ def angles_of(joints: tuple[str, ...], action: Mapping[str, Any]) -> NDArray[np.
     """
     missing = [joint for joint in joints if f"{joint}{POSITION}" not in action]
     if missing:
-        raise ValueError(f"action: no {missing[0]}{POSITION}; expected an angle for each joint of the hand")
+        raise ValueError(
+            f"action: no {missing[0]}{POSITION}; expected an angle for each joint of the hand"
+        )
     return np.array([float(action[f"{joint}{POSITION}"]) for joint in joints])

@@ -52,7 +52,9 @@ class HandctlRobot(Robot):
     def observation_features(self) -> dict[str, Any]:
         """Return the names and types of an observation's elements: joint angles, tensions and camera images."""
         tensions = {f"{tendon}{TENSION}": float for tendon in self.description.tendon_names}
-        pictures = {name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()}
+        pictures = {
+            name: (camera.height, camera.width, 3) for name, camera in self.config.cameras.items()
+        }
         return {**positions(self.description.joints), **tensions, **pictures}
 
     @cached_property
@@ -99,7 +101,10 @@ class HandctlRobot(Robot):
         """Return the latest observation: joint angles [rad], tensions [N] and camera images."""
         seen = self._connected().observe()
         tendons = self.description.tendon_names
-        tensions = {f"{name}{TENSION}": float(value) for name, value in zip(tendons, seen.tension_N, strict=True)}
+        tensions = {
+            f"{name}{TENSION}": float(value)
+            for name, value in zip(tendons, seen.tension_N, strict=True)
+        }
         pictures = {name: camera.async_read() for name, camera in self.cameras.items()}
         return {**named(self.description.joints, seen.q_rad), **tensions, **pictures}
 
@@ -158,5 +163,7 @@ class HandctlRobot(Robot):
             with self._lock:
                 if self._stream is not None and time.monotonic() - self._sent_s > PAUSE_S:
                     stream, self._stream = self._stream, None
-                    with suppress(handctl.HandctlError):  # the run has ended: the next action raises the reason
+                    with suppress(
+                        handctl.HandctlError
+                    ):  # the run has ended: the next action raises the reason
                         stream.close()

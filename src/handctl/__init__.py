@@ -2,7 +2,15 @@
 
 from typing import TYPE_CHECKING, Any
 
-from handctl.errors import BusError, ConfigError, DriveError, HandctlError, LogError, PowerError, UnconfirmedError
+from handctl.errors import (
+    BusError,
+    ConfigError,
+    DriveError,
+    HandctlError,
+    LogError,
+    PowerError,
+    UnconfirmedError,
+)
 
 if TYPE_CHECKING:
     from handctl.client import AsyncHandClient as AsyncHandClient

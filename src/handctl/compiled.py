@@ -111,7 +111,11 @@ def kernel_helper(function: F) -> F:
     Python cannot call the function.
     """
     KERNEL_FUNCTIONS.append(function)
-    options: dict[str, Any] = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    options: dict[str, Any] = {
+        "forceinline": True,
+        "no_cpython_wrapper": True,
+        "no_cfunc_wrapper": True,
+    }
     dispatcher: Any = njit(error_model="numpy", **options)(function)
     _INNER_DISPATCHERS.append(dispatcher)
     return cast(F, dispatcher)
@@ -143,7 +147,10 @@ def _cached_in(folder: Path | None) -> Iterator[None]:
 
 def _cache_folder() -> Path | None:
     """Create and return the folder for the code of this version, or return None if no folder can be written."""
-    root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser())
+    root = Path(
+        os.environ.get("NUMBA_CACHE_DIR")
+        or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    )
     folder = root / "handctl" / f"kernels-{_source_hash()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -175,7 +182,9 @@ def _source_hash() -> str:
 def _remove_old(root: Path) -> None:
     """Delete the compiled code of all versions except the `MAX_CACHE_FOLDERS` used last."""
     with contextlib.suppress(OSError):
-        folders = sorted(root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True)
+        folders = sorted(
+            root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True
+        )
         for path in folders[MAX_CACHE_FOLDERS:]:
             shutil.rmtree(path, ignore_errors=True)
 
@@ -205,7 +214,9 @@ def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> An
     result = types.Array(flat.dtype, shape.count, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        from numba.np import arrayobj as _arrayobj  # imported here, because only a compilation needs it
+        from numba.np import (
+            arrayobj as _arrayobj,
+        )  # imported here, because only a compilation needs it
 
         arrayobj: Any = _arrayobj
         source = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
@@ -216,7 +227,9 @@ def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> An
             strides.insert(0, builder.mul(strides[0], size))
         array = arrayobj.make_array(result)(context, builder)
         data = builder.gep(source.data, [arguments[1]])
-        arrayobj.populate_array(array, data=data, shape=sizes, strides=strides, itemsize=itemsize, meminfo=None)
+        arrayobj.populate_array(
+            array, data=data, shape=sizes, strides=strides, itemsize=itemsize, meminfo=None
+        )
         return array._getvalue()
 
     tuple_of: Any = types.UniTuple
@@ -299,7 +312,9 @@ def _compiled_count(folder: Path, kernels: Sequence[_UncompiledKernel]) -> int:
     return sum(".".join(one.name.rsplit(".", 2)[1:]) in compiled_names for one in kernels)
 
 
-def _compile_together(folder: Path, waiting: Sequence[_UncompiledKernel], report: Callable[[int, int], None]) -> None:
+def _compile_together(
+    folder: Path, waiting: Sequence[_UncompiledKernel], report: Callable[[int, int], None]
+) -> None:
     """Compile kernels into a folder, with one process per core. Meanwhile a lock makes other users of the folder wait.
 
     If a kernel cannot be compiled, ``compile_kernels`` raises the error later.
@@ -309,20 +324,31 @@ def _compile_together(folder: Path, waiting: Sequence[_UncompiledKernel], report
         waiting: kernels without code in the folder.
         report: function that reports progress, as ``progress`` in ``compile_kernels``.
     """
-    order = sorted(range(len(waiting)), key=lambda i: len(waiting[i].code.py_func.__code__.co_names), reverse=True)
+    order = sorted(
+        range(len(waiting)),
+        key=lambda i: len(waiting[i].code.py_func.__code__.co_names),
+        reverse=True,
+    )
     with contextlib.suppress(OSError), open(folder / "lock", "w") as lock:
         while not _try_lock(lock):
             report(_compiled_count(folder, waiting), len(waiting))
             time.sleep(POLL_PERIOD_S)
         if _compiled_count(folder, waiting) == len(waiting):
             return
-        with _cached_in(folder):  # only a compilation needs the code of the functions that kernels call
+        with _cached_in(
+            folder
+        ):  # only a compilation needs the code of the functions that kernels call
             for part in _INNER_DISPATCHERS:
                 part.enable_caching()
         todo, giving = os.pipe()
-        os.write(giving, bytes(order))  # the worker that reads a byte compiles the kernel with this number
+        os.write(
+            giving, bytes(order)
+        )  # the worker that reads a byte compiles the kernel with this number
         os.close(giving)
-        workers = [_start_compiler_process(todo, waiting) for _ in range(min(os.cpu_count() or 1, MAX_WORKERS))]
+        workers = [
+            _start_compiler_process(todo, waiting)
+            for _ in range(min(os.cpu_count() or 1, MAX_WORKERS))
+        ]
         os.close(todo)
         while workers:
             workers = [one for one in workers if os.waitpid(one, os.WNOHANG)[0] == 0]

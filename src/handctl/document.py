@@ -59,7 +59,9 @@ def validate_content(content: Mapping[str, Any], model: type[D], source: str) ->
         raise _error_line(error, model, content, source) from None
 
 
-def _error_line(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str) -> ConfigError:
+def _error_line(
+    error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str
+) -> ConfigError:
     """Return the most specific of the errors that pydantic has found.
 
     An unknown key takes precedence over a missing key, because a misspelt key causes both errors.
@@ -78,9 +80,13 @@ def _error_line(error: ValidationError, model: type[BaseModel], content: Mapping
     value = detail["input"]
     if detail["type"] == "union_tag_invalid":
         key = detail["ctx"]["discriminator"].strip("'")
-        return ConfigError(toml_spelling(value[key]), f"{where}.{key}", "one of " + detail["ctx"]["expected_tags"])
+        return ConfigError(
+            toml_spelling(value[key]), f"{where}.{key}", "one of " + detail["ctx"]["expected_tags"]
+        )
     what = "a table" if isinstance(value, Mapping) else toml_spelling(value)
-    return ConfigError(what, where, detail["msg"].removeprefix("Input should be ").removeprefix("Value error, "))
+    return ConfigError(
+        what, where, detail["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    )
 
 
 def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tuple[str | int, ...]:

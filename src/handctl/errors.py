@@ -61,7 +61,10 @@ class UnconfirmedError(PowerError, BusError):
     """
 
     def __init__(self, bus: str, word: str, why: str) -> None:
-        super().__init__(f"no confirmation from the controller: switch the power off ({word}: {why})", f"bus {bus}")
+        super().__init__(
+            f"no confirmation from the controller: switch the power off ({word}: {why})",
+            f"bus {bus}",
+        )
 
 
 class LogError(HandctlError):

@@ -30,7 +30,9 @@ class MissingExtraError(ConfigError):
     """
 
     def __init__(self, user: str, package: str) -> None:
-        super().__init__(f"{user} needs {package}: pip install 'handctl[{EXTRA_BY_MODULE[package]}]'")
+        super().__init__(
+            f"{user} needs {package}: pip install 'handctl[{EXTRA_BY_MODULE[package]}]'"
+        )
 
 
 def require_extra(user: str, *packages: str) -> None:
@@ -58,7 +60,9 @@ def is_installed(package: str) -> bool:
 def extras_installed() -> dict[str, bool]:
     """Return the extras of handctl by name, True if all packages of the extra are installed."""
     return {
-        extra: all(is_installed(package) for package, other in EXTRA_BY_MODULE.items() if other == extra)
+        extra: all(
+            is_installed(package) for package, other in EXTRA_BY_MODULE.items() if other == extra
+        )
         for extra in EXTRA_BY_MODULE.values()
     }
 

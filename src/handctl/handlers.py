@@ -7,7 +7,9 @@ from types import FrameType
 
 
 @contextmanager
-def installed_handler(handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals) -> Iterator[None]:
+def installed_handler(
+    handler: Callable[[int, FrameType | None], None], *numbers: signal.Signals
+) -> Iterator[None]:
     """Install a signal handler for the duration of a block, then restore the previous handlers.
 
     Args:

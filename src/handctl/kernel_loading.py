@@ -53,7 +53,9 @@ def load_kernel(dispatcher: Any, types: tuple[Any, ...]) -> None:
 @contextmanager
 def _without_compiler(context: Any) -> Iterator[None]:
     """Let numba load stored code without registering types and parsing bitcode, inside this context."""
-    runtime.rtsys.initialize(context)  # counts references to arrays. numba does this when it registers its types
+    runtime.rtsys.initialize(
+        context
+    )  # counts references to arrays. numba does this when it registers its types
     library: Any = codegen.CPUCodeLibrary
     before = library.__dict__["_unserialize"]
     library._unserialize = classmethod(_load_object_code)

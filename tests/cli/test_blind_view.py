@@ -7,7 +7,9 @@ import pytest
 from handctl.cli.main import main
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only X and Wayland say where the screen is")
+@pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="only X and Wayland say where the screen is"
+)
 @pytest.mark.parametrize("words", [["demo", "--view"], ["run", "--bus", "local:nowhere", "--view"]])
 def test_no_screen_is_one_line(
     words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

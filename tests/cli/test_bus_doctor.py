@@ -31,7 +31,10 @@ def test_motors_of_the_hand_that_do_not_answer_are_named(capsys):
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [(["--bus", "local:nobody"], "type: python -m firmware_sim"), (["--bus", "virtual:x"], "120 ohm")],
+    [
+        (["--bus", "local:nobody"], "type: python -m firmware_sim"),
+        (["--bus", "virtual:x"], "120 ohm"),
+    ],
 )
 def test_missing_interface_finding_has_the_set_up_command(capsys, words, said):
     assert main(["bus", "doctor", *words]) == 1

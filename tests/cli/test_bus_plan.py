@@ -20,7 +20,9 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     assert main(["bus", "plan", "--hand", "jamia", "--rate", "500", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     (bus,) = result["buses"]
-    assert bus["tick_us"] == pytest.approx(4 * 270 + 125 + 65, rel=0.001), "commands, answers, tensions, SYNC"
+    assert bus["tick_us"] == pytest.approx(4 * 270 + 125 + 65, rel=0.001), (
+        "commands, answers, tensions, SYNC"
+    )
     read_again = 4 * 2 * 135e-6 * 2.0
     """Bus load of the settings that are read again.
 
@@ -60,7 +62,9 @@ def test_bus_load_rows_add_up_to_the_total(capsys: pytest.CaptureFixture[str]) -
     result = json.loads(capsys.readouterr().out)
     for bus in result["buses"]:
         rows = bus["frames"]
-        assert sum(row["per_tick"] * row["frame_us"] for row in rows) == pytest.approx(bus["tick_us"])
+        assert sum(row["per_tick"] * row["frame_us"] for row in rows) == pytest.approx(
+            bus["tick_us"]
+        )
         assert bus["load"] == pytest.approx(200e-6 * bus["tick_us"] + bus["by_time"])
     assert main(["bus", "plan", "--hand", "jamia", "--verbose"]) == 0
     assert "tensions" in capsys.readouterr().out
@@ -91,12 +95,16 @@ def test_load_table_has_the_expected_times_and_rates(
 ) -> None:  # fmt: skip
     assert main(["bus", "plan", "--table", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
-    (row,) = [row for row in rows if (row["protocol"], row["fd"], row["motors"]) == (protocol, fd, motors)]
+    (row,) = [
+        row for row in rows if (row["protocol"], row["fd"], row["motors"]) == (protocol, fd, motors)
+    ]
     assert row["tick_us"] == pytest.approx(tick_us, rel=0.02)
     assert row["max_hz"] == pytest.approx(most * MAX_BUS_LOAD / 0.80, rel=0.02), (
         "maximum rate at the usual limit of the bus load"
     )
-    assert [100 * row["load"][rate] for rate in ("250", "500", "1000")] == pytest.approx(loads, rel=0.02)
+    assert [100 * row["load"][rate] for rate in ("250", "500", "1000")] == pytest.approx(
+        loads, rel=0.02
+    )
 
 
 def test_bus_load_table_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -112,7 +120,9 @@ def test_run_refuses_an_overloaded_bus(capsys: pytest.CaptureFixture[str]) -> No
     assert "bus main would be" in capsys.readouterr().err
 
 
-def test_a_bus_too_slow_for_the_watchdogs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bus_too_slow_for_the_watchdogs_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A run is refused even at the rate that the bus can carry.
 
     At this rate of 20 Hz, one tick is as long as a watchdog of 50 ms.
@@ -120,11 +130,20 @@ def test_a_bus_too_slow_for_the_watchdogs_is_refused(tmp_path: Path, capsys: pyt
     slow = tmp_path / "slow.toml"
     slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))
     assert main(["run", "--hand", str(slow), "--bus", "local:nobody", "--dry-run"]) == 2
-    assert "the buses carry 20; expected at least 40, for the drives' watchdogs" in capsys.readouterr().err
+    assert (
+        "the buses carry 20; expected at least 40, for the drives' watchdogs"
+        in capsys.readouterr().err
+    )
 
 
-@pytest.mark.parametrize(("bus", "code"), [("socketcan:can0", 2), ("pcan:PCAN_USBBUS1", 2), ("socketcan:vcan0", 0)])
-def test_real_motors_are_not_run_in_slow_motion(bus: str, code: int, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("bus", "code"), [("socketcan:can0", 2), ("pcan:PCAN_USBBUS1", 2), ("socketcan:vcan0", 0)]
+)
+def test_real_motors_are_not_run_in_slow_motion(
+    bus: str, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A control loop that is designed for ticks of 2 ms but runs every 20 ms makes a real hand oscillate."""
-    assert main(["run", "--hand", "jamia", "--bus", bus, "--time-scale", "0.1", "--dry-run"]) == code
+    assert (
+        main(["run", "--hand", "jamia", "--bus", bus, "--time-scale", "0.1", "--dry-run"]) == code
+    )
     assert ("may have real motors; expected 1, or" in capsys.readouterr().err) == bool(code)

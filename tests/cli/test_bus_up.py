@@ -38,7 +38,9 @@ def test_the_commands_of_a_virtual_interface(exists, first):
 
 
 def test_without_yes_nothing_runs(capsys, monkeypatch):
-    monkeypatch.setattr(bus_up.subprocess, "run", lambda *words, **options: pytest.fail("a command ran"))
+    monkeypatch.setattr(
+        bus_up.subprocess, "run", lambda *words, **options: pytest.fail("a command ran")
+    )
     assert main(["bus", "up", "--bus", "socketcan:vcan77", "--bitrate", "500000"]) == 0
     assert capsys.readouterr().out.splitlines() == [
         "sudo ip link add vcan77 type vcan", "sudo ip link set vcan77 txqueuelen 128", "sudo ip link set vcan77 up",
@@ -50,7 +52,16 @@ def test_a_hand_gives_the_bit_rates(capsys, monkeypatch):
     assert main(["bus", "up", "--hand", "jamia", "--bus", "socketcan:can0", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["done"] is False
-    assert result["commands"][1][:8] == ["ip", "link", "set", "can0", "type", "can", "bitrate", "1000000"]
+    assert result["commands"][1][:8] == [
+        "ip",
+        "link",
+        "set",
+        "can0",
+        "type",
+        "can",
+        "bitrate",
+        "1000000",
+    ]
 
 
 def test_with_yes_root_runs_them_in_order(capsys, monkeypatch):

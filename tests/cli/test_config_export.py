@@ -19,16 +19,26 @@ def names(path):
 def test_a_hand_on_one_bus_has_one_file(place, capsys):
     assert main(["config", "export", "--dbc", "--hand", "jamia"]) == 0
     assert capsys.readouterr().out == "jamia.dbc: bus main\n"
-    assert {"sync", "tensions_0", "index_motor_feedback", "thumb_motor_command"} <= names("jamia.dbc")
+    assert {"sync", "tensions_0", "index_motor_feedback", "thumb_motor_command"} <= names(
+        "jamia.dbc"
+    )
 
 
 def test_each_bus_of_a_hand_has_its_file(place, capsys):
     path = on_two_buses(hand_file(place, ["mit", "cia402"]))
-    assert main(["config", "export", "--dbc", "--hand", str(path), "--output", "two.dbc", "--json"]) == 0
+    assert (
+        main(["config", "export", "--dbc", "--hand", str(path), "--output", "two.dbc", "--json"])
+        == 0
+    )
     files = json.loads(capsys.readouterr().out)["files"]
-    assert files == [{"bus": "main", "output": "two.main.dbc"}, {"bus": "second", "output": "two.second.dbc"}]
+    assert files == [
+        {"bus": "main", "output": "two.main.dbc"},
+        {"bus": "second", "output": "two.second.dbc"},
+    ]
     assert "sync" in names("two.main.dbc")
-    assert names("two.second.dbc") == {f"{one}_motor_{pdo}" for one in ("ring", "thumb") for pdo in ("tpdo1", "rpdo1")}
+    assert names("two.second.dbc") == {
+        f"{one}_motor_{pdo}" for one in ("ring", "thumb") for pdo in ("tpdo1", "rpdo1")
+    }
 
 
 @pytest.mark.parametrize(("form", "name"), [("--urdf", "t42.urdf"), ("--mjcf", "t42.xml")])
@@ -45,4 +55,6 @@ def test_export_overwrites_no_file_and_refuses_foreign_options(place, capsys):
     assert (place / "jamia.dbc").read_text() == "mine"
     assert "--dbc" in refused(capsys, "config", "export", "--hand", "jamia")
     for words in (("show", "--dbc"), ("list", "--dbc"), ("check", "--output", "x.dbc")):
-        assert f"config {words[0]}: unknown option '{words[1]}'" in refused(capsys, "config", *words)
+        assert f"config {words[0]}: unknown option '{words[1]}'" in refused(
+            capsys, "config", *words
+        )

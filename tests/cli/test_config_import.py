@@ -31,7 +31,18 @@ from tests.conftest import NIGHTLY
 
 TRIPOD = Path(__file__).with_name("tripod.urdf")
 """Description of a hand with unusual frames, missing meshes, and joints that flex towards negative angles."""
-ANSWERS = ["--tendons", "one", "--pulley", "6", "--spool", "8", "--tension", "80", "--strength", "600"]
+ANSWERS = [
+    "--tendons",
+    "one",
+    "--pulley",
+    "6",
+    "--spool",
+    "8",
+    "--tension",
+    "80",
+    "--strength",
+    "600",
+]
 ANSWERS += ["--cells", "all", "--encoders", "none", "--protocol", "mit", "--first-node", "1"]
 MEASURED = {
     "gravity_m_s2": "[0.0, 0.0, -9.81]",
@@ -65,7 +76,12 @@ FORMS = {"--urdf": "hand.urdf", "--mjcf": "hand.xml"}
 
 def text_with_all_values(text: str) -> str:
     """Return the text of a hand file with a value in place of each TODO."""
-    return re.sub(r'^(\w+) = "TODO".*$', lambda line: f"{line[1]} = {MEASURED[line[1]]}", text, flags=re.MULTILINE)
+    return re.sub(
+        r'^(\w+) = "TODO".*$',
+        lambda line: f"{line[1]} = {MEASURED[line[1]]}",
+        text,
+        flags=re.MULTILINE,
+    )
 
 
 def import_description(form: str, path: Path | str, *words: str) -> str:
@@ -89,7 +105,9 @@ def reimport_packaged_hand(form: str, name: str) -> Hand:
     for digit, known in zip(hand_content("mine.toml")["digit"], original["digit"], strict=True):
         lacks = {key for key, value in digit.items() if value == "TODO"}
         assert lacks <= {*JOINT_KEYS, "coupling"}
-        digits.append(digit | {key: known[key] for key in (*JOINT_KEYS, "coupling") if key in known})
+        digits.append(
+            digit | {key: known[key] for key in (*JOINT_KEYS, "coupling") if key in known}
+        )
     content = original | {"digit": digits}
     Path("mine.toml").write_text(toml_text(content))
     return hand_from_content(content, "mine.toml")
@@ -109,7 +127,9 @@ def test_an_exported_hand_is_imported_unchanged(place: Path, name: str, form: st
         assert digit.joint_damping_N_m_s_per_rad == pytest.approx(known.joint_damping_N_m_s_per_rad)
         assert joint_axes(digit) == pytest.approx(joint_axes(known), abs=1e-9)
         for i in range(len(digit.joints)):
-            assert np.hstack([np.ravel(part) for part in link_placement(digit, i)]) == pytest.approx(
+            assert np.hstack(
+                [np.ravel(part) for part in link_placement(digit, i)]
+            ) == pytest.approx(
                 np.hstack([np.ravel(part) for part in link_placement(known, i)]), abs=1e-8
             )
             assert digit.link_mass_kg[i] == pytest.approx(known.link_mass_kg[i], rel=1e-6)
@@ -129,33 +149,44 @@ def test_moment_arms_and_springs_of_a_model_are_imported(place: Path) -> None:
     known = load_hand("n_plus_1")
     assert [tendon["name"] for tendon in content["tendon"]] == list(known.tendon_names)
     assert [tendon["motor"] for tendon in content["tendon"]] == list(known.motor_names)
-    assert [tendon["moment_arm_m"] for tendon in content["tendon"]] == [tendon.moment_arm_m for tendon in known.tendon]
+    assert [tendon["moment_arm_m"] for tendon in content["tendon"]] == [
+        tendon.moment_arm_m for tendon in known.tendon
+    ]
     assert content["tendon"][0]["tension_max_N"] == known.tendon[0].tension_max_N
     assert content["mount"]["gravity_m_s2"] == list(known.mount.gravity_m_s2)
 
 
 def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None:
-    Path("full.toml").write_text(text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS)))
+    Path("full.toml").write_text(
+        text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS))
+    )
     tree = HandTree.of(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD))
     data = model.createData()
     # The first finger of the description flexes towards negative angles.
     signs = np.array([-1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
-    assert [name for name in model.names if name != "universe"][:2] == ["finger_a_joint_1", "finger_a_joint_2"]
+    assert [name for name in model.names if name != "universe"][:2] == [
+        "finger_a_joint_1",
+        "finger_a_joint_2",
+    ]
     rng = np.random.default_rng(0)
     turned = pinocchio.rpy.rpyToMatrix(*np.radians([-90.0, -90.0, 0.0]))
     for q in rng.uniform(0.0, 1.5, (10, 6)):
         expected = pinocchio.crba(model, data, signs * q)
         expected = np.triu(expected) + np.triu(expected, 1).T
         armature = 1e-6 * np.eye(6)
-        assert tree.mass_matrix(q) == pytest.approx(signs[:, None] * expected * signs + armature, abs=1e-12)
+        assert tree.mass_matrix(q) == pytest.approx(
+            signs[:, None] * expected * signs + armature, abs=1e-12
+        )
         model.gravity.linear = turned @ np.array([0.0, 0.0, -9.81])
         torque = signs * pinocchio.computeGeneralizedGravity(model, data, signs * q)
         still = tree.inverse_dynamics(q, np.zeros(6), np.zeros(6))
         assert still == pytest.approx(torque, abs=1e-9)
 
 
-def test_each_missing_value_is_refused_until_it_is_given(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_missing_value_is_refused_until_it_is_given(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = import_description("--urdf", TRIPOD, *ANSWERS)
     capsys.readouterr()
     lines = refused_lines(capsys, "config", "check", "--hand", "mine.toml")
@@ -166,23 +197,33 @@ def test_each_missing_value_is_refused_until_it_is_given(place: Path, capsys: py
     full = text_with_all_values(text)
     for key, value in MEASURED.items():
         Path("mine.toml").write_text(full.replace(f"{key} = {value}\n", f'{key} = "TODO"\n'))
-        assert all(f"{key}: " in line for line in refused_lines(capsys, "config", "check", "--hand", "mine.toml"))
+        assert all(
+            f"{key}: " in line
+            for line in refused_lines(capsys, "config", "check", "--hand", "mine.toml")
+        )
     Path("mine.toml").write_text(full)
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
 
 
-def test_no_run_begins_with_a_missing_value(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_run_begins_with_a_missing_value(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     import_description("--urdf", TRIPOD)
     capsys.readouterr()
     assert '"TODO"; expected' in refused(capsys, "demo", "--lockstep", "--hand", "mine.toml")
 
 
-def test_values_that_a_description_lacks_are_asked_for(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_values_that_a_description_lacks_are_asked_for(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     answers = itertools.chain(["each", "7", "some", "8", "90"], itertools.repeat(""))
     asked: list[str] = []
     monkeypatch.setattr("sys.stdin.isatty", lambda: True)
     monkeypatch.setattr("builtins.input", lambda text: asked.append(text) or next(answers))
-    assert main(["config", "init", "--urdf", str(TRIPOD), "--cells", "none", "--output", "mine.toml"]) == 0
+    assert (
+        main(["config", "init", "--urdf", str(TRIPOD), "--cells", "none", "--output", "mine.toml"])
+        == 0
+    )
     content = hand_content("mine.toml")
     assert not any("Load cells" in text for text in asked), "the answer was an option"
     assert len(content["tendon"]) == 6
@@ -209,7 +250,9 @@ def mjcf_of(body: str, more: str = "") -> str:
     return f'<mujoco><worldbody><body name="a">{body}</body></worldbody>{more}</mujoco>'
 
 
-HINGE = '<joint name="j" range="0 90"/><inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
+HINGE = (
+    '<joint name="j" range="0 90"/><inertial pos="0 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
+)
 SECOND_JOINT = (
     '<joint name="k" type="revolute"><parent link="a"/><child link="b"/><mimic joint="j"/></joint>'
     f'<link name="b">{MASS}</link>'
@@ -249,13 +292,21 @@ def test_a_bad_description_is_one_line(
     ("words", "said"),
     [
         (["--urdf", "none.urdf"], "none.urdf: cannot be read: No such file or directory"),
-        (["--urdf", str(TRIPOD), "--fingers", "3"], "--fingers: given, and so is --urdf; expected one of them"),
+        (
+            ["--urdf", str(TRIPOD), "--fingers", "3"],
+            "--fingers: given, and so is --urdf; expected one of them",
+        ),
         (["--urdf", str(TRIPOD), "--first-node", "0"], "--first-node: 0; expected 1 to 127"),
         (["--urdf", str(TRIPOD), "--mjcf", "a.xml"], "not allowed with"),
-        (["--cells", "all"], "--cells: only for an imported hand; expected --urdf or --mjcf with it"),
+        (
+            ["--cells", "all"],
+            "--cells: only for an imported hand; expected --urdf or --mjcf with it",
+        ),
     ],
 )
-def test_bad_options_are_refused(place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str) -> None:
+def test_bad_options_are_refused(
+    place: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+) -> None:
     assert said in refused(capsys, "config", "init", "--yes", *words, "--output", "mine.toml")
 
 
@@ -263,17 +314,25 @@ def test_without_mujoco_the_extra_is_named(
     place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
-    line = refused(capsys, "config", "init", "--yes", "--urdf", str(TRIPOD), "--output", "mine.toml")
+    line = refused(
+        capsys, "config", "init", "--yes", "--urdf", str(TRIPOD), "--output", "mine.toml"
+    )
     assert "needs mujoco: pip install 'handctl[sim]'" in line
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("form", "name"), [("--mjcf", "t42"), ("--urdf", "jamia"), ("--mjcf", "orca_like"), ("", "")])
-def test_an_imported_hand_grasps(place: Path, capsys: pytest.CaptureFixture[str], form: str, name: str) -> None:
+@pytest.mark.parametrize(
+    ("form", "name"), [("--mjcf", "t42"), ("--urdf", "jamia"), ("--mjcf", "orca_like"), ("", "")]
+)
+def test_an_imported_hand_grasps(
+    place: Path, capsys: pytest.CaptureFixture[str], form: str, name: str
+) -> None:
     if name:
         reimport_packaged_hand(form, name)
     else:
-        Path("mine.toml").write_text(text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS)))
+        Path("mine.toml").write_text(
+            text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS))
+        )
     capsys.readouterr()
     code = main(["demo", "--lockstep", "--hand", "mine.toml", "--log", "run.mcap", "--json"])
     out, err = capsys.readouterr()

@@ -21,9 +21,23 @@ WORDS = [
 
 @pytest.mark.parametrize(("fingers", "opposed", "links", "tendons"), WORDS)
 def test_new_hand_file_passes_config_check(
-    place: Path, capsys: pytest.CaptureFixture[str], fingers: int, opposed: int, links: str, tendons: str
+    place: Path,
+    capsys: pytest.CaptureFixture[str],
+    fingers: int,
+    opposed: int,
+    links: str,
+    tendons: str,
 ) -> None:
-    numbers = ["--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", tendons]
+    numbers = [
+        "--fingers",
+        str(fingers),
+        "--opposed",
+        str(opposed),
+        "--links",
+        links,
+        "--tendons",
+        tendons,
+    ]
     assert main(["config", "init", "--yes", *numbers, "--output", "mine.toml"]) == 0
     code = main(["config", "check", "--hand", "mine.toml"])
     assert code == 0, capsys.readouterr().err
@@ -63,9 +77,13 @@ def test_questions_are_asked_until_they_are_answered(
     assert hand.tendon[0].tension_max_N == 50.0
 
 
-def test_questions_without_a_terminal_are_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_questions_without_a_terminal_are_refused(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     line = refused(capsys, "config", "init", "--output", "mine.toml")
-    assert line.endswith("config init: nobody can answer the questions: no terminal; expected --yes, and options\n")
+    assert line.endswith(
+        "config init: nobody can answer the questions: no terminal; expected --yes, and options\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -85,7 +103,9 @@ def test_invalid_answers_are_refused(
     assert not (place / "mine.toml").exists()
 
 
-def test_existing_file_is_not_overwritten_by_config_init(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_existing_file_is_not_overwritten_by_config_init(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (place / "mine.toml").write_text("mine")
     refused(capsys, "config", "init", "--yes", "--output", "mine.toml")
     assert (place / "mine.toml").read_text() == "mine"

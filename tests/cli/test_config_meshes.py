@@ -206,9 +206,7 @@ def write_ros_package(place: Path) -> Path:
     return Path(shutil.copy(TRIPOD, folder / "urdf"))
 
 
-def test_meshes_of_a_package_are_imported(
-    place: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_meshes_of_a_package_are_imported(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = write_ros_package(place)
     assert main(["config", "init", "--yes", "--urdf", str(urdf), "--output", "mine.toml"]) == 0
     assert "mesh" not in capsys.readouterr().out

@@ -134,7 +134,9 @@ def error_lines(capsys: pytest.CaptureFixture[str], *words: str) -> list[str]:
 
 
 @pytest.mark.parametrize("case", MISTAKES)
-def test_a_mistake_is_one_line_that_names_the_key(place: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+def test_a_mistake_is_one_line_that_names_the_key(
+    place: Path, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
     old, new, start = MISTAKES[case]
     write_changed_jamia11(place, (old, new))
     found = error_lines(capsys)
@@ -143,8 +145,14 @@ def test_a_mistake_is_one_line_that_names_the_key(place: Path, capsys: pytest.Ca
     assert all("expected" in line for line in found)
 
 
-def test_all_mistakes_are_reported_together(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cases = ("a misspelt key of a default", "a default of an unknown section", "a template that is not there")
+def test_all_mistakes_are_reported_together(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cases = (
+        "a misspelt key of a default",
+        "a default of an unknown section",
+        "a template that is not there",
+    )
     write_changed_jamia11(
         place, *[MISTAKES[case][:2] for case in cases], ("m2.node_id = 5", "m2.node_id = 500")
     )
@@ -154,7 +162,9 @@ def test_all_mistakes_are_reported_together(place: Path, capsys: pytest.CaptureF
         assert len([line for line in found if line.startswith(start)]) == 1, start
 
 
-def test_mistakes_of_the_other_files_are_reported_together(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistakes_of_the_other_files_are_reported_together(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_changed_jamia11(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
     (place / "task.toml").write_text(
         'schema = 1\nname = "t"\n[[phase]]\nkind = "hold"\ntension_N = 40.0\nslip_limit_N = 30.0\n'
@@ -162,12 +172,17 @@ def test_mistakes_of_the_other_files_are_reported_together(place: Path, capsys: 
     found = error_lines(
         capsys, "--task", "task.toml", "--gain", "motion.force_N=-1", "--calibration", "no.toml"
     )
-    starts = ("bus[main].bitrate: 8000000", "task.toml: phase[0].slip_limit_N: 30; expected at least tension_N of")
+    starts = (
+        "bus[main].bitrate: 8000000",
+        "task.toml: phase[0].slip_limit_N: 30; expected at least tension_N of",
+    )
     for start in (*starts, "--gain: motion.force_N", "no.toml: no such file"):
         assert len([line for line in found if line.startswith(start)]) == 1, found
 
 
-def test_a_mistake_common_to_several_sections_is_one_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mistake_common_to_several_sections_is_one_line(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     numbers = "[0.015, 0.010]"
     write_changed_jamia11(
         place,
@@ -175,10 +190,14 @@ def test_a_mistake_common_to_several_sections_is_one_line(place: Path, capsys: p
         ("m1.node_id = 10,", "m1 = { node_id = 10, direction = 0 },"),
     )
     line = error_lines(capsys)[0]
-    assert line.startswith("digit[thumb].link_length_m: missing; expected a value: Distance from the joint of a link")
+    assert line.startswith(
+        "digit[thumb].link_length_m: missing; expected a value: Distance from the joint of a link"
+    )
 
 
-def test_the_message_about_an_empty_file_names_config_init(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_message_about_an_empty_file_names_config_init(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (place / "mine.toml").write_text("# nothing yet\n")
     assert error_lines(capsys) == [
         "schema: the file is empty; expected schema = 2 and the sections of a hand; "
@@ -186,21 +205,30 @@ def test_the_message_about_an_empty_file_names_config_init(place: Path, capsys: 
     ]
 
 
-def test_a_missing_section_is_named_with_its_forms(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_section_is_named_with_its_forms(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (place / "mine.toml").write_text('schema = 2\nname = "mine"\n[[digit]]\nname = "left"\n')
     found = {line.partition(":")[0]: line for line in error_lines(capsys)}
-    assert found["tendon"].startswith("tendon: missing; expected [[tendon]] sections, or tendon.NAME in each digit: ")
+    assert found["tendon"].startswith(
+        "tendon: missing; expected [[tendon]] sections, or tendon.NAME in each digit: "
+    )
     assert found["mount"].startswith("mount: missing; expected a section [mount]: ")
     assert "sensor_node" not in found, "a sensor node is optional"
     expected = "expected a value: Radius of the links, whose shapes are capsules"
     assert found["digit[left].link_radius_m"].endswith(expected)
 
 
-def test_an_object_inside_the_hand_comes_with_the_others(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_object_inside_the_hand_comes_with_the_others(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_changed_jamia11(place, ("bitrate = 1_000_000", "bitrate = 8_000_000"))
     found = error_lines(capsys, "--scene", "cylinder:900")
     assert found[0].startswith("bus[main].bitrate: 8000000")
-    assert re.match(r"the simulated hand: scene cylinder:900: the object is \d\d mm inside \w+_link\d of", found[1])
+    assert re.match(
+        r"the simulated hand: scene cylinder:900: the object is \d\d mm inside \w+_link\d of",
+        found[1],
+    )
     assert found[1].endswith("expected a smaller object, or another position_m")
     assert len(found) == 2
 
@@ -210,7 +238,9 @@ def test_a_demo_refuses_such_an_object_too(place: Path, capsys: pytest.CaptureFi
     assert "scene cylinder:900: the object is" in capsys.readouterr().err
 
 
-def test_config_check_has_the_same_mistakes_in_json(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_config_check_has_the_same_mistakes_in_json(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_changed_jamia11(place, MISTAKES["one node number twice"][:2])
     assert main(["config", "check", "--json", "--hand", "mine.toml"]) == 2
     out, err = capsys.readouterr()
@@ -218,7 +248,14 @@ def test_config_check_has_the_same_mistakes_in_json(place: Path, capsys: pytest.
 
 
 @pytest.mark.parametrize("case", ["springs that do not open the digit", "8 Mbit/s without CAN FD"])
-def test_run_refuses_a_hand_file_with_mistakes(place: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
+def test_run_refuses_a_hand_file_with_mistakes(
+    place: Path, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
     write_changed_jamia11(place, MISTAKES[case][:2])
-    assert main(["run", "--hand", "mine.toml", "--bus", "local:nobody", "--task", "grasp", "--dry-run"]) == 2
+    assert (
+        main(
+            ["run", "--hand", "mine.toml", "--bus", "local:nobody", "--task", "grasp", "--dry-run"]
+        )
+        == 2
+    )
     assert "mine.toml: " in capsys.readouterr().err

@@ -69,7 +69,10 @@ def test_two_drives_with_one_number_are_refused(capsys):
     ("words", "options"),
     [
         (["motor_type=ak80-9"], {"motor_type": "ak80-9"}),
-        (["motor_type='ak80-9'", "temperature_offset_C=0"], {"motor_type": "ak80-9", "temperature_offset_C": 0}),
+        (
+            ["motor_type='ak80-9'", "temperature_offset_C=0"],
+            {"motor_type": "ak80-9", "temperature_offset_C": 0},
+        ),
         (["firmware=0.5"], {"firmware": "0.5"}),
         (["sync=true", "gear_ratio=6.0"], {"sync": True, "gear_ratio": 6.0}),
     ],
@@ -98,10 +101,16 @@ def test_a_broken_drive_fails_and_its_line_says_why():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--protocol", "mit", "--node", "2"], "mit 2 on local:c turns, with at most 0.1 N m; expected --yes"),
+        (
+            ["--protocol", "mit", "--node", "2"],
+            "mit 2 on local:c turns, with at most 0.1 N m; expected --yes",
+        ),
         (["--protocol", "odrive", "--node", "63", "--yes"], "1 to 62"),
         (["--protocol", "mit", "--node", "200", "--yes"], "1 to 127"),
-        (["--protocol", "mit", "--node", "1" * 50, "--yes"], f"--node: {'1' * 50}; expected a whole number from 1 to"),
+        (
+            ["--protocol", "mit", "--node", "1" * 50, "--yes"],
+            f"--node: {'1' * 50}; expected a whole number from 1 to",
+        ),
         (["--protocol", "mit", "--node", "2", "--yes", "--torque-limit-Nm", "nan"], "0.001 to 50"),
         (["--protocol", "mit", "--node", "2", "--yes", "--option", "gear=2"], "unknown key"),
         (["--protocol", "mit", "--node", "2", "--yes", "--option", "gear"], "KEY=VALUE"),
@@ -137,7 +146,18 @@ def test_drive_of_another_host_is_not_commanded(capsys):
         host = threading.Thread(target=command)
         host.start()
         try:
-            code = main([*WORDS, "--protocol", "cubemars", "--node", "33", "--yes", "--option", "motor_type='ak80-9'"])
+            code = main(
+                [
+                    *WORDS,
+                    "--protocol",
+                    "cubemars",
+                    "--node",
+                    "33",
+                    "--yes",
+                    "--option",
+                    "motor_type='ak80-9'",
+                ]
+            )
         finally:
             over.set()
             host.join()

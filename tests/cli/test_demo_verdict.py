@@ -54,13 +54,30 @@ def two_buses():
 def test_a_grasp_that_lifts_nothing_is_a_failure(place, capsys):
     (place / "two.toml").write_text(toml_text(two_fingers()))
     (place / "grasp.toml").write_text(GRASP)
-    assert main(["demo", "--lockstep", "--json", "--hand", "two.toml", "--task", "grasp.toml", "--log", "x.mcap"]) == 1
+    assert (
+        main(
+            [
+                "demo",
+                "--lockstep",
+                "--json",
+                "--hand",
+                "two.toml",
+                "--task",
+                "grasp.toml",
+                "--log",
+                "x.mcap",
+            ]
+        )
+        == 1
+    )
     shown = capsys.readouterr()
     result = json.loads(shown.out)
     assert "never lifted" in result["failure"]
     assert result["table_sunk_mm"] == 0.0
     assert result["object_motion_mm"] is None
-    assert shown.err.splitlines()[-1].startswith("handctl: two fingers on cylinder: the object was never lifted")
+    assert shown.err.splitlines()[-1].startswith(
+        "handctl: two fingers on cylinder: the object was never lifted"
+    )
 
 
 def test_a_hand_of_two_buses_needs_no_bus_named(place, capsys):
@@ -72,7 +89,9 @@ def test_a_hand_of_two_buses_needs_no_bus_named(place, capsys):
 @pytest.mark.realtime
 def test_a_hand_of_two_buses_works_in_real_time(place, slower):
     (place / "buses.toml").write_text(toml_text(two_buses()))
-    (place / "bend.toml").write_text('schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n')
+    (place / "bend.toml").write_text(
+        'schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n'
+    )
     words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
     done = handctl("demo", "--json", *words, *scaled(slower))
     assert done.returncode == 0, done.stderr
@@ -80,7 +99,9 @@ def test_a_hand_of_two_buses_works_in_real_time(place, slower):
 
 
 @pytest.mark.parametrize("cells", [[], ["index_tendon"]])
-def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_named(place, capsys, cells):
+def test_a_hand_without_load_cells_is_ready_and_the_faults_that_need_them_are_named(
+    place, capsys, cells
+):
     content = jamia()
     content["sensor_node"]["tendons"] = cells
     (place / "hand.toml").write_text(toml_text(content))
@@ -95,5 +116,7 @@ def test_a_joint_that_no_tendon_crosses_is_one_line(place, capsys, verb):
     content = jamia()
     del content["tendon"][0]["moment_arm_m"]["index_j3"]
     (place / "hand.toml").write_text(toml_text(content))
-    line = refused(capsys, verb, "check" if verb == "config" else "--lockstep", "--hand", "hand.toml")
+    line = refused(
+        capsys, verb, "check" if verb == "config" else "--lockstep", "--hand", "hand.toml"
+    )
     assert "digit[index]: no tendon crosses index_j3" in line

@@ -24,7 +24,9 @@ def test_the_first_line_of_a_fault_is_followed_by_its_remedy(capfd) -> None:
             simulation.tick()
             display.show(*simulation.recorded[-1])
         display.close()
-    faults = [event for _, out in simulation.recorded for event in out.events if event.name == "fault"]
+    faults = [
+        event for _, out in simulation.recorded for event in out.events if event.name == "fault"
+    ]
     errors = {event.text for event in faults if event.level == "error"}
     assert errors, "the fault was not detected"
     lines = capfd.readouterr().err.splitlines()
@@ -43,9 +45,14 @@ def test_only_a_fault_has_a_remedy(capfd) -> None:
         fault = next(fault for fault in FAULT_BY_ID.values() if fault.remedy)
         text = f"{fault.id} {fault.title}"
         assert display._event_text(TickEvent("info", "mode", "", text)) == text
-        assert display._event_text(TickEvent("error", "fault", "", text)).endswith(f"what to do: {fault.remedy}")
+        assert display._event_text(TickEvent("error", "fault", "", text)).endswith(
+            f"what to do: {fault.remedy}"
+        )
         assert display._event_text(TickEvent("error", "fault", "", text)) == text
-        assert display._event_text(TickEvent("info", "gain", "motion.force_N", "26.0")) == "motion.force_N = 26.0"
+        assert (
+            display._event_text(TickEvent("info", "gain", "motion.force_N", "26.0"))
+            == "motion.force_N = 26.0"
+        )
     finally:
         display.close()
 
@@ -53,10 +60,17 @@ def test_only_a_fault_has_a_remedy(capfd) -> None:
 def test_the_tensions_of_many_tendons_fit_into_the_width_of_a_terminal():
     """Regression: the line with the tensions of 17 tendons had 300 characters."""
     names = [f"finger_{number}_flexor_tendon" for number in range(17)]
-    line = {"t": 1.0, "mode": "ACTIVE", "phase": "hold", "tension": [1.5 * number for number in range(17)]}
+    line = {
+        "t": 1.0,
+        "mode": "ACTIVE",
+        "phase": "hold",
+        "tension": [1.5 * number for number in range(17)],
+    }
     rows = display._tension_lines(names, line).splitlines()
     assert len(rows) > 2
     assert max(map(len, rows)) <= 120
-    pairs = " ".join(row[len("   1.000 s  ACTIVE    hold       tension [N]  ") :] for row in rows).split()
+    pairs = " ".join(
+        row[len("   1.000 s  ACTIVE    hold       tension [N]  ") :] for row in rows
+    ).split()
     assert pairs[::2] == [name.removesuffix("_tendon") for name in names]
     assert [float(value) for value in pairs[1::2]] == line["tension"]

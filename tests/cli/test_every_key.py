@@ -57,7 +57,12 @@ def calibration():
     hand = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
     tendons = {name: dict(tendon) for name in hand.tendon_names}
-    head = {"schema": 1, "hand": hand.name, "identity": hand.identity, "made": "2026-01-01T00:00:00+00:00"}
+    head = {
+        "schema": 1,
+        "hand": hand.name,
+        "identity": hand.identity,
+        "made": "2026-01-01T00:00:00+00:00",
+    }
     return {**head, "tendon": tendons}
 
 
@@ -66,7 +71,12 @@ def task(name):
 
 
 def trajectory():
-    return {"schema": 1, "name": "t", "time_s": [0.0, 1.0, 2.0], "angle_deg": {"index": [0.0, 20.0, 10.0]}}
+    return {
+        "schema": 1,
+        "name": "t",
+        "time_s": [0.0, 1.0, 2.0],
+        "angle_deg": {"index": [0.0, 20.0, 10.0]},
+    }
 
 
 def hand(name):
@@ -131,13 +141,19 @@ def text_with_mistake(content, path, kind):
         for key in path:
             old = old[key]
         if kind == "twice":
-            line = next(line for line in text_of(content).splitlines() if line.startswith(f"{path[-1]} = "))
+            line = next(
+                line for line in text_of(content).splitlines() if line.startswith(f"{path[-1]} = ")
+            )
             return text_of(content).replace(line, f"{line}\n{line}", 1)
         return text_of(without(content, path, old if kind == "renamed" else None))
     old = content
     for key in path:
         old = old[key]
-    return text_of(with_value(content, path, ALWAYS_WRONG[kind] if kind in ALWAYS_WRONG else POSSIBLY_VALID[kind](old)))
+    return text_of(
+        with_value(
+            content, path, ALWAYS_WRONG[kind] if kind in ALWAYS_WRONG else POSSIBLY_VALID[kind](old)
+        )
+    )
 
 
 class OpenedError(Exception):
@@ -178,7 +194,9 @@ def test_unchanged_hand_file_is_accepted(place, capsys, name):
     assert refusal(capsys, option, "file.toml") == ""
 
 
-@pytest.mark.parametrize(("name", "path", "kind"), ALL[::STEP], ids=lambda x: str(x) if isinstance(x, str) else None)
+@pytest.mark.parametrize(
+    ("name", "path", "kind"), ALL[::STEP], ids=lambda x: str(x) if isinstance(x, str) else None
+)
 def test_every_wrong_key_is_refused(place, capsys, name, path, kind):
     content, option = FILES[name]
     (place / "file.toml").write_text(text_with_mistake(content, path, kind))

@@ -18,15 +18,21 @@ from tests.runtime.processes import SCALE
 EXAMPLES = {
     words: example
     for folder in VERBS_BY_FOLDER
-    for words, example in importlib.import_module(f"handctl.cli.{folder}.arguments").EXAMPLES.items()
+    for words, example in importlib.import_module(
+        f"handctl.cli.{folder}.arguments"
+    ).EXAMPLES.items()
 }
 FINDINGS = {"doctor", "bus doctor"}
 """Commands whose exit code may be 1, because they find a defect of the test's machine."""
 ALONE = sorted(words for words, example in EXAMPLES.items() if not example.beside)
 BESIDE_A_SIMULATOR = sorted(
-    words for words, example in EXAMPLES.items() if example.beside and RUNNING_HAND not in example.beside
+    words
+    for words, example in EXAMPLES.items()
+    if example.beside and RUNNING_HAND not in example.beside
 )
-BESIDE_A_RUN = sorted(words for words, example in EXAMPLES.items() if RUNNING_HAND in example.beside)
+BESIDE_A_RUN = sorted(
+    words for words, example in EXAMPLES.items() if RUNNING_HAND in example.beside
+)
 READY_S = 60.0
 """Longest time in which a simulator and a controller start [s], including compilation."""
 
@@ -62,7 +68,11 @@ def start_others(terminal):
     children = []
 
     def start(command):
-        keywords = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "stdin": subprocess.DEVNULL}
+        keywords = {
+            "stdout": subprocess.DEVNULL,
+            "stderr": subprocess.DEVNULL,
+            "stdin": subprocess.DEVNULL,
+        }
         children.append(terminal(command.split(), subprocess.Popen, **keywords))
 
     yield start
@@ -74,7 +84,9 @@ def start_others(terminal):
 def wait_for(terminal, command):
     """Repeat a command until it succeeds."""
     end = time.monotonic() + READY_S
-    while (ended := terminal(command.split(), capture_output=True, text=True, check=False)).returncode:
+    while (
+        ended := terminal(command.split(), capture_output=True, text=True, check=False)
+    ).returncode:
         assert time.monotonic() < end, ended.stderr
         time.sleep(0.3)
 
@@ -90,6 +102,8 @@ def test_examples_work_beside_a_simulator_and_a_running_hand(terminal, start_oth
     for words in sorted(BESIDE_A_RUN, key=lambda one: one == "stop"):  # ``stop`` is last
         if words == BESIDE_A_RUN[0]:
             start_others(run)
-            wait_for(terminal, "handctl gains set motion.force_N=11 --bus local:demo")  # refused until commissioned
+            wait_for(
+                terminal, "handctl gains set motion.force_N=11 --bus local:demo"
+            )  # refused until commissioned
         paste(terminal, words)
     paste(terminal, "fault inject")

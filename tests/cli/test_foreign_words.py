@@ -166,7 +166,11 @@ def test_texts_of_files_are_escaped_and_shortened(place, capsys, what, content):
 
 
 def test_a_name_and_a_note_are_escaped_where_all_is_well(place, capsys):
-    task = (TASKS / "grasp.toml").read_text().replace('name = "', f'name = "{json.dumps(ESCAPES)[1:-1]}', 1)
+    task = (
+        (TASKS / "grasp.toml")
+        .read_text()
+        .replace('name = "', f'name = "{json.dumps(ESCAPES)[1:-1]}', 1)
+    )
     (place / "odd.toml").write_text(task)
     (place / "a\x1b[2J.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
     for words in (
@@ -182,7 +186,12 @@ def test_a_name_and_a_note_are_escaped_where_all_is_well(place, capsys):
         assert is_harmless(out + err), words
 
 
-WIDE = {"hex": "0x" + "f" * 5000, "decimal": "9" * 5000, "65 bits": str(2**64), "in a list": f"[1, [{2**64}]]"}
+WIDE = {
+    "hex": "0x" + "f" * 5000,
+    "decimal": "9" * 5000,
+    "65 bits": str(2**64),
+    "in a list": f"[1, [{2**64}]]",
+}
 """Numbers that Python cannot print, or that are outside the range of TOML."""
 
 
@@ -200,8 +209,12 @@ def test_the_largest_numbers_of_toml_are_read():
     assert parse_toml(toml_text(content), "here") == content
 
 
-@pytest.mark.parametrize("option", ["bus", "rate", "gain", "log", "hand", "jobs", "seed", "output", "wire", "perturb"])
-@pytest.mark.parametrize("verb", ["run", "demo", "report", "fault", "tune", "identify", "scan", "sim"])
+@pytest.mark.parametrize(
+    "option", ["bus", "rate", "gain", "log", "hand", "jobs", "seed", "output", "wire", "perturb"]
+)
+@pytest.mark.parametrize(
+    "verb", ["run", "demo", "report", "fault", "tune", "identify", "scan", "sim"]
+)
 def test_double_dash_is_no_option_value(capsys, verb, option):
     assert f"--{option}" in refused(capsys, verb, f"--{option}=--")
 
@@ -253,7 +266,16 @@ def test_json_of_foreign_words_is_utf8_that_others_read(capsys):
 
 def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(place):
     (place / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
-    words = (sys.executable, "-m", "handctl.cli", "gains", "apply", "new.toml", "--note", b"n\xf6te\x1b")
+    words = (
+        sys.executable,
+        "-m",
+        "handctl.cli",
+        "gains",
+        "apply",
+        "new.toml",
+        "--note",
+        b"n\xf6te\x1b",
+    )
     assert subprocess.run(words, capture_output=True, check=False).returncode == 0
     words = (sys.executable, "-m", "handctl.cli", "gains", "log", "--json")
     done = subprocess.run(words, capture_output=True, check=True)
@@ -263,7 +285,16 @@ def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(place):
 def test_a_folder_whose_name_is_no_text(place):
     folder = os.fsencode(place) + b"/l\xf6g"
     os.mkdir(folder)
-    words = (sys.executable, "-m", "handctl.cli", "config", "check", "--json", "--gains", b"l\xf6g/x\x1b.toml")
+    words = (
+        sys.executable,
+        "-m",
+        "handctl.cli",
+        "config",
+        "check",
+        "--json",
+        "--gains",
+        b"l\xf6g/x\x1b.toml",
+    )
     done = subprocess.run(words, capture_output=True, check=False)
     assert done.returncode == 2
     assert b"l\\udcf6g/x\\x1b.toml" in done.stderr
@@ -271,7 +302,10 @@ def test_a_folder_whose_name_is_no_text(place):
 
 def test_a_refusal_of_the_simulator_is_reported_without_its_class(place, capsys):
     (place / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
-    for words in (("demo", "--lockstep", "--scene", "odd.toml"), ("demo", "--lockstep", "--scene", ESCAPES)):
+    for words in (
+        ("demo", "--lockstep", "--scene", "odd.toml"),
+        ("demo", "--lockstep", "--scene", ESCAPES),
+    ):
         line = refused(capsys, *words)
         assert "firmware_sim" not in line
         assert ":Rig" not in line
@@ -292,7 +326,10 @@ FORGED = "\nFORGED"
     ],
 )
 def test_a_line_end_in_a_file_makes_no_second_line(place, capsys, words):
-    forged = "".join(f"{key} = {json.dumps(key + FORGED)}\n" for key in ("note", "made", "version", "fit", "study"))
+    forged = "".join(
+        f"{key} = {json.dumps(key + FORGED)}\n"
+        for key in ("note", "made", "version", "fit", "study")
+    )
     text = f"schema = 1\n[motion]\nforce_N = 12.0\n[provenance]\nhand = 'jamia'\nlog = [{json.dumps(FORGED)}]\n{forged}"
     (place / "g.toml").write_text(text)
     if words in (("gains", "log"), ("gains", "show")):

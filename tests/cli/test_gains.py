@@ -42,8 +42,14 @@ def output_of(capsys, *words):
 def test_gains_show_tells_the_origin_of_each_value(twice_changed_hand, capsys):
     shown = output_of(capsys, "gains", "show", "--gain", "tension.force_N=12")
     rows = shown["gains"]
-    assert (rows["motion.force_N"]["value"], rows["motion.force_N"]["origin"]) == (30.0, "jamia.gains.toml")
-    assert (rows["tension.force_N"]["value"], rows["tension.force_N"]["origin"]) == (12.0, "command line")
+    assert (rows["motion.force_N"]["value"], rows["motion.force_N"]["origin"]) == (
+        30.0,
+        "jamia.gains.toml",
+    )
+    assert (rows["tension.force_N"]["value"], rows["tension.force_N"]["origin"]) == (
+        12.0,
+        "command line",
+    )
     assert shown["provenance"]["note"] == "30 N"
     hand = output_of(capsys, "config", "show")
     assert hand["gains"]["motion"]["force_N"] == 30.0
@@ -63,7 +69,10 @@ def test_gains_show_tells_the_origin_of_each_value(twice_changed_hand, capsys):
 def test_gains_of_another_hand_are_refused(place, capsys, verb):
     write_gains(place / "new.toml", hand="jamia11", identity="1" * 64)
     assert main([*verb, "new.toml"]) == 2
-    assert capsys.readouterr().err == "handctl: new.toml: is for hand 'jamia11'; expected gains for 'jamia'\n"
+    assert (
+        capsys.readouterr().err
+        == "handctl: new.toml: is for hand 'jamia11'; expected gains for 'jamia'\n"
+    )
 
 
 def test_gains_of_an_earlier_hand_file_are_used_and_reported(place, capsys):
@@ -75,7 +84,9 @@ def test_gains_of_an_earlier_hand_file_are_used_and_reported(place, capsys):
     assert f"new.toml was made for jamia as 111111111111, which is now {now}" in said.err
 
 
-@pytest.mark.parametrize("verb", [("gains", "apply"), ("tune", "verify", "--lockstep", "--dry-run")])
+@pytest.mark.parametrize(
+    "verb", [("gains", "apply"), ("tune", "verify", "--lockstep", "--dry-run")]
+)
 def test_gains_of_a_changed_hand_are_reported_by_apply_and_verify(place, capsys, verb):
     write_gains(place / "new.toml", hand="jamia", identity="1" * 64)
     assert main([*verb, "new.toml"]) == 0
@@ -148,7 +159,17 @@ def test_gains_that_give_no_controller_are_not_applied(place, capsys):
 def test_set_on_a_running_hand_is_in_its_log(place, slower):
     scale = scaled(slower)
     handctl = [sys.executable, "-m", "handctl.cli"]
-    sim = [sys.executable, "-m", "firmware_sim", "--hand", "jamia", "--bus", "local:set", "--homed", *scale]
+    sim = [
+        sys.executable,
+        "-m",
+        "firmware_sim",
+        "--hand",
+        "jamia",
+        "--bus",
+        "local:set",
+        "--homed",
+        *scale,
+    ]
     log, hand_file = place / "run.mcap", load_hand("jamia")
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     made = datetime.datetime.now(datetime.UTC).isoformat()
@@ -158,10 +179,14 @@ def test_set_on_a_running_hand_is_in_its_log(place, slower):
     with subprocess.Popen(sim, stdout=subprocess.PIPE, text=True) as hand:
         try:
             assert "ready" in hand.stdout.readline()
-            run = subprocess.Popen([*handctl, "run", "--bus", "local:set", "--log", str(log), "--json", *scale])
+            run = subprocess.Popen(
+                [*handctl, "run", "--bus", "local:set", "--log", str(log), "--json", *scale]
+            )
             change = [*handctl, "gains", "set", "motion.force_N=26", SAME, "--bus", "local:set"]
             end = time.monotonic() + 60.0
-            while (said := subprocess.run([*change, "--json"], capture_output=True, text=True)).returncode:
+            while (
+                said := subprocess.run([*change, "--json"], capture_output=True, text=True)
+            ).returncode:
                 assert time.monotonic() < end, said.stderr
             subprocess.run([*handctl, "stop", "--bus", "local:set"], check=True)
             assert run.wait(30.0) == 0

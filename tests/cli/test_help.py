@@ -78,7 +78,10 @@ def test_every_verb_has_verbose_and_quiet_and_one_name_for_one_thing(words):
         ("demo --lockstepp", "demo: unknown option '--lockstepp', did you mean --lockstep?"),
         ("run --trajectry x", "run: unknown option '--trajectry', did you mean --trajectory?"),
         ("tune serach", "did you mean search?"),
-        ("tune design --plnats=3", "tune design: unknown option '--plnats', did you mean --plants?"),
+        (
+            "tune design --plnats=3",
+            "tune design: unknown option '--plnats', did you mean --plants?",
+        ),
         ("demo --protocol odriv", "did you mean odrive?"),
         ("config show list", "config show: unknown argument 'list'"),
     ],
@@ -87,10 +90,14 @@ def test_a_misspelt_word_is_answered_with_the_nearest_one(capsys, words, suggest
     assert suggestion in refused(capsys, *words.split())
 
 
-ROWS = [(verb, old, new) for verb, options in RENAMED_OPTIONS.items() for old, new in options.items()]
+ROWS = [
+    (verb, old, new) for verb, options in RENAMED_OPTIONS.items() for old, new in options.items()
+]
 
 
-@pytest.mark.parametrize(("verb", "old", "new"), ROWS, ids=[f"{verb} {old}" for verb, old, _ in ROWS])
+@pytest.mark.parametrize(
+    ("verb", "old", "new"), ROWS, ids=[f"{verb} {old}" for verb, old, _ in ROWS]
+)
 def test_an_old_spelling_is_refused_and_names_the_new_one(capsys, verb, old, new):
     assert new in leaves()[verb]._option_string_actions
     for words in ([old, "x"], [f"{old}=x"]):
@@ -99,7 +106,9 @@ def test_an_old_spelling_is_refused_and_names_the_new_one(capsys, verb, old, new
 
 
 def test_the_document_lists_the_renamed_options():
-    rows = re.findall(r"^\| `([a-z ]+)` \| `(--[a-z-]+)` \| `(--[a-z-]+)` \|", DOCUMENT.read_text(), re.MULTILINE)
+    rows = re.findall(
+        r"^\| `([a-z ]+)` \| `(--[a-z-]+)` \| `(--[a-z-]+)` \|", DOCUMENT.read_text(), re.MULTILINE
+    )
     assert sorted(rows) == sorted(ROWS)
 
 
@@ -196,7 +205,10 @@ def test_the_doctor_fails_if_something_needs_a_repair(monkeypatch, capsys, good)
 
 @pytest.mark.parametrize(
     ("late_s", "stolen", "good", "text"),
-    [(0.0005, 0, True, "0.5 ms late in 1 s"), (0.005, 30, False, "5.0 ms late in 1 s, a hypervisor took 15.0 %")],
+    [
+        (0.0005, 0, True, "0.5 ms late in 1 s"),
+        (0.005, 30, False, "5.0 ms late in 1 s, a hypervisor took 15.0 %"),
+    ],
 )
 def test_the_doctor_measures_wake_ups(monkeypatch, late_s, stolen, good, text):
     from handctl.cli.checks import doctor
@@ -242,14 +254,28 @@ def test_a_line_of_a_run_names_the_tendons(capsys, monkeypatch):
 
     from handctl.cli.console import display
 
-    head = {"names": ["thumb_tendon", "index_tendon"], "ceiling": [80.0, 80.0], "rate_hz": 500.0, "load": 0.4}
-    line = {"k": 0, "t": 1.0, "mode": "ACTIVE", "phase": "hold", "tension": [3.0, 12.25], "events": []}
+    head = {
+        "names": ["thumb_tendon", "index_tendon"],
+        "ceiling": [80.0, 80.0],
+        "rate_hz": 500.0,
+        "load": 0.4,
+    }
+    line = {
+        "k": 0,
+        "t": 1.0,
+        "mode": "ACTIVE",
+        "phase": "hold",
+        "tension": [3.0, 12.25],
+        "events": [],
+    }
     monkeypatch.setattr(sys, "stdin", io.StringIO(json.dumps(line) + "\n"))
     display._print_lines(head)
     assert capsys.readouterr().out.endswith("tension [N]  thumb 3.0  index 12.2\n")
 
 
 def test_the_package_runs_as_a_module() -> None:
-    done = subprocess.run([sys.executable, "-m", "handctl", "--version"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "handctl", "--version"], capture_output=True, text=True, check=False
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.count(".") == 2

@@ -16,18 +16,26 @@ def jamia_without_load_cell(folder: Path) -> str:
     text = hand_path("jamia").read_text()
     assert 'tendons = "all"' in text
     path = folder / "bare.toml"
-    path.write_text(text.replace('tendons = "all"', 'tendons = ["middle_tendon", "ring_tendon", "thumb_tendon"]'))
+    path.write_text(
+        text.replace(
+            'tendons = "all"', 'tendons = ["middle_tendon", "ring_tendon", "thumb_tendon"]'
+        )
+    )
     return str(path)
 
 
 @pytest.mark.parametrize("hand", ["n_plus_1", "orca_like"])
-def test_hands_without_return_springs_are_not_refused(hand: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_hands_without_return_springs_are_not_refused(
+    hand: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Regression: both hands were refused. One has no springs, and the other has spool pairs without load cells."""
     assert main(["identify", "--hand", hand, "--lockstep", "--dry-run"]) == 0
     assert f"would move {len(load_hand(hand).digit)} digits" in capsys.readouterr().out
 
 
-def test_a_hand_without_load_cells_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_hand_without_load_cells_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["identify", "--hand", jamia_without_load_cell(tmp_path), "--lockstep"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "no load cell on index_tendon" in line

@@ -42,7 +42,12 @@ def init(*words: str) -> None:
 
 @pytest.mark.parametrize(("fingers", "links", "tendons", "seed"), CASES if NIGHTLY else SAMPLE)
 def test_new_hand_grasps_holds_and_releases(
-    place: Path, capsys: pytest.CaptureFixture[str], fingers: int, links: str, tendons: str, seed: int
+    place: Path,
+    capsys: pytest.CaptureFixture[str],
+    fingers: int,
+    links: str,
+    tendons: str,
+    seed: int,
 ) -> None:
     init("--fingers", str(fingers), "--opposed", "1", "--links", links, "--tendons", tendons)
     assert "warning" not in capsys.readouterr().out
@@ -70,20 +75,28 @@ def test_the_object_fits_between_the_digits(place: Path) -> None:
     assert default_scene(load_hand("mine.toml")) == "cylinder:43"
 
 
-@pytest.mark.parametrize(("fingers", "opposed", "links"), [(4, 1, "55,40,25"), (4, 4, "40,30"), (3, 0, "40,30")])
+@pytest.mark.parametrize(
+    ("fingers", "opposed", "links"), [(4, 1, "55,40,25"), (4, 4, "40,30"), (3, 0, "40,30")]
+)
 def test_no_bus_is_slower_than_250_hz(place: Path, fingers: int, opposed: int, links: str) -> None:
-    init("--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", "each")
+    init(
+        "--fingers", str(fingers), "--opposed", str(opposed), "--links", links, "--tendons", "each"
+    )
     assert default_rate(load_hand("mine.toml")) >= 250.0
 
 
-def test_a_rate_that_leaves_no_margin_is_a_warning(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_rate_that_leaves_no_margin_is_a_warning(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     init("--fingers", "3", "--opposed", "1", "--links", "50,30,20", "--tendons", "each")
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
     assert "gain margin" not in capsys.readouterr().out, "two buses allow 250 Hz"
     text = re.sub(r', m[1-3]\.bus = "bus_2"', "", Path("mine.toml").read_text())
     text = text.replace('[[bus]]\nname = "bus_2"\nbitrate = 1_000_000\n\n', "")
     numbers = itertools.count(1)
-    Path("mine.toml").write_text(re.sub(r"node_id = \d+", lambda _: f"node_id = {next(numbers)}", text))
+    Path("mine.toml").write_text(
+        re.sub(r"node_id = \d+", lambda _: f"node_id = {next(numbers)}", text)
+    )
     assert main(["config", "check", "--hand", "mine.toml"]) == 0
     line = next(line for line in capsys.readouterr().out.splitlines() if "gain margin" in line)
     assert float(re.search(r"gain margin of ([0-9.]+) dB", line)[1]) < 6.0
@@ -96,7 +109,10 @@ def test_a_rate_that_leaves_no_margin_is_a_warning(place: Path, capsys: pytest.C
     [
         (("--opposed", "0"), "no digit closes against another: the default task lifts no object"),
         (("--tension", "15"), "pressing with 1 N at its tip takes"),
-        (("--fingers", "1", "--palm", "50"), "--palm 50: tips of 70 mm digits may meet around an object that fits"),
+        (
+            ("--fingers", "1", "--palm", "50"),
+            "--palm 50: tips of 70 mm digits may meet around an object that fits",
+        ),
     ],
 )
 def test_config_check_warns_of_a_hand_that_cannot_grasp(
@@ -109,6 +125,8 @@ def test_config_check_warns_of_a_hand_that_cannot_grasp(
     assert "next: handctl" in out
 
 
-def test_a_palm_too_small_for_an_object_is_refused(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_palm_too_small_for_an_object_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     line = refused(capsys, "config", "init", "--yes", "--palm", "14", "--output", "mine.toml")
     assert "--palm: 14; expected at least" in line

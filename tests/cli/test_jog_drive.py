@@ -18,11 +18,19 @@ WORDS = ["jog", "--bus", "local:j", "--torque-limit-Nm", "0.3", "--node", "33", 
     [
         pytest.param("mit", "velocity", [], id="mit"),
         pytest.param(
-            "mit", "force-position", ["--option=current_fraction=0.1"], id="mit-force", marks=pytest.mark.nightly
+            "mit",
+            "force-position",
+            ["--option=current_fraction=0.1"],
+            id="mit-force",
+            marks=pytest.mark.nightly,
         ),
-        pytest.param("mit", "torque", ["--speed-limit=50"], id="mit-torque", marks=pytest.mark.nightly),
+        pytest.param(
+            "mit", "torque", ["--speed-limit=50"], id="mit-torque", marks=pytest.mark.nightly
+        ),
         pytest.param("odrive", "position", ENDPOINTS, id="odrive"),
-        pytest.param("odrive", "velocity", ENDPOINTS, id="odrive-velocity", marks=pytest.mark.nightly),
+        pytest.param(
+            "odrive", "velocity", ENDPOINTS, id="odrive-velocity", marks=pytest.mark.nightly
+        ),
         pytest.param("cia402", "position", [], id="cia402"),
         pytest.param("cia402", "velocity", [], id="cia402-velocity", marks=pytest.mark.nightly),
     ],
@@ -30,7 +38,17 @@ WORDS = ["jog", "--bus", "local:j", "--torque-limit-Nm", "0.3", "--node", "33", 
 def test_a_drive_in_another_process_is_moved_and_left_off(protocol, mode, more):
     setpoint = "0.1" if mode == "torque" else "1.0"
     with drives("local:j", protocol, "--ids", "33"):
-        words = ["--protocol", protocol, "--mode", mode, "--setpoint", setpoint, "--yes", "--json", *more]
+        words = [
+            "--protocol",
+            protocol,
+            "--mode",
+            mode,
+            "--setpoint",
+            setpoint,
+            "--yes",
+            "--json",
+            *more,
+        ]
         done = handctl(*WORDS, *words)
         assert done.returncode == 0, done.stderr
         result = json.loads(done.stdout)
@@ -46,7 +64,17 @@ def test_a_drive_in_another_process_is_moved_and_left_off(protocol, mode, more):
 @pytest.mark.realtime
 def test_a_limit_stops_a_drive_in_another_process(capsys):
     with drives("local:j", "mit", "--ids", "33"):
-        words = ["--protocol", "mit", "--mode", "velocity", "--setpoint", "3", "--travel", "0.5", "--yes"]
+        words = [
+            "--protocol",
+            "mit",
+            "--mode",
+            "velocity",
+            "--setpoint",
+            "3",
+            "--travel",
+            "0.5",
+            "--yes",
+        ]
         assert main([*WORDS, *words]) == 1
     out = capsys.readouterr()
     assert "expected at most 0.5" in out.err
@@ -61,14 +89,26 @@ def test_a_limit_stops_a_drive_in_another_process(capsys):
         ("--mode torque --setpoint 0.4 --protocol mit", "--setpoint: 0.4; expected -0.3 to 0.3"),
         ("--mode position --setpoint 1 --protocol mit --travel inf", "--travel: inf"),
         ("--mode position --setpoint 1 --protocol mit --speed-limit 0", "--speed-limit: 0"),
-        ("--mode position --setpoint 1 --protocol moteus", "expected torque, or one of cia402, mit, odrive"),
-        ("--mode force-position --setpoint 1 --protocol odrive", "expected position, velocity or torque"),
+        (
+            "--mode position --setpoint 1 --protocol moteus",
+            "expected torque, or one of cia402, mit, odrive",
+        ),
+        (
+            "--mode force-position --setpoint 1 --protocol odrive",
+            "expected position, velocity or torque",
+        ),
         ("--mode position --setpoint 1", "--protocol: nothing; expected a value with --mode"),
         ("--mode position --protocol mit", "--setpoint: nothing"),
-        ("index --mode position --setpoint 1 --protocol mit", "no digit, because --mode moves one drive"),
+        (
+            "index --mode position --setpoint 1 --protocol mit",
+            "no digit, because --mode moves one drive",
+        ),
         ("index --tension 5", "expected --mode"),
         ("--mode position --setpoint 1 --protocol mit --option fd=1", "fd"),
-        ("--mode position --setpoint 1 --protocol cia402 --option velocity_unit=m", "rev_min or count_s"),
+        (
+            "--mode position --setpoint 1 --protocol cia402 --option velocity_unit=m",
+            "rev_min or count_s",
+        ),
     ],
 )
 def test_wrong_input_is_one_line_and_opens_no_bus(words, expected, capsys, monkeypatch):
@@ -83,4 +123,8 @@ def test_a_dry_run_opens_no_bus(capsys, monkeypatch):
     monkeypatch.setattr("handctl.cli.console.bench.open_bus", None)
     words = ["--mode", "velocity", "--setpoint", "2", "--protocol", "cia402", "--dry-run", "--json"]
     assert main([*WORDS, *words]) == 0
-    assert json.loads(capsys.readouterr().out) == {"mode": "velocity", "setpoint": 2.0, "torque_limit_N_m": 0.3}
+    assert json.loads(capsys.readouterr().out) == {
+        "mode": "velocity",
+        "setpoint": 2.0,
+        "torque_limit_N_m": 0.3,
+    }

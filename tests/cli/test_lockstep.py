@@ -35,13 +35,24 @@ def run_demos(folder, *hands, task=""):
         time.sleep(1.1 * number)  # runs start in different seconds
         place = folder / str(number)
         place.mkdir()
-        command = [sys.executable, "-m", "handctl.cli", "demo", "--lockstep", "--json", "--log", "run.mcap"]
+        command = [
+            sys.executable,
+            "-m",
+            "handctl.cli",
+            "demo",
+            "--lockstep",
+            "--json",
+            "--log",
+            "run.mcap",
+        ]
         if task:
             (place.parent / "task.toml").write_text(task)
             command += ["--task", "../task.toml", "--scene", "none"]
         options = {"cwd": place, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
         environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        running.append((place, subprocess.Popen([*command, "--hand", hand], env=environment, **options)))
+        running.append(
+            (place, subprocess.Popen([*command, "--hand", hand], env=environment, **options))
+        )
     results = []
     for place, process in running:
         out, err = process.communicate(timeout=280)
@@ -85,7 +96,11 @@ def test_two_runs_write_the_same_bytes(equal_demos, name):
     (first, _), (second, _) = equal_demos
     one, other = (first / name).read_bytes(), (second / name).read_bytes()
     assert len(one) == len(other)
-    differ = [i for i, (a, b) in enumerate(zip(one, other, strict=True)) if a != b] if one != other else []
+    differ = (
+        [i for i, (a, b) in enumerate(zip(one, other, strict=True)) if a != b]
+        if one != other
+        else []
+    )
     assert not differ, f"{len(differ)} bytes differ, the first at {differ[0]}"
 
 
@@ -106,7 +121,12 @@ def test_two_lockstep_runs_print_equal_results(equal_demos):
 def meets_requirements(result):
     assert result.keys() >= KEYS
     assert result["late_us"].keys() >= {"p50", "p99_9", "max"}
-    assert (result["missed"], result["frames_late"], result["frames_lost"], result["failure"]) == (0, 0, 0, "")
+    assert (result["missed"], result["frames_late"], result["frames_lost"], result["failure"]) == (
+        0,
+        0,
+        0,
+        "",
+    )
     assert result["object_motion_mm"] < 1.0
     assert result["tension_hold_error_n"] < 2.0
     assert len(result["tracking_rmse_deg"]) == 4

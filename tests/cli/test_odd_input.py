@@ -44,7 +44,9 @@ READS = {
 }
 
 
-@pytest.mark.parametrize("make", [a_pipe, a_folder, a_number_without_end, nested_without_end], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "make", [a_pipe, a_folder, a_number_without_end, nested_without_end], ids=lambda f: f.__name__
+)
 @pytest.mark.parametrize("what", READS)
 def test_unreadable_file_is_refused_in_one_line(place, capsys, what, make):
     make(place / "odd")
@@ -63,7 +65,9 @@ def test_a_truth_file_of_another_run_is_refused(place, capsys):
     header = {"columns": ["q/index_j1"]}
     row = (10**13).to_bytes(8, "little") + bytes(8)
     (place / "run.truth").write_bytes(json.dumps(header).encode() + b"\n" + row)
-    assert "at another time" in refused(capsys, "report", str(golden), "--truth", "run.truth", "--output", "x.html")
+    assert "at another time" in refused(
+        capsys, "report", str(golden), "--truth", "run.truth", "--output", "x.html"
+    )
     assert not (place / "x.html").exists()
 
 
@@ -115,13 +119,36 @@ def test_campaign_of_rows_without_scenarios_is_refused(capsys):
 
     A campaign without scenarios is no success.
     """
-    words = ("fault", "campaign", "--protocol", "cia402", "--calm", "0", "--row", "N08", "--row", "N09")
+    words = (
+        "fault",
+        "campaign",
+        "--protocol",
+        "cia402",
+        "--calm",
+        "0",
+        "--row",
+        "N08",
+        "--row",
+        "N09",
+    )
     assert "'N09'" in refused(capsys, *words)
 
 
 def test_very_long_drive_option_is_refused(capsys):
-    words = ("--protocol", "odrive", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--dry-run")
-    assert "--option" in refused(capsys, "conformance", *words, "--option", "gear_ratio=" + "9" * 5000)
+    words = (
+        "--protocol",
+        "odrive",
+        "--node",
+        "1",
+        "--bus",
+        "local:nobody",
+        "--torque-limit-Nm",
+        "0.1",
+        "--dry-run",
+    )
+    assert "--option" in refused(
+        capsys, "conformance", *words, "--option", "gear_ratio=" + "9" * 5000
+    )
 
 
 @pytest.mark.parametrize("rate", ["-1", "0", "9" * 30])
@@ -136,7 +163,9 @@ def test_an_unknown_perturbation_is_refused_before_the_run(capsys):
 
 
 @pytest.mark.parametrize("verb", [("identify",), ("tune", "verify", "new.toml")], ids=" ".join)
-@pytest.mark.parametrize("words", [("--lockstep", "--perturb", "stiffness=nan"), (*BUS, "--perturb", "stiffness=2")])
+@pytest.mark.parametrize(
+    "words", [("--lockstep", "--perturb", "stiffness=nan"), (*BUS, "--perturb", "stiffness=2")]
+)
 def test_perturbation_without_a_simulated_hand_is_refused(place, capsys, verb, words):
     (place / "new.toml").write_text("schema = 1\n")
     assert "--perturb" in refused(capsys, *verb, *words, "--dry-run")
@@ -148,7 +177,12 @@ BUSES = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:
 @pytest.mark.parametrize("bus", BUSES)
 def test_invalid_bus_is_refused_before_the_run(place, capsys, bus):
     drive = ("--protocol", "mit", "--node", "1", "--torque-limit-Nm", "0.1")
-    for words in (("run", "--task", "grasp.toml"), ("scan",), ("jog", "index", "--angle", "3"), ("bus", "doctor")):
+    for words in (
+        ("run", "--task", "grasp.toml"),
+        ("scan",),
+        ("jog", "index", "--angle", "3"),
+        ("bus", "doctor"),
+    ):
         assert main([*words, "--bus", bus]) == 2
         out, err = capsys.readouterr()
         assert out == ""
@@ -157,14 +191,22 @@ def test_invalid_bus_is_refused_before_the_run(place, capsys, bus):
     assert main(["conformance", *drive, "--yes", "--bus", bus]) == 2
     capsys.readouterr()
     fault = ("fault", "inject", "drop node=3")
-    for words in (("stop",), ("clear",), ("gains", "set", "motion.force_N=20"), ("fault", "list"), fault):
+    for words in (
+        ("stop",),
+        ("clear",),
+        ("gains", "set", "motion.force_N=20"),
+        ("fault", "list"),
+        fault,
+    ):
         refused(capsys, *words, "--bus", bus)
     for words in (("scan",), ("sim",), ("conformance", *drive)):
         refused(capsys, *words, "--dry-run", "--bus", bus)
     assert list(place.iterdir()) == []
 
 
-@pytest.mark.parametrize("bus", ["local:" + "n" * 300, "socketcan:nosuch", "nosuch:x", "slcan:/dev/nosuch"])
+@pytest.mark.parametrize(
+    "bus", ["local:" + "n" * 300, "socketcan:nosuch", "nosuch:x", "slcan:/dev/nosuch"]
+)
 def test_missing_bus_ends_with_exit_code_1(capsys, bus):
     assert main(["scan", "--bus", bus]) == 1
     err = capsys.readouterr().err

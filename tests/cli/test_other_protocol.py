@@ -47,9 +47,13 @@ def test_a_simulator_leaves_the_file_that_its_controller_needs(
     assert [one[one.index("--hand") + 1] for one in started] == ["jamia-odrive.toml"] * 2
     Path("jamia-odrive.toml").write_text("mine")
     line = refused(capsys, *words)
-    assert line.endswith(": jamia-odrive.toml exists and describes another hand; expected a folder without it\n")
+    assert line.endswith(
+        ": jamia-odrive.toml exists and describes another hand; expected a folder without it\n"
+    )
     assert Path("jamia-odrive.toml").read_text() == "mine"
 
 
 def test_an_unknown_protocol_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "argument --protocol: invalid choice: 'none'" in refused(capsys, "demo", "--lockstep", "--protocol", "none")
+    assert "argument --protocol: invalid choice: 'none'" in refused(
+        capsys, "demo", "--lockstep", "--protocol", "none"
+    )

@@ -22,7 +22,16 @@ NOWHERE = {
     "recover": ("log", "recover", LOG, "--output", "@"),
     "picture": ("replay", "execute", LOG, "--gains", "g.toml", "--picture", "@"),
     "design": ("tune", "design", "--plants", "1", "--output", "@"),
-    "picture of a design": ("tune", "design", "--plants", "1", "--output", "new.toml", "--picture", "@"),
+    "picture of a design": (
+        "tune",
+        "design",
+        "--plants",
+        "1",
+        "--output",
+        "new.toml",
+        "--picture",
+        "@",
+    ),
     "save": ("view", LOG, "--save", "@.rrd"),
     "paper": ("paper", "--quick", "--output", "@"),
     "calibration": ("run", "--bus", "local:nobody", "--task", "grasp.toml", "--calibration", "@"),
@@ -49,7 +58,9 @@ def everything(place):
     return {path: path.read_bytes() if path.is_file() else None for path in place.rglob("*")}
 
 
-CASES = [(what, name) for what in NOWHERE for name in ("folder", "no-folder/x", "file/x", "other.mcap")]
+CASES = [
+    (what, name) for what in NOWHERE for name in ("folder", "no-folder/x", "file/x", "other.mcap")
+]
 CASES.remove(("save", "other.mcap"))  # ``save`` writes to other.mcap.rrd
 
 
@@ -78,7 +89,18 @@ def inputs(place):
         ("view", "log.png", "--picture", "log.png"),
         ("replay", "execute", LOG, "--gains", "g.toml", "--picture", "g.toml"),
         ("tune", "design", "--plants", "1", "--hand", "hand.toml", "--output", "hand.toml"),
-        ("tune", "design", "--plants", "1", "--gains", "g.toml", "--output", "new.toml", "--picture", "g.toml"),
+        (
+            "tune",
+            "design",
+            "--plants",
+            "1",
+            "--gains",
+            "g.toml",
+            "--output",
+            "new.toml",
+            "--picture",
+            "g.toml",
+        ),
         ("run", "--bus", "local:nobody", "--hand", "hand.toml", "--calibration", "hand.toml"),
     ],
     ids=lambda words: " ".join(words[:2]),
@@ -168,6 +190,9 @@ def test_a_picture_keeps_the_requested_file_name(place):
 
 def test_a_recording_is_not_begun_without_room_for_it(monkeypatch, capsys):
     monkeypatch.setattr("handctl.view.feed.DISK_SPACE_FACTOR", 10**12)
-    for words in (("log", "export", "--rrd", LOG, "--output", "new.rrd", "--json"), ("view", LOG, "--save", "new.rrd")):
+    for words in (
+        ("log", "export", "--rrd", LOG, "--output", "new.rrd", "--json"),
+        ("view", LOG, "--save", "new.rrd"),
+    ):
         assert main(words) == 1
         assert capsys.readouterr() == ("", "handctl: new.rrd: No space left on device\n")

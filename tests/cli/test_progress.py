@@ -18,7 +18,9 @@ def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
     shown, terminal = pty.openpty()
     command = [sys.executable, "-m", "handctl.cli", *words]
     environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=terminal, cwd=folder, env=environment) as process:
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=terminal, cwd=folder, env=environment
+    ) as process:
         os.close(terminal)
         error_output = b""
         try:
@@ -41,7 +43,9 @@ def test_a_terminal_shows_a_bar_until_the_work_is_done(tmp_path: Path) -> None:
     assert any(f" {share}%" in error_output for share in range(10, 100)), error_output
 
 
-def test_programs_get_no_bar(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_programs_get_no_bar(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with progress_bar("working", 10, quiet=True) as show_progress:
         show_progress(5)

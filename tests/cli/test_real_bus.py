@@ -55,7 +55,13 @@ def words(request, place):
 
 
 def test_only_real_interfaces_count_as_real_buses():
-    simulated = ["local:a", "socketcan:vcan0", "socketcan:vxcan1", "virtual:x", "udp_multicast:ff15::1"]
+    simulated = [
+        "local:a",
+        "socketcan:vcan0",
+        "socketcan:vxcan1",
+        "virtual:x",
+        "udp_multicast:ff15::1",
+    ]
     assert real_buses([*simulated, *REAL]) == list(REAL)
 
 
@@ -64,15 +70,21 @@ def test_no_hand_is_the_default_on_a_real_bus(words, capsys):
         for more in ((), ("--yes",), ("--dry-run",)):
             err = refused(capsys, *words, "--bus", bus, *more)
             assert f"--hand: no hand is given, and {bus} may have" in err
-    assert main([*words, "--bus", "local:nobody", "--dry-run"]) == 0, "a simulated bus has a default hand"
+    assert main([*words, "--bus", "local:nobody", "--dry-run"]) == 0, (
+        "a simulated bus has a default hand"
+    )
 
 
 def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
     said = "jamia on socketcan:can0 is armed and moves index, middle, ring, thumb; expected --yes"
     assert said in refused(capsys, *words, *HAND, "--bus", "socketcan:can0")
-    assert main([*words, *HAND, "--bus", "socketcan:can0", "--dry-run"]) == 0, "no motion in a dry run"
+    assert main([*words, *HAND, "--bus", "socketcan:can0", "--dry-run"]) == 0, (
+        "no motion in a dry run"
+    )
     capsys.readouterr()
-    assert main([*words, *HAND, "--bus", "socketcan:can0", "--yes"]) == 1, "the only error is the missing bus"
+    assert main([*words, *HAND, "--bus", "socketcan:can0", "--yes"]) == 1, (
+        "the only error is the missing bus"
+    )
     assert "can0" in capsys.readouterr().err.splitlines()[-1]
 
 
@@ -80,7 +92,9 @@ def at_a_terminal(answer: str) -> tuple[int, str]:
     """Run a command in a terminal and answer its question. Return its exit code and the text on the terminal."""
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "handctl.cli", "run", *HAND, "--bus", "socketcan:nosuch"]
-    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True)
+    process = subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
+    )
     os.close(theirs)
     shown, answered, end = "", False, time.monotonic() + 60.0
     while time.monotonic() < end and select.select([ours], [], [], 60.0)[0]:
@@ -105,13 +119,18 @@ def test_a_run_at_a_terminal_asks_once_for_consent(answer, code):
 
 
 def test_a_program_names_hand_and_consent(place, capfd):
-    with pytest.raises(library.ConfigError, match="no hand is given, and socketcan:can0 may have real motors"):
+    with pytest.raises(
+        library.ConfigError, match="no hand is given, and socketcan:can0 may have real motors"
+    ):
         library.connect(bus="socketcan:can0")
     with pytest.raises(library.DriveError, match=r"is armed and moves .*; expected --yes"), library.connect(
         "jamia", "socketcan:can0"
     ):  # fmt: skip
         pass
-    with pytest.raises(library.DriveError, match="nosuch"), library.connect("jamia", "socketcan:nosuch", "--yes"):
+    with (
+        pytest.raises(library.DriveError, match="nosuch"),
+        library.connect("jamia", "socketcan:nosuch", "--yes"),
+    ):
         pass
 
 
@@ -120,21 +139,34 @@ def test_files_in_use_are_named_in_the_first_line(place, capsys):
     write_homed(place / "jamia.calibration.toml", hand)
     made = (datetime.datetime.now(datetime.UTC) - datetime.timedelta(hours=3)).isoformat()
     head = f'made = "{made}"\nhand = "jamia"\nidentity = "{hand.identity}"\n'
-    (place / "jamia.gains.toml").write_text(f"schema = 1\n[motion]\nforce_N = 25.0\n[provenance]\n{head}")
+    (place / "jamia.gains.toml").write_text(
+        f"schema = 1\n[motion]\nforce_N = 25.0\n[provenance]\n{head}"
+    )
     for words in (("run",), ("jog", "index", "--angle", "3"), ("run", "--json")):
         assert main([*words, "--bus", "local:nobody"]) == 1
         first = capsys.readouterr().err.splitlines()[0]
-        assert first.startswith(f"handctl: found in this folder: gains {place / 'jamia.gains.toml'}, 3 h old; ")
+        assert first.startswith(
+            f"handctl: found in this folder: gains {place / 'jamia.gains.toml'}, 3 h old; "
+        )
         assert f"calibration {place / 'jamia.calibration.toml'}, " in first
         assert first.endswith(" s old")
     named = ("--gains", "jamia.gains.toml", "--calibration", "jamia.calibration.toml")
     assert main(["run", "--bus", "local:nobody", *named]) == 1
-    assert "found in this folder" not in capsys.readouterr().err, "files given as options are not announced"
+    assert "found in this folder" not in capsys.readouterr().err, (
+        "files given as options are not announced"
+    )
 
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [(-5.0, "0 s"), (59.0, "59 s"), (119.0, "119 s"), (120.0, "2 min"), (7200.0, "2 h"), (200_000.0, "2 days")],
+    [
+        (-5.0, "0 s"),
+        (59.0, "59 s"),
+        (119.0, "119 s"),
+        (120.0, "2 min"),
+        (7200.0, "2 h"),
+        (200_000.0, "2 days"),
+    ],
 )
 def test_an_age_has_one_unit(seconds, text):
     assert age_text(seconds) == text

@@ -76,7 +76,11 @@ def test_a_wrong_hand_file_is_refused(place, capsys, spoil, verb):
 
 @pytest.mark.parametrize("verb", ["config", "demo", "sim", *RUNS])
 def test_missing_hand_file_is_refused(capsys, verb):
-    words = {"config": ("show",), "demo": (), "sim": BUS}[verb] if verb not in RUNS else (*BUS, *RUNS[verb])
+    words = (
+        {"config": ("show",), "demo": (), "sim": BUS}[verb]
+        if verb not in RUNS
+        else (*BUS, *RUNS[verb])
+    )
     assert "one of jamia" in refused(capsys, verb, *words, "--hand", "jama")
 
 
@@ -90,14 +94,22 @@ def test_rate_above_bus_or_drive_limit_is_refused(capsys, verb, rate):
 
 @pytest.mark.parametrize("verb", RUNS)
 @pytest.mark.parametrize(
-    "words", [("--time-scale", "0"), ("--time-scale", "1e-300"), ("--time-scale", "nan"), ("--time-scale", "101")]
+    "words",
+    [
+        ("--time-scale", "0"),
+        ("--time-scale", "1e-300"),
+        ("--time-scale", "nan"),
+        ("--time-scale", "101"),
+    ],
 )
 def test_a_time_scale_out_of_range_is_refused(capsys, verb, words):
     assert "--time-scale" in refused(capsys, verb, *BUS, *RUNS[verb], *words)
 
 
 @pytest.mark.parametrize("verb", RUNS)
-@pytest.mark.parametrize("text", ["schema = 1\n[motion]\nforce_N = -1\n", "[motion]\nforce = 1\n", "a = = b", None])
+@pytest.mark.parametrize(
+    "text", ["schema = 1\n[motion]\nforce_N = -1\n", "[motion]\nforce = 1\n", "a = = b", None]
+)
 def test_bad_gains_are_refused(place, capsys, verb, text):
     if text is not None:
         (place / "gains.toml").write_text(text)
@@ -206,11 +218,17 @@ def test_a_bad_jog_is_refused(capsys, words):
     refused(capsys, "jog", *words, *BUS)
 
 
-@pytest.mark.parametrize("words", [("--lockstep",), ("--lockstep", "--dry-run"), ("--dry-run",)], ids=" ".join)
+@pytest.mark.parametrize(
+    "words", [("--lockstep",), ("--lockstep", "--dry-run"), ("--dry-run",)], ids=" ".join
+)
 @pytest.mark.parametrize("scene", ["nosuch", "cylinder:-3", "nosuch.toml"])
 def test_invalid_scene_is_refused(capsys, words, scene):
     main(["demo", "--scene", scene, *words])
-    lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("commissioning")]
+    lines = [
+        line
+        for line in capsys.readouterr().err.splitlines()
+        if not line.startswith("commissioning")
+    ]
     assert len(lines) == 1
     assert lines[0].startswith("handctl: ")
     assert "scene" in lines[0]

@@ -37,7 +37,9 @@ def run_with_faults(*rows: str, cpu_s: float = 0.0) -> RunOutcome:
     ],
     ids=["simulated", "virtual", "real", "torn tendon", "nothing", "lockstep"],
 )
-def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tuple[str, ...], advised: bool) -> None:
+def test_slower_time_is_advised_only_for_late_simulated_hands(
+    bus: str, rows: tuple[str, ...], advised: bool
+) -> None:
     plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus,) if bus else ())
     assert ("--time-scale" in pace_advice(plan, run_with_faults(*rows))) == advised
 
@@ -51,17 +53,29 @@ def test_slower_time_is_advised_only_for_late_simulated_hands(bus: str, rows: tu
         (0.2, 3.0, None, 0.7),
         (0.2, 3.0, 0.01, 0.01),
     ],
-    ids=["nothing measured", "slow controller", "slow simulator", "a stall", "what the simulator saw"],
+    ids=[
+        "nothing measured",
+        "slow controller",
+        "slow simulator",
+        "a stall",
+        "what the simulator saw",
+    ],
 )
 def test_the_advised_pace_is_measured(
-    monkeypatch: pytest.MonkeyPatch, cpu_s: float, capacity: float | None, advice: float | None, number: float
+    monkeypatch: pytest.MonkeyPatch,
+    cpu_s: float,
+    capacity: float | None,
+    advice: float | None,
+    number: float,
 ) -> None:
     """The advised time scale follows from the run, here of 1000 ticks at 500 Hz in 2 s.
 
     Regression: it was always 0.5.
     """
     answer = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
-    monkeypatch.setattr(pace, "ask_simulator", lambda path, question: answer if question == {"pace": True} else {})
+    monkeypatch.setattr(
+        pace, "ask_simulator", lambda path, question: answer if question == {"pace": True} else {}
+    )
     monkeypatch.setattr(pace, "usable_cores", lambda: 2)
     plan = RunPlan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert pace_advice(plan, run_with_faults(*LATE, cpu_s=cpu_s)).endswith(

@@ -35,7 +35,9 @@ def test_the_exit_code_reports_a_motor_left_enabled(place, monkeypatch, capsys, 
 
 def test_a_motor_left_on_by_a_bug_is_reported_after_the_traceback(place, monkeypatch, capsys):
     def failing(plan, controller, log):
-        raise PowerError("REMOVE POWER: not confirmed disabled: index_motor") from ZeroDivisionError("in a tick")
+        raise PowerError(
+            "REMOVE POWER: not confirmed disabled: index_motor"
+        ) from ZeroDivisionError("in a tick")
 
     monkeypatch.setattr(commission, "run_live", failing)
     assert main(["commission", "--bus", "local:nobody", "--log", "run.mcap"]) == 71
@@ -70,6 +72,16 @@ def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, 
     monkeypatch.setattr(bench, "open_bus", lambda *what: Bus())
     monkeypatch.setattr(conformance, "find_drive", lambda args: DiscoveredNode("mit", 1))
     monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: off)
-    words = ("--protocol", "mit", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--yes")
+    words = (
+        "--protocol",
+        "mit",
+        "--node",
+        "1",
+        "--bus",
+        "local:nobody",
+        "--torque-limit-Nm",
+        "0.1",
+        "--yes",
+    )
     assert main(["conformance", *words]) == code
     assert ("REMOVE ITS POWER" in capsys.readouterr().err) != off

@@ -39,26 +39,39 @@ def test_rounding_of_another_machine_is_distinguished(
 def test_other_gains_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     gains, picture = tmp_path / "gains.toml", tmp_path / "x.png"
     gains.write_text("[motion]\nposition_error_m = 3e-4\n")
-    assert main(["replay", "execute", GRASP, "--gains", str(gains), "--picture", str(picture), "--json"]) == 0
+    assert (
+        main(
+            ["replay", "execute", GRASP, "--gains", str(gains), "--picture", str(picture), "--json"]
+        )
+        == 0
+    )
     found = json.loads(capsys.readouterr().out)
     assert found["change"]["motor_torque_N_m"]["index_motor"]["peak"] > 0.01
     assert picture.stat().st_size > 10_000
 
 
-def test_gains_that_are_wrong_are_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_gains_that_are_wrong_are_bad_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     gains = tmp_path / "gains.toml"
     gains.write_text("[motion]\nposition_error_m = -1\n")
     assert main(["replay", "execute", GRASP, "--gains", str(gains)]) == 2
     assert "position_error_m" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("more", [["--picture", "x.png"], ["--gains", "gains.toml", "--within", "1e-9"]])
-def test_an_option_without_effect_is_refused(more: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "more", [["--picture", "x.png"], ["--gains", "gains.toml", "--within", "1e-9"]]
+)
+def test_an_option_without_effect_is_refused(
+    more: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["replay", "execute", GRASP, *more]) == 2
     assert "--gains" in capsys.readouterr().err
 
 
-def test_replay_safety_names_the_reading_of_a_fault(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_safety_names_the_reading_of_a_fault(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     limits = tmp_path / "limits.toml"
     limits.write_text("tension_trip_N = 20\n")
     assert main(["replay", "safety", GRASP, "--limits", str(limits)]) == 0
@@ -67,7 +80,10 @@ def test_replay_safety_names_the_reading_of_a_fault(tmp_path: Path, capsys: pyte
 
 @pytest.mark.parametrize(
     "words",
-    [["log", "diff", GRASP, OTHER], ["replay", "drive", OTHER, "--hand", "jamia", "--bus", "local:x", "--dry-run"]],
+    [
+        ["log", "diff", GRASP, OTHER],
+        ["replay", "drive", OTHER, "--hand", "jamia", "--bus", "local:x", "--dry-run"],
+    ],
     ids=["diff", "drive"],
 )
 def test_another_hand_s_log_is_refused_with_both_identities(
@@ -80,13 +96,17 @@ def test_another_hand_s_log_is_refused_with_both_identities(
         assert load_hand(hand).identity[:12] in error_output
 
 
-def test_replay_drive_has_a_dry_run_without_a_bus(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_replay_drive_has_a_dry_run_without_a_bus(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     assert main(["replay", "drive", GRASP, "--bus", "local:nobody", "--dry-run"]) == 0
     assert "would drive 2." in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["parquet", "csv", "candump", "rrd"])
-def test_export_writes_beside_the_log(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_export_writes_beside_the_log(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = tmp_path / "run.mcap"
     log.write_bytes(Path(GRASP).read_bytes())
     assert main(["log", "export", str(log), f"--{name}", "--json"]) == 0
@@ -94,14 +114,18 @@ def test_export_writes_beside_the_log(name: str, tmp_path: Path, capsys: pytest.
     assert (tmp_path / f"run.{name}").stat().st_size > 100_000
 
 
-def test_a_truncated_log_is_checked_and_executed_in_part(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_truncated_log_is_checked_and_executed_in_part(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["log", "check", GRASP]) == 0
     cut = tmp_path / "cut.mcap"
     whole = Path(GRASP).read_bytes()
     cut.write_bytes(whole[: len(whole) // 2])
     assert main(["log", "check", str(cut)]) == 3
     assert "incomplete" in capsys.readouterr().out
-    assert main(["replay", "execute", str(cut), "--within", "1e-9"]) == 3, "the ticks before the end are executed"
+    assert main(["replay", "execute", str(cut), "--within", "1e-9"]) == 3, (
+        "the ticks before the end are executed"
+    )
 
 
 def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,7 +137,9 @@ def test_log_info_prints_readable_text(capsys: pytest.CaptureFixture[str]) -> No
     assert not re.search(r"\d{12}", output.partition("identity")[0]), "numbers are rounded"
 
 
-@pytest.mark.parametrize("verb", [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP], ["replay", "safety"]])
+@pytest.mark.parametrize(
+    "verb", [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP], ["replay", "safety"]]
+)
 def test_result_of_an_incomplete_log_is_marked(
     verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -159,7 +185,9 @@ def test_text_of_a_log_cannot_become_markup() -> None:
     assert _escaped_text("<script>\x1b[31m&") == "&lt;script&gt;\\x1b[31m&amp;"
 
 
-def test_a_report_begins_with_faults_and_contacts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_report_begins_with_faults_and_contacts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("handctl.report.run_page.MAX_EVENTS", 3)
     out = tmp_path / "page.html"
     assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 0

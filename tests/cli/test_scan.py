@@ -42,7 +42,9 @@ class BenchBus:
         return len(frames)
 
     def drain(self):
-        frames = [Frame(*frame) for frame in self.bench.take_unsolicited() + self.waiting] + 5 * self.talk
+        frames = [
+            Frame(*frame) for frame in self.bench.take_unsolicited() + self.waiting
+        ] + 5 * self.talk
         self.waiting = []
         return frames
 
@@ -55,7 +57,9 @@ def hear(bus, for_s, seen):
     seen += bus.drain()
 
 
-def scan_bench(*specs, talk=(), force=False, fault="") -> tuple[BusScan, SimulatedDriveBench, BenchBus]:
+def scan_bench(
+    *specs, talk=(), force=False, fault=""
+) -> tuple[BusScan, SimulatedDriveBench, BenchBus]:
     bench = SimulatedDriveBench([drive_spec(*spec) for spec in specs], fault=fault)
     bus = BenchBus(bench, talk)
     return scan_bus(bus, force, listen=hear), bench, bus
@@ -63,9 +67,17 @@ def scan_bench(*specs, talk=(), force=False, fault="") -> tuple[BusScan, Simulat
 
 def test_damiao_and_canopen_drives_are_found_on_one_bus():
     result, bench, _ = scan_bench(("mit", 1, "dm4310"), ("mit", 9, "dm4340", True), ("cia402", 33))
-    assert [(node.protocol, node.node_id) for node in result.found] == [("mit", 1), ("mit", 9), ("cia402", 33)]
+    assert [(node.protocol, node.node_id) for node in result.found] == [
+        ("mit", 1),
+        ("mit", 9),
+        ("cia402", 33),
+    ]
     first, second, _ = result.found
-    assert first.settings == {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "torque_max_N_m": 10.0}
+    assert first.settings == {
+        "position_range_rad": 12.5,
+        "velocity_range_rad_s": 30.0,
+        "torque_max_N_m": 10.0,
+    }
     assert (first.state, first.serial, first.options) == ("disabled", "0x53494d01", {})
     assert second.options == {"fd": True}
     assert "watchdog is off" in first.notes[0]
@@ -75,22 +87,37 @@ def test_damiao_and_canopen_drives_are_found_on_one_bus():
 
 def test_moteus_controllers_are_found_by_classical_frames():
     result, bench, bus = scan_bench(("moteus", 1), ("moteus", 17), ("mit", 3))
-    assert [(node.protocol, node.node_id) for node in result.found] == [("mit", 3), ("moteus", 1), ("moteus", 17)]
+    assert [(node.protocol, node.node_id) for node in result.found] == [
+        ("mit", 3),
+        ("moteus", 1),
+        ("moteus", 17),
+    ]
     first, second = result.found[1:]
-    assert (first.firmware, first.state, first.error, first.twins) == ("1.0.1", "stopped", "", False)
+    assert (first.firmware, first.state, first.error, first.twins) == (
+        "1.0.1",
+        "stopped",
+        "",
+        False,
+    )
     assert first.serial != second.serial != ""
-    assert all(frame.flags == 0 and len(frame.data) <= 8 for frame in bus.heard), "the bus may be classical"
+    assert all(frame.flags == 0 and len(frame.data) <= 8 for frame in bus.heard), (
+        "the bus may be classical"
+    )
     assert [node.mode for node in bench.nodes[:2]] == [0, 0]
     assert [motor.theta for motor in bench.motors] == [0.0] * 3
 
 
 def test_robstride_motors_are_found_by_their_identity():
-    result, bench, bus = scan_bench(("robstride", 1), ("robstride", 0x7F), ("mit", 3), ("moteus", 5))
+    result, bench, bus = scan_bench(
+        ("robstride", 1), ("robstride", 0x7F), ("mit", 3), ("moteus", 5)
+    )
     found = [(node.protocol, node.node_id) for node in result.found]
     assert found == [("mit", 3), ("moteus", 5), ("robstride", 1), ("robstride", 0x7F)]
     assert [node.serial for node in result.found[2:]] == ["5253050000000001", "525305000000007f"]
     assert [node.mode for node in bench.nodes[:2]] == [0, 0]
-    assert bench.nodes[3].command == registers.REGISTER_DEFAULTS, "to moteus node 5 the request writes no register"
+    assert bench.nodes[3].command == registers.REGISTER_DEFAULTS, (
+        "to moteus node 5 the request writes no register"
+    )
     assert all(frame.flags == 0 and len(frame.data) <= 8 for frame in bus.heard)
 
 
@@ -103,7 +130,9 @@ def test_two_drives_with_one_number_are_named(protocol):
 
 @pytest.mark.parametrize("kind", [1, 3, 4, 6, 0x12])
 def test_scan_only_listens_if_another_robstride_host_is_active(kind):
-    result, _, bus = scan_bench(("robstride", 1), talk=[Frame(EXTENDED | kind << 24 | 0xFD01, bytes(8))])
+    result, _, bus = scan_bench(
+        ("robstride", 1), talk=[Frame(EXTENDED | kind << 24 | 0xFD01, bytes(8))]
+    )
     assert result.foreign
     assert bus.heard == []
 
@@ -130,10 +159,17 @@ def test_scan_only_listens_if_another_moteus_host_is_active():
 
 def test_scan_sends_no_frame_that_an_odrive_would_obey():
     result, bench, bus = scan_bench(("odrive", 3), ("odrive", 48), ("mit", 1))
-    assert [(node.protocol, node.node_id) for node in result.found] == [("odrive", 3), ("odrive", 48)]
+    assert [(node.protocol, node.node_id) for node in result.found] == [
+        ("odrive", 3),
+        ("odrive", 48),
+    ]
     drive = result.found[0]
     assert (drive.firmware, drive.serial, drive.state) == ("0.6.10", "0D5A11000003", "idle")
-    orders = [frame for frame in bus.heard if not frame.can_id & REMOTE and frame.can_id >> 5 in (3, 48, 0x3F)]
+    orders = [
+        frame
+        for frame in bus.heard
+        if not frame.can_id & REMOTE and frame.can_id >> 5 in (3, 48, 0x3F)
+    ]
     assert orders == [], "0x7ff is Enter_DFU_Mode, 0x602 the Estop of node 48"
     assert 0x7FF in {frame.can_id for frame in result.omitted}
     assert [node.state for node in bench.nodes[:2]] == [1, 1]
@@ -149,7 +185,13 @@ def test_an_enabled_drive_stays_as_it_is():
 
 @pytest.mark.parametrize(
     "talk",
-    [Frame(0x001, bytes(8)), Frame(0x080, b"\1"), Frame(0x7FF, bytes(8)), Frame(0x77F, b"\5"), Frame(0, b"\1\0")],
+    [
+        Frame(0x001, bytes(8)),
+        Frame(0x080, b"\1"),
+        Frame(0x7FF, bytes(8)),
+        Frame(0x77F, b"\5"),
+        Frame(0, b"\1\0"),
+    ],
 )
 def test_scan_only_listens_if_another_host_is_active(talk):
     result, _, bus = scan_bench(("mit", 1), talk=[talk])
@@ -182,7 +224,9 @@ def test_the_hand_file_part_marks_firmware_05_as_concluded():
 
 
 @pytest.mark.parametrize(
-    "spec", [("mit", 5), ("cia402", 33), ("odrive", 3), ("odrive", 3, "", False, None, "0.5")], ids=str
+    "spec",
+    [("mit", 5), ("cia402", 33), ("odrive", 3), ("odrive", 3, "", False, None, "0.5")],
+    ids=str,
 )
 def test_two_drives_with_one_number_are_found(spec):
     (alone,) = scan_bench(spec)[0].found
@@ -237,7 +281,8 @@ def test_unrequested_frames_of_an_odrive_are_no_other_host():
 def test_no_scan_request_enables_torque():
     """Drives that are enabled at zero torque get every request of a scan. None makes a torque."""
     bench = SimulatedDriveBench(
-        [drive_spec("mit", node) for node in (1, 2)] + [drive_spec("cia402", node) for node in (1, 32)]
+        [drive_spec("mit", node) for node in (1, 2)]
+        + [drive_spec("cia402", node) for node in (1, 32)]
     )
     for node in (1, 2):
         bench.receive(SimFrame(node, b"\xff" * 7 + b"\xfc"))
@@ -251,10 +296,18 @@ def test_no_scan_request_enables_torque():
 
 def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
     ids = ["--ids", "17,18"]
-    with drives("local:s", "mit", *ids), drives("join:s", "cia402", *ids), drives("local:t", "odrive", *ids):
+    with (
+        drives("local:s", "mit", *ids),
+        drives("join:s", "cia402", *ids),
+        drives("local:t", "odrive", *ids),
+    ):
         assert main(["scan", "--bus", "lab=local:s", "--bus", "far=local:t", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    nodes = [(bus["name"], node["protocol"], node["node_id"]) for bus in result["buses"] for node in bus["nodes"]]
+    nodes = [
+        (bus["name"], node["protocol"], node["node_id"])
+        for bus in result["buses"]
+        for node in bus["nodes"]
+    ]
     near = [("lab", protocol, node) for protocol in ("mit", "cia402") for node in (17, 18)]
     assert nodes == [*near, ("far", "odrive", 17), ("far", "odrive", 18)]
     for node in (node for bus in result["buses"] for node in bus["nodes"]):
@@ -268,7 +321,10 @@ def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
 
 
 def test_the_hand_file_part_of_an_empty_bus_parses():
-    assert tomllib.loads(hand_file_snippet({"a": ()}, 1_000_000, 5_000_000))["bus"][0]["data_bitrate"] == 5_000_000
+    assert (
+        tomllib.loads(hand_file_snippet({"a": ()}, 1_000_000, 5_000_000))["bus"][0]["data_bitrate"]
+        == 5_000_000
+    )
 
 
 def test_empty_bus_is_reported(capsys):

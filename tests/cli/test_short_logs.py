@@ -18,7 +18,10 @@ def ticks_of(log: RunLog) -> list[bytes]:
     """Return the ticks of a log in the form in which the recorder receives them."""
     axes = [len(log.header.axis(name)) for name in ("joint", "tendon", "motor", "digit")]
     pairs = zip(log.messages(), log.packed(), strict=True)
-    return [TICK_SIZES_STRUCT.pack(len(message), *axes) + message + numbers for message, numbers in pairs]
+    return [
+        TICK_SIZES_STRUCT.pack(len(message), *axes) + message + numbers
+        for message, numbers in pairs
+    ]
 
 
 def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
@@ -30,9 +33,13 @@ def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("ticks", [slice(0, 0), slice(0, 15), slice(0, 50), slice(300, 302)], ids=str)
+@pytest.mark.parametrize(
+    "ticks", [slice(0, 0), slice(0, 15), slice(0, 50), slice(300, 302)], ids=str
+)
 @pytest.mark.filterwarnings("error")
-def test_every_verb_reads_or_refuses_a_short_log(ticks: slice, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_verb_reads_or_refuses_a_short_log(
+    ticks: slice, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with RunLog(GRASP) as log:
         short = write(place / "short.mcap", log, ticks_of(log)[ticks])
     (place / "gains.toml").write_text("[motion]\nposition_error_m = 3e-4\n")
@@ -61,11 +68,15 @@ def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
 
 
 @pytest.mark.parametrize("what", ["far apart", "in no order"])
-def test_an_inconsistent_clock_in_a_log_is_refused(what: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_inconsistent_clock_in_a_log_is_refused(
+    what: str, place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with RunLog(GRASP) as log:
         ticks, period_ns = ticks_of(log), log.header.period_ns
         far = ticks[:300] + [_later(tick, 10**11, period_ns) for tick in ticks[300:]]
-        odd = write(place / "odd.mcap", log, far if what == "far apart" else ticks[311:] + ticks[:311])
+        odd = write(
+            place / "odd.mcap", log, far if what == "far apart" else ticks[311:] + ticks[:311]
+        )
     assert main(["log", "check", odd]) == 1
     assert main(["report", odd]) == 0
     output = capsys.readouterr().out

@@ -23,7 +23,9 @@ BUFFERED = {key: value for key, value in os.environ.items() if key != "PYTHONUNB
 def shell(redirected, words=VERSION, **environment):
     """Run a command in a shell with redirected streams. Return its exit code, output and errors."""
     command = ["sh", "-c", f'exec "$0" "$@" {redirected}', *words]
-    ran = subprocess.run(command, env=BUFFERED | environment, capture_output=True, text=True, check=False)
+    ran = subprocess.run(
+        command, env=BUFFERED | environment, capture_output=True, text=True, check=False
+    )
     return ran.returncode, ran.stdout, ran.stderr
 
 
@@ -36,7 +38,9 @@ def test_a_full_disk_for_the_output_is_one_line(unbuffered):
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("verb", [("config", "list"), ("paper", "--quick")])  # prints plain text, and a table of rich
+@pytest.mark.parametrize(
+    "verb", [("config", "list"), ("paper", "--quick")]
+)  # prints plain text, and a table of rich
 def test_output_without_a_reader_is_no_error(verb):
     read, write = os.pipe()
     os.close(read)
@@ -84,9 +88,13 @@ def test_characters_that_a_terminal_cannot_show_are_escaped(place):
     assert "\\xe4\\udcff" in out
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 143)]
+)
 def test_a_signal_ends_a_verb_with_a_line_and_its_code(capsys, monkeypatch, number, code):
-    handlers = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    handlers = {
+        one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
 
     def interrupted(args):
         os.kill(os.getpid(), number)
@@ -133,11 +141,16 @@ def test_an_interrupted_search_names_the_study_to_continue(monkeypatch, capsys):
     monkeypatch.setattr("handctl.tune.search.search.run_search", interrupted)
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
-    assert capsys.readouterr() == ("", "handctl: interrupted; the same command continues with jamia.study\n")
+    assert capsys.readouterr() == (
+        "",
+        "handctl: interrupted; the same command continues with jamia.study\n",
+    )
 
 
 @pytest.mark.parametrize(
-    "workers", [lambda: closing(ProcessPool(1)), lambda: worker_pool(1, print)], ids=["search", "paper"]
+    "workers",
+    [lambda: closing(ProcessPool(1)), lambda: worker_pool(1, print)],
+    ids=["search", "paper"],
 )
 def test_workers_ignore_the_ctrl_c_of_a_terminal(monkeypatch, workers):
     children = []
@@ -149,12 +162,16 @@ def test_workers_ignore_the_ctrl_c_of_a_terminal(monkeypatch, workers):
 
     monkeypatch.setattr("subprocess.Popen", started)
     with workers():
-        assert [os.getsid(child.pid) for child in children] == [child.pid for child in children] != []
+        assert (
+            [os.getsid(child.pid) for child in children] == [child.pid for child in children] != []
+        )
 
 
 def test_a_worker_of_the_paper_leaves_no_folder(place):
     command = [sys.executable, "-m", "handctl.paper.bench.worker"]
-    worker = subprocess.Popen(command, env=os.environ | {"TMPDIR": str(place)}, stdin=subprocess.PIPE, stderr=-1)
+    worker = subprocess.Popen(
+        command, env=os.environ | {"TMPDIR": str(place)}, stdin=subprocess.PIPE, stderr=-1
+    )
     while not list(place.glob("handctl-paper-*")):
         assert worker.poll() is None
         time.sleep(0.02)
@@ -178,5 +195,8 @@ def test_a_bug_in_handctl_is_shown_with_traceback_and_its_own_exit_code():
     ended = subprocess.run([sys.executable, "-c", BUGGY], capture_output=True, text=True)
     assert ended.returncode == 70
     assert "KeyError: 'nobody thought of this'" in ended.stderr
-    assert ended.stderr.splitlines()[-1] == "handctl: this is a bug in handctl; the traceback above shows the place"
+    assert (
+        ended.stderr.splitlines()[-1]
+        == "handctl: this is a bug in handctl; the traceback above shows the place"
+    )
     assert ended.stdout == "put away\n"

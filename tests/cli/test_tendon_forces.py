@@ -9,7 +9,13 @@ from handctl.cli.main import main
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.retune import DesignCache, gain_change_events
 from handctl.core.gains.bounds import checked_bound, different_values, values_by_key, with_values
-from handctl.core.gains.gains import Gains, GainsProvenance, gains_text, load_gains_file, packaged_gains
+from handctl.core.gains.gains import (
+    Gains,
+    GainsProvenance,
+    gains_text,
+    load_gains_file,
+    packaged_gains,
+)
 from handctl.core.gains.motion_design import design_motion
 from handctl.core.model import HandModel
 from handctl.errors import ConfigError
@@ -33,7 +39,9 @@ def own_force(force: float) -> Gains:
 def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia: HandModel) -> None:
     shared = design_motion(jamia.space, Gains(), jamia.period)
     own = design_motion(jamia.space, own_force(5.0), jamia.period)
-    all_five = design_motion(jamia.space, with_values(Gains(), {"motion.force_N": 5.0}, "test"), jamia.period)
+    all_five = design_motion(
+        jamia.space, with_values(Gains(), {"motion.force_N": 5.0}, "test"), jamia.period
+    )
     assert own.stiffness[0] == all_five.stiffness[0] < shared.stiffness[0]
     assert np.array_equal(own.stiffness[1:], shared.stiffness[1:])
     assert np.array_equal(own.tension, shared.tension)
@@ -44,7 +52,9 @@ def test_a_tendon_with_a_force_of_its_own_differs_from_the_others(jamia: HandMod
 
 
 def test_the_text_of_the_gains_reads_back(tmp_path: Path) -> None:
-    gains = with_values(own_force(5.0), {"tendon.thumb_tendon.tension_force_N": 2.0, "motion.force_N": 9.0}, "test")
+    gains = with_values(
+        own_force(5.0), {"tendon.thumb_tendon.tension_force_N": 2.0, "motion.force_N": 9.0}, "test"
+    )
     path = tmp_path / "gains.toml"
     path.write_text(gains_text(gains, GainsProvenance(hand="jamia")))
     assert load_gains_file(path).gains == gains
@@ -57,7 +67,10 @@ def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
     assert different_values(own_force(5.0), Gains()) == {KEY: (5.0, Gains().motion.force_N)}
     assert different_values(Gains(), own_force(Gains().motion.force_N)) == {}
     events = gain_change_events(Gains(), own_force(5.0))
-    assert [(event.where, event.text) for event in events] == [(KEY, "5.0"), ("", "taken over: 1 changed")]
+    assert [(event.where, event.text) for event in events] == [
+        (KEY, "5.0"),
+        ("", "taken over: 1 changed"),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -65,7 +78,10 @@ def test_a_tendon_without_its_own_force_uses_the_common_force() -> None:
     [
         (FILE + FILE, "tendon 'index_tendon' is there twice"),
         (FILE.replace("5.0", "0.0"), "tendon[index_tendon].motion_force_N: greater than 0"),
-        (FILE.replace("5.0", "501.0"), "tendon[index_tendon].motion_force_N: less than or equal to 500"),
+        (
+            FILE.replace("5.0", "501.0"),
+            "tendon[index_tendon].motion_force_N: less than or equal to 500",
+        ),
         (FILE.replace("motion_force_N", "motion_farce_N"), "motion_force_N?"),
         (FILE.replace('name = "index_tendon"\n', ""), "missing"),
         (FILE.replace("index_tendon", "index_tendom"), "no tendon 'index_tendom'"),
@@ -84,7 +100,13 @@ def test_a_wrong_entry_is_refused_in_one_line(
 
 
 @pytest.mark.parametrize(
-    "key", ["tendon.index_tendon", "tendon..motion_force_N", "tendon.motion_force_N", "tendon.index_tendon.force_N"]
+    "key",
+    [
+        "tendon.index_tendon",
+        "tendon..motion_force_N",
+        "tendon.motion_force_N",
+        "tendon.index_tendon.force_N",
+    ],
 )
 def test_a_key_that_no_tendon_can_have_is_unknown(key: str) -> None:
     with pytest.raises(ConfigError, match="no such gain"):
@@ -99,7 +121,9 @@ def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia: HandModel)
     assert "no tendon 'wrist_flex'" in progress.events[0].text
 
 
-def test_a_hand_with_packaged_gains_shows_them(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_hand_with_packaged_gains_shows_them(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["gains", "show", "--hand", "orca_like", "-q"]) == 0
     shown = capsys.readouterr().out
     force = values_by_key(packaged_gains("orca_like"))["tendon.index_pip.motion_force_N"]
@@ -110,6 +134,9 @@ def test_a_hand_with_packaged_gains_shows_them(place: Path, capsys: pytest.Captu
     assert main(["gains", "apply", "all.toml", "--hand", "orca_like"]) == 0
     capsys.readouterr()
     assert main(["gains", "diff", "--hand", "orca_like"]) == 0
-    assert f"{'tendon.index_pip.motion_force_N':<38} {force:g} -> {Gains().motion.force_N:g}" in capsys.readouterr().out
+    assert (
+        f"{'tendon.index_pip.motion_force_N':<38} {force:g} -> {Gains().motion.force_N:g}"
+        in capsys.readouterr().out
+    )
     assert main(["gains", "rollback", "--to", "0", "--hand", "orca_like"]) == 0
     assert load_gains_file(place / "orca_like.gains.toml").gains == packaged_gains("orca_like")

@@ -34,7 +34,9 @@ A = Namespace(candidate="new.toml", hand="jamia")
 def fake_search(monkeypatch):
     """Replace the search for gains by one that returns at once. Return the list of its trials."""
     trials = []
-    monkeypatch.setattr("handctl.tune.search.search.run_search", lambda *words: SearchResult.of(tuple(trials)))
+    monkeypatch.setattr(
+        "handctl.tune.search.search.run_search", lambda *words: SearchResult.of(tuple(trials))
+    )
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed_gains", lambda *words: ())
     return trials
 
@@ -62,10 +64,14 @@ def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch
 
 def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, monkeypatch):
     monkeypatch.setattr(
-        "handctl.tune.loops.steps.RestTest._simulate", lambda self, model: ": plant 1 of 1 swings by 9 N"
+        "handctl.tune.loops.steps.RestTest._simulate",
+        lambda self, model: ": plant 1 of 1 swings by 9 N",
     )
     assert main(["tune", "design", "--plants", "1", "--poles-Hz", "5,25"]) == 1
-    assert "not stable on every plant: plant 1 of 1 swings by 9 N; nothing is written" in capsys.readouterr().err
+    assert (
+        "not stable on every plant: plant 1 of 1 swings by 9 N; nothing is written"
+        in capsys.readouterr().err
+    )
     assert not list(place.iterdir())
 
 
@@ -112,15 +118,23 @@ def test_a_digit_whose_sweep_touches_another_digit_is_blocked():
     from handctl.log.read.timeline import LoggedEvent, PhaseChange
     from handctl.tune.identify.identify import blocked_digits
 
-    event = LoggedEvent(50, 10**9, TickEvent("info", "blocked", "middle", "middle is blocked: 7.0 N"))
-    phases = [PhaseChange(0, 0, "start"), PhaseChange(40, 0, "index sweep"), PhaseChange(60, 0, "ring sweep")]
+    event = LoggedEvent(
+        50, 10**9, TickEvent("info", "blocked", "middle", "middle is blocked: 7.0 N")
+    )
+    phases = [
+        PhaseChange(0, 0, "start"),
+        PhaseChange(40, 0, "index sweep"),
+        PhaseChange(60, 0, "ring sweep"),
+    ]
     assert list(blocked_digits(SimpleNamespace(events=[event], phases=phases))) == ["index"]
     assert blocked_digits(SimpleNamespace(events=[], phases=phases)) == {}
 
 
 def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(place, capsys):
     text = (
-        load_hand("jamia").to_toml().replace("spring_preload_rad = [", "spring_preload_rad = [0.01, 0.01, 0.01]#[", 1)
+        load_hand("jamia")
+        .to_toml()
+        .replace("spring_preload_rad = [", "spring_preload_rad = [0.01, 0.01, 0.01]#[", 1)
     )
     (place / "weak.toml").write_text(text)
     said = refused(capsys, "identify", "--lockstep", "--hand", "weak.toml", "--dry-run")
@@ -129,12 +143,23 @@ def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(place, caps
 
 def test_units_in_brackets_are_no_markup(fake_search, capsys):
     fake_search.append(SearchTrial(0, {}, GainScore(1.0, 2.0, 3.0, 60.0, -0.5)))
-    assert main(["tune", "search", "--plants", "1", "--trials", "1", "--study", "[bold].study"]) == 0
+    assert (
+        main(["tune", "search", "--plants", "1", "--trials", "1", "--study", "[bold].study"]) == 0
+    )
     said = capsys.readouterr().out
     assert "[deg rms]" in said
     assert "[bold].study" in said
     _print_rounds(
-        {"judged_by": "truth", "returned": None, "verified": True, "failure": "", "log": "l", "picture": "p"}, (), A
+        {
+            "judged_by": "truth",
+            "returned": None,
+            "verified": True,
+            "failure": "",
+            "log": "l",
+            "picture": "p",
+        },
+        (),
+        A,
     )
     assert "[deg]" in capsys.readouterr().out
 
@@ -158,7 +183,9 @@ def test_a_dry_run_writes_nothing_and_answers_in_json(place, capsys, words):
     assert [path.name for path in place.iterdir()] == ["new.toml"]
 
 
-@pytest.mark.parametrize("words", [(), ("--from-log", GOLDEN, "--lockstep"), ("--lockstep", "--bus", "local:nobody")])
+@pytest.mark.parametrize(
+    "words", [(), ("--from-log", GOLDEN, "--lockstep"), ("--lockstep", "--bus", "local:nobody")]
+)
 def test_an_identification_refuses_two_sources(capsys, words):
     assert "expected one of them" in refused(capsys, "identify", *words)
 
@@ -167,9 +194,14 @@ def test_a_calibration_in_lockstep_does_not_replace_the_real_one(place, capsys, 
     hand, own = load_hand("jamia"), place / "jamia.calibration.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
-    made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
+    made = Calibration(
+        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
+    )
     write_calibration(own, made)
-    before, ended = own.read_bytes(), SimpleNamespace(failure="", progress=SimpleNamespace(finished=True))
+    before, ended = (
+        own.read_bytes(),
+        SimpleNamespace(failure="", progress=SimpleNamespace(finished=True)),
+    )
     outcome = SimpleNamespace(state=ended, refuse_unfinished=lambda where: None)
     monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
     monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
@@ -191,10 +223,14 @@ def result_of_digit(digit, stiffness, blocked="", met="", names=("tendon_stiffne
 
     values = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"tendon_stiffness": stiffness}
     problem = SimpleNamespace(nominal=np.ones(len(PARAMETER_NAMES)))
-    fit = SimpleNamespace(problem=problem, covariance=np.eye(len(PARAMETER_NAMES)), values=values, half_widths=values)
+    fit = SimpleNamespace(
+        problem=problem, covariance=np.eye(len(PARAMETER_NAMES)), values=values, half_widths=values
+    )
     judged = SimpleNamespace(names=names, missing=())
     spectrum = (np.zeros(1), np.zeros(1))
-    return TendonResult(SimpleNamespace(digit=digit), fit, judged, 1.0, spectrum, blocked=blocked, contact=met)
+    return TendonResult(
+        SimpleNamespace(digit=digit), fit, judged, 1.0, spectrum, blocked=blocked, contact=met
+    )
 
 
 def _replace_identification(monkeypatch, made, found):
@@ -212,7 +248,9 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys,
     hand, path = load_hand("jamia"), place / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
-    made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
+    made = Calibration(
+        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
+    )
     names, why = ("tendon_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
     found = {"middle_tendon": result_of_digit("middle", 9e4, met=why, names=names)}
     _replace_identification(monkeypatch, made, found)
@@ -222,7 +260,10 @@ def test_for_a_digit_in_contact_only_motor_and_tendon_are_written(place, capsys,
     assert line.startswith(begin)
     assert load_calibration(path, hand).identified["middle_tendon"].names == ("tendon_stiffness",)
     monkeypatch.setattr("handctl.cli.tuning.identify._result_fields", lambda *words: {})
-    assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap", "--json"]) == 1
+    assert (
+        main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap", "--json"])
+        == 1
+    )
     assert json.loads(capsys.readouterr().out)["met"] == {"middle": why}
 
 
@@ -232,13 +273,17 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
     hand, path = load_hand("jamia"), place / "own.toml"
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
-    made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
+    made = Calibration(
+        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
+    )
     entry = result_of_digit("index", 9e4).identified(Path("a"), "t")
     before = made.model_copy(update={"identified": {"index_tendon": entry}})
     write_calibration(path, before)
     known = path.read_bytes()
     found = {f"{name}_tendon": result_of_digit(name, 8e4) for name in others}
-    found["index_tendon"] = result_of_digit("index", 3.05e5, "middle is blocked: 7.0 N at 3.1 s, in its sweep")
+    found["index_tendon"] = result_of_digit(
+        "index", 3.05e5, "middle is blocked: 7.0 N at 3.1 s, in its sweep"
+    )
     _replace_identification(monkeypatch, made, found)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     said = capsys.readouterr()
@@ -251,7 +296,9 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
     assert others or path.read_bytes() == known
 
 
-@pytest.mark.parametrize("words", [("--output", "x.png"), ("--output", "x.toml", "--picture", "./x.toml")])
+@pytest.mark.parametrize(
+    "words", [("--output", "x.png"), ("--output", "x.toml", "--picture", "./x.toml")]
+)
 @pytest.mark.parametrize("kind", ["design", "search"])
 def test_gains_and_picture_are_two_files(place, capsys, kind, words):
     """A command refuses the same name for both, because the picture would overwrite the gains."""
@@ -259,11 +306,24 @@ def test_gains_and_picture_are_two_files(place, capsys, kind, words):
     assert not list(place.iterdir())
 
 
-@pytest.mark.parametrize("name", ["jamia.calibration.toml", "jamia.gains.toml", "mine.study", "jamia.study"])
+@pytest.mark.parametrize(
+    "name", ["jamia.calibration.toml", "jamia.gains.toml", "mine.study", "jamia.study"]
+)
 @pytest.mark.parametrize("option", ["--output", "--picture"])
 def test_tuning_overwrites_no_other_file_of_the_hand(place, capsys, name, option):
     (place / "mine.study").write_text("mine")
-    words = ("tune", "search", "--plants", "1", "--trials", "1", "--study", "mine.study", option, name)
+    words = (
+        "tune",
+        "search",
+        "--plants",
+        "1",
+        "--trials",
+        "1",
+        "--study",
+        "mine.study",
+        option,
+        name,
+    )
     assert "expected another name" in refused(capsys, *words)
     assert (place / "mine.study").read_text() == "mine"
 
@@ -273,8 +333,12 @@ def test_a_log_of_a_simulated_hand_is_not_used_for_the_real_hand(place, capsys):
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
     real = place / "real.mcap"
     with RunLog(Path(GOLDEN)) as log:
-        LogWriter(real, replace(log.header, deterministic=False), lambda *what: None, 1).finish("finished", 0)
-    assert "is of a simulated hand" in refused(capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN)
+        LogWriter(real, replace(log.header, deterministic=False), lambda *what: None, 1).finish(
+            "finished", 0
+        )
+    assert "is of a simulated hand" in refused(
+        capsys, "identify", "--from-log", str(real), "--from-log", GOLDEN
+    )
 
 
 def test_repeated_options_are_collected():
@@ -289,7 +353,10 @@ def test_repeated_options_are_collected():
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (("identify", "--from-log", GOLDEN, "--digits", "thumb"), "--digits: together with --from-log"),
+        (
+            ("identify", "--from-log", GOLDEN, "--digits", "thumb"),
+            "--digits: together with --from-log",
+        ),
         (("identify", "--lockstep", "--seed", "-1"), "--seed: -1; expected 0 or more"),
         (("identify", "--lockstep", "--time-scale", "0.5"), "--time-scale: only with --bus"),
         (("tune", "verify", "new.toml", "--lockstep", "--clear"), "--clear: only with --bus"),
@@ -317,12 +384,18 @@ PERTURBING = [
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("luck=2",), "--perturb: no such parameter: luck; expected one of stiffness, damping, friction"),
+        (
+            ("luck=2",),
+            "--perturb: no such parameter: luck; expected one of stiffness, damping, friction",
+        ),
         (("mass=0",), "--perturb: mass=0; expected a factor above 0"),
         (("friction=-1",), "--perturb: friction=-1; expected a finite factor, 0 or more"),
         (("mass",), "--perturb: 'mass'; expected KEY=NUMBER, e.g. stiffness=0.8"),
         (("mass=2", "mass=3"), "--perturb: mass is given twice; expected one value for each"),
-        (("mass=2", "--perturb", "mass=3"), "--perturb: mass is given twice; expected one value for each"),
+        (
+            ("mass=2", "--perturb", "mass=3"),
+            "--perturb: mass is given twice; expected one value for each",
+        ),
     ],
 )
 def test_a_wrong_perturbation_is_one_line_in_every_verb(place, capsys, verb, words, said):
@@ -341,7 +414,12 @@ def test_a_wrong_perturbation_is_one_line_in_every_verb(place, capsys, verb, wor
 def test_the_simulator_refuses_the_same_perturbations(capsys, words, said):
     from firmware_sim.__main__ import main as simulate
 
-    assert simulate(["--hand", "jamia", "--bus", "local:nobody", "--dry-run", "--perturb", *words.split()]) == 2
+    assert (
+        simulate(
+            ["--hand", "jamia", "--bus", "local:nobody", "--dry-run", "--perturb", *words.split()]
+        )
+        == 2
+    )
     err = capsys.readouterr().err
     assert said in err
     assert err.count("\n") == 1
@@ -357,8 +435,15 @@ def test_the_printed_next_command_has_the_options_of_the_same_hand(capsys):
     from handctl.cli.tuning.identify import _search_command
     from handctl.cli.tuning.tune_files import verify_command
 
-    given = {"hand": "my hand.toml", "gains": Path("a b.toml"), "gain": ["motion.force_N=16"], "rate": 250.0}
-    args = Namespace(**given, perturb=["stiffness=0.8", "friction=1.3"], fit=Path("x.calibration.toml"))
+    given = {
+        "hand": "my hand.toml",
+        "gains": Path("a b.toml"),
+        "gain": ["motion.force_N=16"],
+        "rate": 250.0,
+    }
+    args = Namespace(
+        **given, perturb=["stiffness=0.8", "friction=1.3"], fit=Path("x.calibration.toml")
+    )
     own = "--gains 'a b.toml' --gain motion.force_N=16 --rate 250 --perturb stiffness=0.8 friction=1.3"
     head = "handctl tune search --hand 'my hand.toml' --calibration x.calibration.toml "
     assert _search_command(args, Path("x.calibration.toml")) == head + own
@@ -370,15 +455,21 @@ def test_the_printed_next_command_has_the_options_of_the_same_hand(capsys):
 def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
     from handctl.cli.tuning.tune_files import plants_of
 
-    args = Namespace(hand="jamia", perturb=["stiffness=0.5", "torque_constant=1.1"], plants=3, seed=0, fit=fit)
+    args = Namespace(
+        hand="jamia", perturb=["stiffness=0.5", "torque_constant=1.1"], plants=3, seed=0, fit=fit
+    )
     plain = plants_of(Namespace(**vars(args) | {"perturb": []}), {}, 8)
     factors = {"stiffness": 0.5, "torque_constant": 1.1} if fit is None else {}
-    wanted = tuple(one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain)
+    wanted = tuple(
+        one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain
+    )
     assert plants_of(args, {}, 8) == wanted
 
 
 @pytest.mark.nightly
-def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_lockstep(place, capsys):
+def test_parameters_identified_in_lockstep_are_tuned_verified_and_applied_in_lockstep(
+    place, capsys
+):
     """Each command line is the one that the previous command has printed as next, with fewer trials."""
     words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
     assert main(words.split()) == 0

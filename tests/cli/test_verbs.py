@@ -124,7 +124,9 @@ def log(tmp_path_factory):
     recorder = Recorder.start(path, header)
     random = np.random.default_rng(0)
     for k in range(3000):
-        numbers = Telemetry(**{name: random.random(len(header.axis(axis))) for name, axis in TELEMETRY_AXES.items()})
+        numbers = Telemetry(
+            **{name: random.random(len(header.axis(axis))) for name, axis in TELEMETRY_AXES.items()}
+        )
         out = TickOut((), Mode.ACTIVE, "hold", Action.PASS, numbers, (), bytes(8))
         recorder.record(pack_tick_record(TickIn(k, k * 2_000_000), out))
     assert recorder.close("done")["complete"]

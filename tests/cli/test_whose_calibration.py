@@ -36,7 +36,12 @@ class Bench:
         add_run_options(parser, bus_required=False)
         self.args = parser.parse_args(["--hand", str(hand), "--json"])
         self.plan, self.place = make_plan(self.args, lockstep=True), place
-        self.peer = load_peer(SIMULATED_HAND_ENTRY, hand_path=str(hand), period_ns=self.plan.period_ns, serials=serials)
+        self.peer = load_peer(
+            SIMULATED_HAND_ENTRY,
+            hand_path=str(hand),
+            period_ns=self.plan.period_ns,
+            serials=serials,
+        )
         self.clock = LockstepClock(self.peer, self.plan.period_ns)
 
     def runner(self, plan, controller, log):
@@ -58,7 +63,9 @@ def modes(log):
 
 
 @pytest.mark.parametrize("protocols", [[name] for name in GUARDED_PROTOCOLS], ids="+".join)
-def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(place, protocols):
+def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(
+    place, protocols
+):
     """Regression: two hands of a design were used in one folder. The second got the tares and zeros of the first."""
     hand = hand_file(place, protocols)
     first, second = Bench(place, hand, FIRST), Bench(place, hand, SECOND)
@@ -67,20 +74,25 @@ def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibrati
     assert not any(text.startswith("node") for text in calibration.drive.values())
     path = place / "c.toml"
     write_calibration(path, calibration)
-    assert load_calibration(path, first.plan.hand) == calibration, "the calibration is stored without changes"
+    assert load_calibration(path, first.plan.hand) == calibration, (
+        "the calibration is stored without changes"
+    )
     calibration = load_calibration(path, first.plan.hand)
     assert first.jog(calibration, "again").state.failure == ""
     outcome = second.jog(calibration, "other")
     assert outcome.state.mode == Mode.DONE
     assert not outcome.state.unconfirmed
-    assert "the calibration is of another hand, give that of this hand or commission it" in outcome.state.failure
+    assert (
+        "the calibration is of another hand, give that of this hand or commission it"
+        in outcome.state.failure
+    )
     for name, text in calibration.drive.items():
         assert f"{name} is drive " in outcome.state.failure
         assert f"but was calibrated with drive {text}" in outcome.state.failure
     assert "\n" not in outcome.state.failure
-    assert [text.partition(":")[0] for text in modes(place / "other.mcap")][-1] == "READY -> DONE", (
-        "the hand was not armed"
-    )
+    assert [text.partition(":")[0] for text in modes(place / "other.mcap")][
+        -1
+    ] == "READY -> DONE", "the hand was not armed"
     for one in (first, second):
         one.peer.close()
 
@@ -99,7 +111,9 @@ def test_replaced_drive_is_named_before_arming(place):
 def test_a_log_names_its_drives_and_repeats(place, capsys):
     bench = Bench(place, "jamia", SECOND)
     calibration = bench.commission("made")
-    bench.jog(calibration.model_copy(update={"drive": dict.fromkeys(calibration.drive, "0x1")}), "refused")
+    bench.jog(
+        calibration.model_copy(update={"drive": dict.fromkeys(calibration.drive, "0x1")}), "refused"
+    )
     bench.peer.close()
     assert modes(place / "refused.mcap")[-1].startswith("READY -> DONE: ")
     assert main(["replay", "execute", "refused.mcap", "--json"]) == 0

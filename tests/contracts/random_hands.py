@@ -67,12 +67,18 @@ def random_hand(tendons: int, random: Random) -> Hand:
         joints += digit_joints
         for moment_arm in arms:
             varied = {
-                key: tendon[key] * random.uniform(0.8, 1.2) for key in ("stiffness_N_per_m", "friction_coefficient")
+                key: tendon[key] * random.uniform(0.8, 1.2)
+                for key in ("stiffness_N_per_m", "friction_coefficient")
             }
             number = len(entries)
-            entries.append(tendon | varied | {"name": f"t{number}", "motor": f"m{number}", "moment_arm_m": moment_arm})
+            entries.append(
+                tendon
+                | varied
+                | {"name": f"t{number}", "motor": f"m{number}", "moment_arm_m": moment_arm}
+            )
     motors = [
-        motor | {"name": f"m{n}", "node_id": n % ON_A_BUS + 1, "bus": BUSES[n // ON_A_BUS]} for n in range(tendons)
+        motor | {"name": f"m{n}", "node_id": n % ON_A_BUS + 1, "bus": BUSES[n // ON_A_BUS]}
+        for n in range(tendons)
     ]
     buses = [raw["bus"][0] | {"name": name} for name in BUSES[: -(-tendons // ON_A_BUS)]]
     read = [joint for joint in joints if random.random() < 0.6]
@@ -92,7 +98,9 @@ def random_hand(tendons: int, random: Random) -> Hand:
     if hand.motor[0].protocol == "moteus":
         loop |= {"kp_N_m_per_rad": 1.0, "kd_N_m_s_per_rad": 0.02}
     motors = [
-        one.model_copy(update={"node_id": FIRST_NODE + n % ON_A_BUS} | (loop if one.name in servos else {}))
+        one.model_copy(
+            update={"node_id": FIRST_NODE + n % ON_A_BUS} | (loop if one.name in servos else {})
+        )
         for n, one in enumerate(hand.motor)
     ]
     return hand.model_copy(update={"motor": tuple(motors)})
@@ -117,12 +125,16 @@ def _arms(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float
     """Yield the moment arms of a digit's tendons, once for each kind of digit."""
     one = float(radii[0])
     yield [dict.fromkeys(joints, one)]
-    each = [dict(zip(joints[: i + 1], radii[: i + 1].tolist(), strict=True)) for i in range(len(joints))]
+    each = [
+        dict(zip(joints[: i + 1], radii[: i + 1].tolist(), strict=True)) for i in range(len(joints))
+    ]
     yield each
     yield [*each, {joint: -float(radius) for joint, radius in zip(joints, radii, strict=True)}]
 
 
-def _digit(finger: dict[str, Any], name: str, size: int, coupled: bool, random: Random) -> dict[str, Any]:
+def _digit(
+    finger: dict[str, Any], name: str, size: int, coupled: bool, random: Random
+) -> dict[str, Any]:
     cut = {key: value[:size] if isinstance(value, list) and key[:5] in ("link_", "joint", "sprin") else value
            for key, value in finger.items()}  # fmt: skip
     cut |= {"name": name, "mount_position_m": random.uniform(-0.05, 0.05, 3).tolist()}
@@ -156,7 +168,9 @@ class RandomHand:
     def __init__(self, tendons: int, seed: int) -> None:
         self.random = np.random.default_rng((tendons, seed))
         hand = random_hand(tendons, self.random)
-        self.controller: Controller = make_controller(hand, Gains(), RATE_HZ, LiveProgram(), None, arm_at_once=True)
+        self.controller: Controller = make_controller(
+            hand, Gains(), RATE_HZ, LiveProgram(), None, arm_at_once=True
+        )
         self.protocol = hand.motor[0].protocol
         self.state: State = self.controller.initial()
         self.state.decide(progress=replace(self.state.progress, phase="live"))
@@ -191,14 +205,32 @@ class RandomHand:
         counter = self.state.whole(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
             late = random.random() < CORRUPT_FRACTION
-            given = {Quantity.COUNTER: counter ^ late, Quantity.TENSION: self.tension, Quantity.ANGLE: self.angle}
+            given = {
+                Quantity.COUNTER: counter ^ late,
+                Quantity.TENSION: self.tension,
+                Quantity.ANGLE: self.angle,
+            }
             messages += [(message, sensors.bus, given)]
         out = []
         for message, bus, given in messages:
             chance = random.random()
-            for _ in range(0 if chance < LOST_FRACTION else 2 if chance < LOST_FRACTION + DUPLICATE_FRACTION else 1):
+            for _ in range(
+                0
+                if chance < LOST_FRACTION
+                else 2
+                if chance < LOST_FRACTION + DUPLICATE_FRACTION
+                else 1
+            ):
                 data = _payload(message, given, random)
-                out.append(Frame(message.can_id, data, message.flags, bus, t_ns - int(random.integers(1_000_000))))
+                out.append(
+                    Frame(
+                        message.can_id,
+                        data,
+                        message.flags,
+                        bus,
+                        t_ns - int(random.integers(1_000_000)),
+                    )
+                )
         if random.random() < 0.1:
             out.append(Frame(int(random.integers(0x800)), random.bytes(8), 0, 0, t_ns - 1))
         return tuple(out)
@@ -206,12 +238,24 @@ class RandomHand:
     def requests(self, i: int) -> tuple[str, ...]:
         """Return the requests that arrive in the i-th tick: a move or a tension of a digit, or none."""
         if self.pull and i == 2:
-            return (json.dumps({"do": "move", "angle_deg": dict.fromkeys(self.digits, 30.0), "duration_s": 0.2}),)
+            return (
+                json.dumps(
+                    {"do": "move", "angle_deg": dict.fromkeys(self.digits, 30.0), "duration_s": 0.2}
+                ),
+            )
         if i % 8 != 2:
             return ()
         name = str(self.random.choice(self.digits))
         if self.random.random() < 0.5:
-            return (json.dumps({"do": "move", "angle_deg": {name: self.random.uniform(0.0, 60.0)}, "duration_s": 0.5}),)
+            return (
+                json.dumps(
+                    {
+                        "do": "move",
+                        "angle_deg": {name: self.random.uniform(0.0, 60.0)},
+                        "duration_s": 0.5,
+                    }
+                ),
+            )
         return (json.dumps({"do": "hold", "tension_N": {name: self.random.uniform(5.0, 60.0)}}),)
 
     def ticks(self) -> Iterator[str]:
@@ -223,7 +267,14 @@ class RandomHand:
                 self.state.decide(latched=())
             k += 1 if self.random.random() > SKIPPED_FRACTION else int(self.random.integers(2, 5))
             t_ns = k * self.period_ns
-            entry = TickIn(k, t_ns, int(self.random.integers(1_000_000)), self.frames(t_ns), (), self.requests(i))
+            entry = TickIn(
+                k,
+                t_ns,
+                int(self.random.integers(1_000_000)),
+                self.frames(t_ns),
+                (),
+                self.requests(i),
+            )
             self.state, out = self.controller.tick(self.state, entry)
             parts = [
                 out.state_hash,

@@ -19,7 +19,13 @@ from numba import njit
 from numba.core.errors import TypingError
 
 import handctl
-from handctl.compiled import KERNEL_FUNCTIONS, KERNEL_SOURCES, borrowed_array, compile_kernels, kernel
+from handctl.compiled import (
+    KERNEL_FUNCTIONS,
+    KERNEL_SOURCES,
+    borrowed_array,
+    compile_kernels,
+    kernel,
+)
 from handctl.core.block import STATE, STREAM_RANGE
 from handctl.core.law.stream import begin_segments
 from handctl.core.schema import BlockLayout
@@ -49,8 +55,14 @@ def hash_of_execution(log: Path) -> str:
 
 def run_without_compiler(*words: str) -> subprocess.Popen[str]:
     """Start a Python process in which kernels are interpreted and not compiled."""
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
-    return subprocess.Popen([sys.executable, *words], env=environment, stdout=subprocess.PIPE, text=True)
+    environment = {
+        **os.environ,
+        "NUMBA_DISABLE_JIT": "1",
+        "PYTHONPATH": os.pathsep.join(map(str, sys.path)),
+    }
+    return subprocess.Popen(
+        [sys.executable, *words], env=environment, stdout=subprocess.PIPE, text=True
+    )
 
 
 DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
@@ -58,7 +70,11 @@ DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in DAILY_LOGS else pytest.param(name, marks=pytest.mark.nightly) for name in LOGS]
+    "name",
+    [
+        name if name in DAILY_LOGS else pytest.param(name, marks=pytest.mark.nightly)
+        for name in LOGS
+    ],
 )
 def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
     script = f"from {__name__} import hash_of_execution, GOLDEN; print(hash_of_execution(GOLDEN / {name!r}))"
@@ -76,9 +92,16 @@ Drives of (5, 2), (6, 5) and (11, 1) close position loops. Those of (6, 5) are m
 
 
 @pytest.mark.parametrize(
-    "hands", [DAILY, pytest.param([(n, s) for n in range(1, 25) for s in (2, 3)], marks=pytest.mark.nightly)], ids=len
+    "hands",
+    [
+        DAILY,
+        pytest.param([(n, s) for n in range(1, 25) for s in (2, 3)], marks=pytest.mark.nightly),
+    ],
+    ids=len,
 )
-def test_interpreted_kernels_give_the_same_ticks_of_random_hands(hands: list[tuple[int, int]]) -> None:
+def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
+    hands: list[tuple[int, int]],
+) -> None:
     """State, numbers, frames and events of every tick agree.
 
     Received frames may be lost, duplicate, late or corrupt.
@@ -108,13 +131,17 @@ def hash_of_segments() -> str:
         aim, held = draw.normal(size=(2, 3))
         duration = draw.uniform(0.002, 0.05)
         apart = np.inf if i % 5 == 0 else draw.uniform(0.005, 0.05)
-        clipped = begin_segments(block, layout.places, aim, held, draw.normal(), duration, apart, 5.0, i % 2)
+        clipped = begin_segments(
+            block, layout.places, aim, held, draw.normal(), duration, apart, 5.0, i % 2
+        )
         digest.update(block.tobytes() + bytes([bool(clipped)]))
     return digest.hexdigest()
 
 
 def test_interpreted_kernels_begin_the_same_motions() -> None:
-    with run_without_compiler("-c", f"from {__name__} import hash_of_segments; print(hash_of_segments())") as other:
+    with run_without_compiler(
+        "-c", f"from {__name__} import hash_of_segments; print(hash_of_segments())"
+    ) as other:
         mine = hash_of_segments()
         output, _ = other.communicate(timeout=120)
     assert output.strip() == mine
@@ -194,7 +221,9 @@ def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(package.parent)}
     command = [sys.executable, "-c", ASK_SCRIPT]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=package.parent, timeout=120)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, cwd=package.parent, timeout=120
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     result, hits, stored = done.stdout.split()
     return result == "True", int(hits) > 0, stored == "True"
@@ -213,13 +242,17 @@ def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path:
     other = copy / "safety" / "faults" / "node.py"
     text = other.read_text(encoding="utf-8")
     assert "HALF_RATE_MISSES = 7\n" in text
-    other.write_text(text.replace("HALF_RATE_MISSES = 7\n", "HALF_RATE_MISSES = 8\n"), encoding="utf-8")
+    other.write_text(
+        text.replace("HALF_RATE_MISSES = 7\n", "HALF_RATE_MISSES = 8\n"), encoding="utf-8"
+    )
     assert run_copied_kernel(copy, cache) == (False, False, True)
     other.write_text(text, encoding="utf-8")
     assert run_copied_kernel(copy, cache) == (True, True, True), "the code of both versions is kept"
 
 
-def test_two_installations_of_one_version_store_their_code_apart(copy: Path, tmp_path: Path) -> None:
+def test_two_installations_of_one_version_store_their_code_apart(
+    copy: Path, tmp_path: Path
+) -> None:
     """If both used one folder, an installation could load the stored code of the other."""
     cache, other = tmp_path / "cache", tmp_path / "other" / copy.name
     shutil.copytree(copy, other)
@@ -229,7 +262,9 @@ def test_two_installations_of_one_version_store_their_code_apart(copy: Path, tmp
 
 
 @pytest.mark.parametrize("kind", ["missing", "a file", "read-only"])
-def test_without_a_writable_cache_each_process_compiles(copy: Path, tmp_path: Path, kind: str) -> None:
+def test_without_a_writable_cache_each_process_compiles(
+    copy: Path, tmp_path: Path, kind: str
+) -> None:
     cache = Path("/dev/null/none") if kind == "missing" else tmp_path / "cache"
     if kind != "missing":
         cache.mkdir()
@@ -239,7 +274,9 @@ def test_without_a_writable_cache_each_process_compiles(copy: Path, tmp_path: Pa
         cache.chmod(0o555)
     result, hit, stored = run_copied_kernel(copy, cache)
     assert (result, hit) == (True, False)
-    assert not stored or (kind == "read-only" and os.geteuid() == 0), "root can write into read-only folders"
+    assert not stored or (kind == "read-only" and os.geteuid() == 0), (
+        "root can write into read-only folders"
+    )
 
 
 class KernelSources:
@@ -284,7 +321,9 @@ class KernelSources:
     def _tree(self, module: str) -> ast.Module:
         """Return the syntax tree of a module."""
         if module not in self._trees:
-            self._trees[module] = ast.parse(Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8"))
+            self._trees[module] = ast.parse(
+                Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8")
+            )
         return self._trees[module]
 
 
@@ -294,24 +333,34 @@ def defined_names(node: ast.stmt) -> set[str]:
         return {node.name}
     if isinstance(node, ast.Assign | ast.AnnAssign | ast.AugAssign):
         targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-        return {one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)}
+        return {
+            one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)
+        }
     return set()
 
 
 def is_source(module: str) -> bool:
     """Return True if the cache folder depends on the text of a module."""
-    inside = tuple("handctl." + name.removesuffix(".py").replace("/", ".") + "." for name in KERNEL_SOURCES)
+    inside = tuple(
+        "handctl." + name.removesuffix(".py").replace("/", ".") + "." for name in KERNEL_SOURCES
+    )
     return f"{module}.".startswith(inside)
 
 
 def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
     """The name of the cache folder depends on the text of every module that can change a kernel."""
-    kernels = [function for function in KERNEL_FUNCTIONS if function.__module__.startswith("handctl.")]
+    kernels = [
+        function for function in KERNEL_FUNCTIONS if function.__module__.startswith("handctl.")
+    ]
     assert len(kernels) > 100
     origins = KernelSources()
     for function in kernels:
         origins.follow(function.__module__, function.__name__)
-    assert {"handctl.core.schema", "handctl.safety.faults.tendon", "handctl.drives.records"} <= origins.modules
+    assert {
+        "handctl.core.schema",
+        "handctl.safety.faults.tendon",
+        "handctl.drives.records",
+    } <= origins.modules
     assert [name for name in sorted(origins.modules) if not is_source(name)] == []
 
 

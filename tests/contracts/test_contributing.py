@@ -38,7 +38,9 @@ def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
     package = tmp_path / "handctl"
     shutil.copytree(ROOT / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__"))
     section = PAGE.split("## How to add a topic")[1]
-    definition, module, part = (dedent(code) for code in re.findall(r"   ```python\n(.*?) *```", section, re.DOTALL))
+    definition, module, part = (
+        dedent(code) for code in re.findall(r"   ```python\n(.*?) *```", section, re.DOTALL)
+    )
     messages = package / "log" / "message_types.py"
     insert(messages, "DEFINITIONS = {\n", definition)
     (package / "log" / "topics" / "peak.py").write_text(module, encoding="utf-8")
@@ -83,13 +85,19 @@ def test_the_page_s_example_of_one_test_exists() -> None:
 
 
 def test_the_hooks_run_what_make_lint_runs() -> None:
-    hooks = re.findall(r"entry: (.*)", (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
-    recipe = re.findall(r"^lint: .*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)[0]
+    hooks = re.findall(
+        r"entry: (.*)", (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8")
+    )
+    recipe = re.findall(
+        r"^lint: .*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE
+    )[0]
     assert hooks == [line.strip().replace("$(BIN)", ".venv/bin") for line in recipe.splitlines()]
 
 
 def test_every_place_that_names_the_version_names_the_same() -> None:
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+        "version"
+    ]
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     released = re.findall(r"^## \[(\d[^\]]*)\] - (\S+)", changelog, re.MULTILINE)
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")

@@ -17,7 +17,9 @@ def test_a_user_s_own_control_py_does_not_hide_the_package(tmp_path: Path, first
         f"{first}import handctl.core.gains.riccati\nimport control\n"
         "assert control.MINE\nprint(handctl.core.gains.riccati.solve_covariance.__module__)\n"
     )
-    done = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, str(program)], capture_output=True, text=True, check=False
+    )
     assert done.stdout == "handctl.core.gains.riccati\n", done.stderr
 
 

@@ -36,7 +36,12 @@ COMMANDS = [
     ("fault sequences", "mujoco", "fault needs mujoco", "sim"),
     ("paper --results no.json", "mujoco", "paper needs mujoco", "sim"),
     ("tune search --hand jamia", "optuna", "tune needs optuna", "tune"),
-    ("tune search --hand jamia --scheduler tcp://h:1", "distributed", "tune needs distributed", "dask"),
+    (
+        "tune search --hand jamia --scheduler tcp://h:1",
+        "distributed",
+        "tune needs distributed",
+        "dask",
+    ),
     ("tune verify g.toml --hand jamia --lockstep", "mujoco", "tune needs mujoco", "sim"),
     ("view no.mcap", "rerun", "view needs rerun", "view"),
     ("run --hand jamia --bus local:x --view", "rerun", "run needs rerun", "view"),
@@ -46,7 +51,9 @@ COMMANDS = [
 ]
 
 
-@pytest.mark.parametrize(("words", "package", "need", "extra"), COMMANDS, ids=[row[0] for row in COMMANDS])
+@pytest.mark.parametrize(
+    ("words", "package", "need", "extra"), COMMANDS, ids=[row[0] for row in COMMANDS]
+)
 def test_a_missing_extra_is_one_line_that_names_it(
     words: str,
     package: str,
@@ -75,7 +82,9 @@ def test_the_simulator_names_its_extra_as_well() -> None:
 def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
     code = f"{HIDE}from handctl.session.simulate import SimulatorSettings\nSimulatorSettings('jamia').check()"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert ran.stderr.splitlines()[-1].endswith("the simulated hand needs mujoco: pip install 'handctl[sim]'")
+    assert ran.stderr.splitlines()[-1].endswith(
+        "the simulated hand needs mujoco: pip install 'handctl[sim]'"
+    )
 
 
 def test_an_import_that_fails_in_the_middle_is_translated_as_well() -> None:
@@ -107,14 +116,25 @@ def test_the_doctor_names_what_is_installed(
     monkeypatch.setitem(sys.modules, "rerun_cli", None)
     main(["doctor", "--json"])
     report = json.loads(capsys.readouterr().out)
-    assert report["extras"] == {"sim": True, "view": False, "export": True, "tune": True, "dask": True, "gym": True}
+    assert report["extras"] == {
+        "sim": True,
+        "view": False,
+        "export": True,
+        "tune": True,
+        "dask": True,
+        "gym": True,
+    }
     assert {"version", "python", "platform"} <= report.keys()
     main(["doctor"])
     assert "not installed: view\n" in capsys.readouterr().out
 
 
 def test_no_verb_s_help_or_module_needs_an_extra() -> None:
-    modules = [f"handctl.cli.{folder}.{verb}" for folder, verbs in VERBS_BY_FOLDER.items() for verb in verbs]
+    modules = [
+        f"handctl.cli.{folder}.{verb}"
+        for folder, verbs in VERBS_BY_FOLDER.items()
+        for verb in verbs
+    ]
     code = (
         f"{HIDE}import importlib\nfrom handctl.cli.main import main\n"
         f"for name in {list(VERB_HELP)}:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n"
@@ -146,7 +166,9 @@ def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undecl
                 if name in EXTRA_BY_MODULE:
                     assert place.startswith(HOMES), f"{place} imports {name}"
                 else:
-                    assert declared & set(distributions[name]), f"{place} imports {name}, which is not a dependency"
+                    assert declared & set(distributions[name]), (
+                        f"{place} imports {name}, which is not a dependency"
+                    )
 
 
 def imported(node: ast.AST) -> list[str]:

@@ -9,7 +9,12 @@ import pytest
 
 from handctl.campaign.scenarios import FAULT_MATRIX, UNTESTED_ROWS
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.safety.faults.fault import CHECKED_BY_FAULT_TABLE, DETECTED_FAULT, NOT_VISIBLE, WEAKER_SIGN
+from handctl.safety.faults.fault import (
+    CHECKED_BY_FAULT_TABLE,
+    DETECTED_FAULT,
+    NOT_VISIBLE,
+    WEAKER_SIGN,
+)
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.markdown import (
     catalogue_markdown,
@@ -59,8 +64,12 @@ def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
     judged = {fault.row for fault in FAULT_TABLE}
     assert judged <= set(IDS)
     elsewhere = {entry.id for entry in FAULT_CATALOGUE if entry.where != CHECKED_BY_FAULT_TABLE}
-    assert {entry.id for entry in FAULT_CATALOGUE if entry.where == CHECKED_BY_FAULT_TABLE} <= judged
-    assert judged & elsewhere <= {"B18", "N12"}, "only these rows are checked before arming and in every tick"
+    assert {
+        entry.id for entry in FAULT_CATALOGUE if entry.where == CHECKED_BY_FAULT_TABLE
+    } <= judged
+    assert judged & elsewhere <= {"B18", "N12"}, (
+        "only these rows are checked before arming and in every tick"
+    )
 
 
 def test_every_row_has_its_visibility_in_each_protocol() -> None:
@@ -89,10 +98,14 @@ def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
             assert row.ticks == 11
             continue
         assert row.ticks * 2.0 + row.ms <= entry.latest_ms(500.0), row
-        extra = {p: row.extra_ms.get(p, 0.0) + 2.0 * row.extra_ticks.get(p, 0) for p in row.protocols}
+        extra = {
+            p: row.extra_ms.get(p, 0.0) + 2.0 * row.extra_ticks.get(p, 0) for p in row.protocols
+        }
         assert extra.get("odrive", 0.0) <= entry.odrive_ms, row
         for protocol in ("mit", "cia402"):
-            assert row.ticks * 2.0 + row.ms + extra.get(protocol, 0.0) <= entry.latest_ms(500.0), row
+            assert row.ticks * 2.0 + row.ms + extra.get(protocol, 0.0) <= entry.latest_ms(500.0), (
+                row
+            )
 
 
 REQUIRED = """\
@@ -110,7 +123,9 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
     for entry in FAULT_CATALOGUE:
         assert entry.required == required.get(entry.id, 0), entry.id
         needs_why = (entry.ticks or entry.ms) and is_late(entry)
-        assert bool(entry.why) == bool(needs_why), f"{entry.id}: late detection, and no other, needs a reason"
+        assert bool(entry.why) == bool(needs_why), (
+            f"{entry.id}: late detection, and no other, needs a reason"
+        )
 
 
 def test_the_pages_agree_with_the_code() -> None:

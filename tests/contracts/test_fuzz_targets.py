@@ -39,23 +39,36 @@ def test_seeds_of_a_corpus_are_accepted(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", FUZZED_DRIVES)
 def test_seeds_of_a_drive_s_corpus_reach_torque(name: str, tmp_path: Path) -> None:
     motor, seen = wire.path_to_torque(name, tmp_path)
-    assert {one.state.phase for one in seen} >= {DrivePhase.SILENT, DrivePhase.READY, DrivePhase.ENABLED}
+    assert {one.state.phase for one in seen} >= {
+        DrivePhase.SILENT,
+        DrivePhase.READY,
+        DrivePhase.ENABLED,
+    }
     ours = wire.selectable_identifiers(motor, seen)
     for data in seeds(name, tmp_path):
         state, t_ns, recorded = seen[data[0]]
         sent = [frame for frame, _ in wire.frames_of_input(data, ours, t_ns)]
-        assert [(frame.can_id, frame.data) for frame in sent] == [(frame.can_id, frame.data) for frame in recorded]
+        assert [(frame.can_id, frame.data) for frame in sent] == [
+            (frame.can_id, frame.data) for frame in recorded
+        ]
         after = functools.reduce(motor.receive, sent, state)
         assert after.misread == 0
         assert after.phase == functools.reduce(motor.receive, recorded, state).phase
 
 
-def test_a_changed_field_of_a_log_is_found_by_its_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_changed_field_of_a_log_is_found_by_its_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     error_lines: list[str] = []
     monkeypatch.setattr(files, "check_one_line", lambda error: error_lines.append(str(error)))
     target = TARGET_FACTORIES["log"](tmp_path)
     parts = logs._parts(tmp_path / "small.mcap")
-    messages = ((i, at) for i, part in enumerate(parts) for at, one in enumerate(part) if one[0] == Opcode.MESSAGE)
+    messages = (
+        (i, at)
+        for i, part in enumerate(parts)
+        for at, one in enumerate(part)
+        if one[0] == Opcode.MESSAGE
+    )
     part, tick = next(messages)
     number = 22 + 4  # the tick number follows the message header (22) and the encoding mark (4)
     replaced, anywhere, given, one_byte = 3, 1, 0, 0
@@ -78,8 +91,12 @@ def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
         target(b"")
 
 
-def test_fuzzing_without_an_accepted_input_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert blind.fuzz(lambda data: data > b"b", iter([b"a", b"b", b"c"] * 100), tmp_path, 0.0, 256) == (256, 85)
+def test_fuzzing_without_an_accepted_input_is_a_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert blind.fuzz(
+        lambda data: data > b"b", iter([b"a", b"b", b"c"] * 100), tmp_path, 0.0, 256
+    ) == (256, 85)
     monkeypatch.chdir(tmp_path)
     for taken, accepted in ((0, False), (64, True)):
         summary = f"Done 256 runs in 2 second(s), {taken} inputs accepted, corpus of 3 inputs"

@@ -21,7 +21,9 @@ print("linked", njit(lambda value: square(value) + 1.0)(3.0))
 """
 UNKNOWN = "from handctl import kernel_loading\nkernel_loading.TESTED_VERSIONS = ()\n"
 
-pytestmark = pytest.mark.skipif(compiled._CACHE_FOLDER is None, reason="no folder for compiled code")
+pytestmark = pytest.mark.skipif(
+    compiled._CACHE_FOLDER is None, reason="no folder for compiled code"
+)
 
 
 def lines(code: str) -> list[str]:
@@ -32,12 +34,22 @@ def lines(code: str) -> list[str]:
 
 def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:
     compiled.compile_kernels()
-    assert lines(CHECKS) == ["registered False", "imported False", "loaded False 9.0", "linked 10.0"]
+    assert lines(CHECKS) == [
+        "registered False",
+        "imported False",
+        "loaded False 9.0",
+        "linked 10.0",
+    ]
 
 
 def test_other_versions_of_numba_load_in_their_own_way() -> None:
     compiled.compile_kernels()
-    assert lines(UNKNOWN + CHECKS) == ["registered True", "imported True", "loaded True 9.0", "linked 10.0"]
+    assert lines(UNKNOWN + CHECKS) == [
+        "registered True",
+        "imported True",
+        "loaded True 9.0",
+        "linked 10.0",
+    ]
 
 
 def test_the_installed_version_is_known() -> None:

@@ -70,7 +70,9 @@ def test_quoted_code_of_a_document_is_no_prose(language: ModuleType, tree: Path)
     assert (tally.counts["what"], tally.counts["ropes"], tally.counts["semicolons"]) == (1, 1, 1)
 
 
-def test_a_count_above_its_limit_is_reported_and_limits_are_only_lowered(language: ModuleType, tree: Path) -> None:
+def test_a_count_above_its_limit_is_reported_and_limits_are_only_lowered(
+    language: ModuleType, tree: Path
+) -> None:
     before = language.count_all(tree)
     limits = language.lowered_limits(before, {})
     assert list(language.excesses(before, limits)) == []
@@ -80,7 +82,10 @@ def test_a_count_above_its_limit_is_reported_and_limits_are_only_lowered(languag
     assert line.startswith("src: names ")
     assert language.lowered_limits(after, limits)["src"]["names"] == limits["src"]["names"]
     (tree / "src" / "two.py").write_text("")
-    assert language.lowered_limits(language.count_all(tree), limits)["src"]["names"] < limits["src"]["names"]
+    assert (
+        language.lowered_limits(language.count_all(tree), limits)["src"]["names"]
+        < limits["src"]["names"]
+    )
 
 
 def test_limits_are_read_as_they_were_written(language: ModuleType, tree: Path) -> None:

@@ -57,5 +57,8 @@ def test_the_search_detects_circles_of_any_length() -> None:
 @pytest.mark.parametrize("package", ["handctl", "firmware_sim"])
 def test_no_import_circles(package: str) -> None:
     files = {name: path for name, path in modules().items() if name.split(".")[0] == package}
-    graph = {name: imports(path.read_text(encoding="utf-8"), set(files)) - {name} for name, path in files.items()}
+    graph = {
+        name: imports(path.read_text(encoding="utf-8"), set(files)) - {name}
+        for name, path in files.items()
+    }
     assert circles(graph) == []

@@ -31,10 +31,14 @@ def test_every_protocol_is_named() -> None:
         "mit": "MIT", "odrive": "ODrive", "cia402": "CiA 402", "cubemars": "CubeMars", "moteus": "moteus (CAN FD)",
         "robstride": "RobStride", "robstride_mit": "RobStride motors in MIT mode",
     }  # fmt: skip
-    assert [protocol for protocol in PROTOCOL_ENTRIES if names.get(protocol, protocol) not in README] == []
+    assert [
+        protocol for protocol in PROTOCOL_ENTRIES if names.get(protocol, protocol) not in README
+    ] == []
 
 
 def test_every_extra_is_named() -> None:
-    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    project = tomllib.loads(
+        (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
+    )["project"]
     table = README.split("| extra |")[1].split("\n\n")[0]
     assert [extra for extra in project["optional-dependencies"] if f"`{extra}`" not in table] == []

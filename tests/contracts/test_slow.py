@@ -33,10 +33,13 @@ def test_parameters_with_brackets_and_lines_belong_to_one_function() -> None:
     assert set(choose(rows)) == {"a.py::one[x[1]\n]"}
 
 
-def test_only_a_sample_leaves_slow_tests_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_sample_leaves_slow_tests_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """pytest collects this file with a list of slow tests that names two of its tests."""
-    code = "import sys, pathlib, pytest, tests.slow; tests.slow.SLOW_TESTS = pathlib.Path(sys.argv[1]); " + (
-        "sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))"
+    code = (
+        "import sys, pathlib, pytest, tests.slow; tests.slow.SLOW_TESTS = pathlib.Path(sys.argv[1]); "
+        + ("sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))")
     )
     name = "tests/contracts/test_slow.py::test_a_file_keeps_its_cheapest_test_unless_it_takes_long"
     long_test = "tests/contracts/test_slow.py::test_a_test_that_waits_long_is_slow"
@@ -46,7 +49,9 @@ def test_only_a_sample_leaves_slow_tests_out(tmp_path: Path, monkeypatch: pytest
         monkeypatch.setenv("HANDCTL_SLOW_S", limit_s)
         monkeypatch.delenv("HANDCTL_NIGHTLY", raising=False)
         words = [sys.executable, "-c", code, str(tmp_path / "slow.txt"), __file__]
-        found[limit_s] = subprocess.run(words, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+        found[limit_s] = subprocess.run(
+            words, capture_output=True, text=True, check=True, cwd=ROOT
+        ).stdout
     run = [(name in text, long_test in text) for text in found.values()]
     assert run == [(False, False), (True, False), (True, True)]
     assert "test_a_function_keeps_its_first_cases_up_to_the_budget" in found["0"]

@@ -20,10 +20,15 @@ from handctl.programs.calibration import load_calibration
 def watched(seconds: float, mib_per_h: float = 0.0, swings_mib: float = 0.0) -> list[MemorySample]:
     chance = random.Random(1)
     times = [30.0 * i for i in range(int(seconds / 30) + 1)]
-    return [MemorySample(t, 350.0 + mib_per_h * t / 3600 + swings_mib * chance.random(), 7) for t in times]
+    return [
+        MemorySample(t, 350.0 + mib_per_h * t / 3600 + swings_mib * chance.random(), 7)
+        for t in times
+    ]
 
 
-def test_a_controller_gets_a_calibration_of_its_hand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_controller_gets_a_calibration_of_its_hand(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Regression: the soak run wrote a hand file in place of the calibration.
 
     It ended before its first controller.
@@ -32,16 +37,20 @@ def test_a_controller_gets_a_calibration_of_its_hand(monkeypatch: pytest.MonkeyP
     done = subprocess.Popen([sys.executable, "-c", ""])
     done.wait()
     monkeypatch.setattr(soak, "start_handctl", lambda *words: done)
-    assert not soak.SoakTest(1, 1.0).start_controller(), "without a calibration no controller starts"
+    assert not soak.SoakTest(1, 1.0).start_controller(), (
+        "without a calibration no controller starts"
+    )
     hand = load_hand("jamia")
-    assert set(load_calibration(tmp_path / "c.toml", hand).drive) == {motor.name for motor in hand.motor}
+    assert set(load_calibration(tmp_path / "c.toml", hand).drive) == {
+        motor.name for motor in hand.motor
+    }
 
 
 def test_growth_is_reported_in_mebibytes_per_hour() -> None:
     assert memory_slope(watched(3600.0, mib_per_h=2.0)) == pytest.approx(2.0, abs=0.01)
-    assert memory_slope([one._replace(rss=one.rss + 9 * (one.t < WARM_S)) for one in watched(3600.0)]) == pytest.approx(
-        0.0
-    )
+    assert memory_slope(
+        [one._replace(rss=one.rss + 9 * (one.t < WARM_S)) for one in watched(3600.0)]
+    ) == pytest.approx(0.0)
 
 
 def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
@@ -50,9 +59,14 @@ def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
     This was reported as growth of 3 MiB per hour.
     """
     falling_back = watched(2400.0)
-    low = [one._replace(rss=one.rss - 1.5 * (600 <= one.t < 1170 and one.t % 300 > 30)) for one in falling_back]
+    low = [
+        one._replace(rss=one.rss - 1.5 * (600 <= one.t < 1170 and one.t % 300 > 30))
+        for one in falling_back
+    ]
     assert memory_slope(low) == pytest.approx(0.0, abs=1e-6)
-    assert memory_slope(watched(7200.0, mib_per_h=2.0, swings_mib=1.5)) == pytest.approx(2.0, abs=0.3)
+    assert memory_slope(watched(7200.0, mib_per_h=2.0, swings_mib=1.5)) == pytest.approx(
+        2.0, abs=0.3
+    )
 
 
 def test_too_short_a_time_has_no_slope() -> None:

@@ -9,7 +9,12 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 LOOP = Path("src/handctl/runtime/loop.py")
-LOCKS = ("requirements.lock", "requirements-demo.lock", "requirements-dev.lock", "requirements-extra.lock")
+LOCKS = (
+    "requirements.lock",
+    "requirements-demo.lock",
+    "requirements-dev.lock",
+    "requirements-extra.lock",
+)
 BROAD_EXCEPTIONS = {"Exception", "BaseException"}
 OWN_PACKAGES = {"handctl", "firmware_sim", "tests", "fuzz", "benchmarks"}
 
@@ -29,7 +34,9 @@ def broad_handlers(source: str) -> Iterator[int]:
             case ast.ExceptHandler(type=caught):
                 if BROAD_EXCEPTIONS & names(caught):
                     yield node.lineno
-            case ast.Call(func=ast.Name(id="suppress") | ast.Attribute(attr="suppress"), args=caught):
+            case ast.Call(
+                func=ast.Name(id="suppress") | ast.Attribute(attr="suppress"), args=caught
+            ):
                 if BROAD_EXCEPTIONS & set().union(*map(names, caught)):
                     yield node.lineno
 
@@ -59,7 +66,9 @@ def test_only_the_loop_catches_all_exceptions_and_once() -> None:
     for path in sources("src", "firmware_sim"):
         lines = list(broad_handlers(path.read_text(encoding="utf-8")))
         allowed = 1 if path.relative_to(ROOT) == LOOP else 0
-        assert len(lines) <= allowed, f"{path.relative_to(ROOT)} catches everything in lines {lines}"
+        assert len(lines) <= allowed, (
+            f"{path.relative_to(ROOT)} catches everything in lines {lines}"
+        )
 
 
 def test_only_one_module_builds_the_simulated_hand() -> None:
@@ -94,11 +103,17 @@ def test_the_locks_name_no_index_and_hash_every_package() -> None:
         assert "://" not in text, name
         assert "--index" not in text, name
         assert "--find-links" not in text, name
-        pins = [block for block in text.split("\n") if "==" in block and not block.lstrip().startswith("#")]
+        pins = [
+            block
+            for block in text.split("\n")
+            if "==" in block and not block.lstrip().startswith("#")
+        ]
         assert pins, name
         blocks = re.findall(r"^[a-z0-9][^\n]*==(?:[^\n]*\\\n)*[^\n]*", text, re.MULTILINE)
         assert len(blocks) == len(pins), name
-        assert all("--hash=sha256:" in block for block in blocks), f"{name}: a package without hashes"
+        assert all("--hash=sha256:" in block for block in blocks), (
+            f"{name}: a package without hashes"
+        )
 
 
 def named(module: str) -> set[str]:
@@ -111,15 +126,25 @@ def named(module: str) -> set[str]:
         below, file = set(), place.with_suffix(".py")
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8") if file.exists() else "")):
         match node:
-            case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.Name(id=name, ctx=ast.Store()):
+            case (
+                ast.FunctionDef(name=name)
+                | ast.ClassDef(name=name)
+                | ast.Name(id=name, ctx=ast.Store())
+            ):
                 below.add(name)
             case ast.alias(name=name, asname=other):
                 below.add(other or name)
     return below
 
 
-@pytest.mark.parametrize("path", sources("fuzz", "benchmarks"), ids=lambda path: f"{path.parent.name}/{path.name}")
+@pytest.mark.parametrize(
+    "path", sources("fuzz", "benchmarks"), ids=lambda path: f"{path.parent.name}/{path.name}"
+)
 def test_names_imported_by_fuzz_and_benchmarks_exist(path: Path) -> None:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in OWN_PACKAGES:
+        if (
+            isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.split(".")[0] in OWN_PACKAGES
+        ):
             assert {alias.name for alias in node.names} <= named(node.module), node.module

@@ -48,12 +48,17 @@ def test_a_stall_of_one_core_is_seen_once() -> None:
     assert not any(os.path.exists(f"/proc/{pid}") for pid in meter.pids)
 
 
-def test_a_test_is_repeated_only_after_a_stall(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_test_is_repeated_only_after_a_stall(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytester.makepyfile(test_clock=REPEATED_TEST)
     pytester.makeconftest("from tests.conftest import *")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(("", os.getcwd())))
     result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "-o", "markers=realtime")
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(
-        ["*test_clock.py::test_each_repeat_runs_in_slower_time?True?", "*1 failed, 1 passed, 2 rerun*"]
+        [
+            "*test_clock.py::test_each_repeat_runs_in_slower_time?True?",
+            "*1 failed, 1 passed, 2 rerun*",
+        ]
     )

@@ -7,16 +7,31 @@ import time
 
 import pytest
 
-HEAVY = ("can", "control", "daqp", "filterpy", "matplotlib", "mcap", "mujoco", "pyarrow", "pydantic", "rerun", "scipy")
+HEAVY = (
+    "can",
+    "control",
+    "daqp",
+    "filterpy",
+    "matplotlib",
+    "mcap",
+    "mujoco",
+    "pyarrow",
+    "pydantic",
+    "rerun",
+    "scipy",
+)
 UNUSED = ("fft", "interpolate", "ndimage", "optimize", "signal", "spatial", "special", "stats")
 """Packages of scipy that a run does not import if its hand has springs."""
 LIMIT_S = 0.3
 LIMIT_INTERPRETERS = 10
 """Limit of the time for a help on a slow or busy machine, in start-up times of an empty Python interpreter."""
-HELP = "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+HELP = (
+    "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+)
 
 pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("handctl.cli") is None or importlib.util.find_spec("handctl.cli.main") is None,
+    importlib.util.find_spec("handctl.cli") is None
+    or importlib.util.find_spec("handctl.cli.main") is None,
     reason="there is no command line yet",
 )
 
@@ -46,9 +61,13 @@ def test_help_imports_no_heavy_library() -> None:
 def test_a_run_starts_without_packages_that_it_does_not_use() -> None:
     others = ("control", "matplotlib", "numpy.f2py", "numpy.testing")
     names = ("filterpy.kalman", *others, *(f"scipy.{part}" for part in UNUSED))
-    code = "import sys\nfrom handctl.cli.main import main\nmain(['demo', '--lockstep', '--dry-run'])\n"
+    code = (
+        "import sys\nfrom handctl.cli.main import main\nmain(['demo', '--lockstep', '--dry-run'])\n"
+    )
     code += f"print([name for name in {names} if name in sys.modules])\n"
-    code += "from control import dlqr\nfrom scipy.signal import find_peaks_cwt\nimport numpy as np\n"
+    code += (
+        "from control import dlqr\nfrom scipy.signal import find_peaks_cwt\nimport numpy as np\n"
+    )
     code += "print(dlqr(np.eye(1), np.eye(1), np.eye(1), np.eye(1))[0].size)\n"
     code += "print(find_peaks_cwt(np.sin(np.arange(0.0, 9.0, 0.05)), [20]).size)\n"
     code += "np.testing.assert_allclose(1.0, 1.0)\nprint(np.f2py.__name__)"

@@ -36,35 +36,64 @@ class Fresh:
         self.wheel = self._build()
         venv.create(folder / "env", with_pip=True)
         self._constraints = folder / "constraints.txt"
-        pins = re.findall(r"^[a-z0-9][^\n]*==[^\n\\]*", (ROOT / "requirements-dev.lock").read_text(), re.MULTILINE)
+        pins = re.findall(
+            r"^[a-z0-9][^\n]*==[^\n\\]*", (ROOT / "requirements-dev.lock").read_text(), re.MULTILINE
+        )
         self._constraints.write_text("\n".join(pins))
 
     def _build(self) -> Path:
         dist = self.folder / "dist"
-        command = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(dist)]
+        command = [
+            sys.executable,
+            "-m",
+            "hatchling",
+            "build",
+            "--target",
+            "wheel",
+            "--directory",
+            str(dist),
+        ]
         subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
         (wheel,) = dist.glob("*.whl")
         return wheel
 
     def run(self, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
         """Run a program of the environment and check its exit code."""
-        variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+        variables = {
+            name: value for name, value in os.environ.items() if not name.startswith("PYTHON")
+        }
         program = str(self.folder / "env" / "bin" / words[0])
         command: Sequence[str] = (program, *words[1:])
-        ran = subprocess.run(command, cwd=self.folder, env=variables, capture_output=True, text=True, check=False)
+        ran = subprocess.run(
+            command, cwd=self.folder, env=variables, capture_output=True, text=True, check=False
+        )
         assert ran.returncode == code, f"{words}: {ran.returncode}\n{ran.stdout}\n{ran.stderr}"
         return ran
 
     def install(self, extras: str = "") -> None:
         """Install the wheel with extras, in the versions of the lock file."""
-        self.run("python", "-m", "pip", "install", "--quiet", "-c", str(self._constraints), f"{self.wheel}{extras}")
+        self.run(
+            "python",
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "-c",
+            str(self._constraints),
+            f"{self.wheel}{extras}",
+        )
 
     def megabytes(self) -> float:
         """Return the size of the installed packages without pip and setuptools [MB]."""
         where = self.run("python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
         packages = Path(where.stdout.strip())
         tools = {"pip", "setuptools", "pkg_resources"}
-        files = (path for top in packages.iterdir() if top.name not in tools for path in [top, *top.rglob("*")])
+        files = (
+            path
+            for top in packages.iterdir()
+            if top.name not in tools
+            for path in [top, *top.rglob("*")]
+        )
         return sum(path.lstat().st_blocks * 512 for path in files if path.is_file()) / 2**20
 
 

@@ -42,7 +42,9 @@ class ToyHand:
     def __init__(self, hand: Hand, period_ns: int) -> None:
         self.hand, self.period_s = hand, period_ns * 1e-9
         motors = [hand.motor_of(name) for name in hand.tendon_names]
-        self.motors = [ScriptedMotor(m.node_id, m.options.get("reply_id", m.node_id + 0x10)) for m in motors]
+        self.motors = [
+            ScriptedMotor(m.node_id, m.options.get("reply_id", m.node_id + 0x10)) for m in motors
+        ]
         self.spool = np.array([m.spool_radius_m for m in motors])
         self.mass = np.array([m.inertia_kg_m2 for m in motors]) / self.spool**2
         self.coulomb = np.array([m.coulomb_N_m for m in motors]) / self.spool
@@ -81,7 +83,9 @@ class ToyHand:
         angle, speed = self.x[i] / self.spool[i], self.v[i] / self.spool[i]
         torque = self.force_of[i] * self.spool[i]
         scaled = ((angle / 12.5, 65535), (speed / 50.0, 4095), (torque / 0.8, 4095))
-        position, velocity, effort = (round((min(max(v, -1.0), 1.0) + 1) / 2 * top) for v, top in scaled)
+        position, velocity, effort = (
+            round((min(max(v, -1.0), 1.0) + 1) / 2 * top) for v, top in scaled
+        )
         return position, velocity, effort
 
     def _move(self) -> None:
@@ -90,9 +94,13 @@ class ToyHand:
         free = np.array([motor.nibble == 1 for motor in self.motors]) | (not self.braked)
         for _ in range(SUBSTEPS):
             stretch = self.x - SLACK_M
-            self.tension = np.where(stretch > 0, np.maximum(self.stiffness * stretch + self.damping * self.v, 0.0), 0.0)
+            self.tension = np.where(
+                stretch > 0, np.maximum(self.stiffness * stretch + self.damping * self.v, 0.0), 0.0
+            )
             friction = self.coulomb * np.tanh(self.v / 2e-3)
-            self.v = np.where(free, self.v + dt * (force - self.tension - friction) / self.mass, 0.0)
+            self.v = np.where(
+                free, self.v + dt * (force - self.tension - friction) / self.mass, 0.0
+            )
             self.x = self.x + dt * self.v
 
     def _sensors(self, counter: int) -> list[Frame]:
@@ -183,7 +191,9 @@ class Bench:
             out = self.tick()
             if out.mode == mode:
                 return out
-        raise AssertionError(f"{mode.name} is not reached: {self.state.mode.name}, {self.events[-3:]}")
+        raise AssertionError(
+            f"{mode.name} is not reached: {self.state.mode.name}, {self.events[-3:]}"
+        )
 
     def run(self, seconds: float) -> TickOut:
         """Run ticks for a duration."""

@@ -15,7 +15,14 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, S, TendonRegime, X
 from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from tests.controller.synthetic import Estimate, Readings, active_state, constants, empty_readings, estimate_of
+from tests.controller.synthetic import (
+    Estimate,
+    Readings,
+    active_state,
+    constants,
+    empty_readings,
+    estimate_of,
+)
 
 
 class FilterState(NamedTuple):
@@ -53,12 +60,16 @@ class FilterState(NamedTuple):
         none = np.zeros(n)
         no = (False,) * n
         usual = np.full(n, 2.0)
-        return FilterState(x, (int(regime),) * n, (stopped,) * n, (0,) * n, no, none, usual, no, usual, none)
+        return FilterState(
+            x, (int(regime),) * n, (stopped,) * n, (0,) * n, no, none, usual, no, usual, none
+        )
 
     @staticmethod
     def initial(n: int) -> "FilterState":
         """Return the state that the filter of N tendons has before the first reading of a sensor."""
-        return FilterState.of(np.zeros(STATE_COUNT * n), TendonRegime.SLACK, stopped=True)._replace(started=False)
+        return FilterState.of(np.zeros(STATE_COUNT * n), TendonRegime.SLACK, stopped=True)._replace(
+            started=False
+        )
 
 
 ROWS = {
@@ -151,7 +162,11 @@ def state_at_rest(model: HandModel, tension: float, closed: float) -> tuple[np.n
 
 
 def step(
-    model: HandModel, state: FilterState, measured: Readings, force: np.ndarray, contact: tuple[bool, ...]
+    model: HandModel,
+    state: FilterState,
+    measured: Readings,
+    force: np.ndarray,
+    contact: tuple[bool, ...],
 ) -> tuple[FilterState, Estimate]:
     """Run one tick of the filter in which no change of tension is planned."""
     return tick(model, state, measured, force, np.zeros(model.tendon_count), contact)
@@ -178,7 +193,9 @@ def no_contact(model: HandModel) -> tuple[bool, ...]:
     return (False,) * len(model.digits)
 
 
-def start(model: HandModel, state: FilterState, travel: np.ndarray, cells: bool = True) -> FilterState:
+def start(
+    model: HandModel, state: FilterState, travel: np.ndarray, cells: bool = True
+) -> FilterState:
     """Return the filter state after readings of the encoders [m], and of the load cells if ``cells``."""
     run = state_of(model, state)
     run.mode = Mode.SILENT
@@ -209,4 +226,6 @@ def state_of(model: HandModel, filtered: FilterState) -> State:
 
 def parts(model: HandModel, kinds: tuple[int, ...], name: str) -> np.ndarray:
     """Return one array of the filter design for each tendon (N, ...), selected by the tendon's regime."""
-    return np.array([getattr(own[kind], name) for own, kind in zip(model.filter.blocks, kinds, strict=True)])
+    return np.array(
+        [getattr(own[kind], name) for own, kind in zip(model.filter.blocks, kinds, strict=True)]
+    )

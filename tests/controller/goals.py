@@ -10,7 +10,11 @@ from handctl.core.model import HandModel
 
 
 def moving_goals(
-    model: HandModel, start: float, end: float, duration: float | tuple[float, ...], since: float = 0.0
+    model: HandModel,
+    start: float,
+    end: float,
+    duration: float | tuple[float, ...],
+    since: float = 0.0,
 ) -> tuple[DigitGoal, ...]:
     """Return goals that move every digit from ``start`` to ``end`` [rad].
 
@@ -19,7 +23,9 @@ def moving_goals(
     durations = duration if isinstance(duration, tuple) else (duration,) * len(model.digits)
     sizes = [digit.coupling.shape[1] for digit in model.digits]
     return tuple(
-        DigitGoal(GoalKind.MOTION, MinimumJerk(np.full(n, start), np.full(n, end), own), since=since)
+        DigitGoal(
+            GoalKind.MOTION, MinimumJerk(np.full(n, start), np.full(n, end), own), since=since
+        )
         for n, own in zip(sizes, durations, strict=True)
     )
 
@@ -29,6 +35,11 @@ def holding_goals(
 ) -> tuple[DigitGoal, ...]:
     """Return goals with which the tendons of all digits hold the same tension [N]."""
     return tuple(
-        DigitGoal(GoalKind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)
+        DigitGoal(
+            GoalKind.TENSION,
+            tension=np.full(s.stop - s.start, tension),
+            rate=rate,
+            force_limit=limit,
+        )
         for s in model.digit_tendons
     )

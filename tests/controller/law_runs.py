@@ -18,7 +18,13 @@ from handctl.core.law.loads import allocate_bounded_tensions
 from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, TablePlaces
 from handctl.safety.action import Action
-from tests.controller.synthetic import Estimate, active_state, constants, controller_of, state_with_estimate
+from tests.controller.synthetic import (
+    Estimate,
+    active_state,
+    constants,
+    controller_of,
+    state_with_estimate,
+)
 
 
 class LawState(NamedTuple):
@@ -118,7 +124,9 @@ def step(
 
 def law_state_of(state: State) -> LawState:
     """Return the state of the control law after a tick."""
-    kept = {name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")}
+    kept = {
+        name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")
+    }
     trim = state.view("trim").copy() if state.whole(s.TRIMMED) else None
     held = state.view("limit_held").copy() if state.whole(s.HOLDING) else None
     return LawState(**kept, trim=trim, held=held)
@@ -132,7 +140,9 @@ def command_of(state: State) -> Command:
 
 @kernel("block", "layout", "constants", "layout")
 def _limit(block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces) -> np.ndarray:
-    return computed_torque.present_tension_limits(state_tables(block, at), constant_tables(of, of_at))
+    return computed_torque.present_tension_limits(
+        state_tables(block, at), constant_tables(of, of_at)
+    )
 
 
 def limit_of(model: HandModel, state: State) -> np.ndarray:
@@ -144,7 +154,9 @@ def limit_of(model: HandModel, state: State) -> np.ndarray:
 
 
 @kernel("block", "layout", "constants", "layout", "matrix")
-def _required(block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces, way: np.ndarray) -> int:
+def _required(
+    block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces, way: np.ndarray
+) -> int:
     x, c = state_tables(block, at), constant_tables(of, of_at)
     reference.write_required_torque(x, c, way)
     return reference.write_required_tensions(x, c)
@@ -155,7 +167,9 @@ def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> 
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
     undecided = _required(state.block, state.layout.places, *constants(model), way)
-    allocate_bounded_tensions(model, state.layout, controller_of(model).constants, state.block, undecided, way)
+    allocate_bounded_tensions(
+        model, state.layout, controller_of(model).constants, state.block, undecided, way
+    )
     return state.view("load")
 
 

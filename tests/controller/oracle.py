@@ -3,7 +3,16 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from handctl.core.estimation.filter_stack import STATE_COUNT, D, E, FilterBlock, O, TendonRegime, V, W
+from handctl.core.estimation.filter_stack import (
+    STATE_COUNT,
+    D,
+    E,
+    FilterBlock,
+    O,
+    TendonRegime,
+    V,
+    W,
+)
 from handctl.core.model import HandModel
 
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
@@ -37,8 +46,12 @@ def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, 
 def jacobians(model: HandModel, i: int, regime: TendonRegime) -> tuple[np.ndarray, np.ndarray]:
     """Return the matrices A and B of a tendon's linear differential equations, found column by column."""
     zero = np.zeros(STATE_COUNT)
-    A = np.column_stack([rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATE_COUNT)])
-    return A, np.column_stack([rates_of_change(model, i, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))])
+    A = np.column_stack(
+        [rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATE_COUNT)]
+    )
+    return A, np.column_stack(
+        [rates_of_change(model, i, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))]
+    )
 
 
 def intensity(model: HandModel, i: int, regime: TendonRegime) -> np.ndarray:
@@ -69,7 +82,9 @@ def intensity(model: HandModel, i: int, regime: TendonRegime) -> np.ndarray:
     return sum(np.outer(source, source) for source in sources)
 
 
-def over_one_period(model: HandModel, i: int, regime: TendonRegime) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def over_one_period(
+    model: HandModel, i: int, regime: TendonRegime
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return F, B and the noise covariance of one control period in scaled units.
 
     A Runge-Kutta method integrates them.
@@ -80,12 +95,22 @@ def over_one_period(model: HandModel, i: int, regime: TendonRegime) -> tuple[np.
     n, m = B.shape
 
     def slope(t: float, y: np.ndarray) -> np.ndarray:
-        F, G, P = y[: n * n].reshape(n, n), y[n * n : n * (n + m)].reshape(n, m), y[n * (n + m) :].reshape(n, n)
+        F, G, P = (
+            y[: n * n].reshape(n, n),
+            y[n * n : n * (n + m)].reshape(n, m),
+            y[n * (n + m) :].reshape(n, n),
+        )
         return np.concatenate([(A @ F).ravel(), (A @ G + B).ravel(), (A @ P + P @ A.T + Q).ravel()])
 
     start = np.concatenate([np.eye(n).ravel(), np.zeros(n * m), np.zeros(n * n)])
-    end = solve_ivp(slope, (0.0, model.period), start, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
-    return end[: n * n].reshape(n, n), end[n * n : n * (n + m)].reshape(n, m), end[n * (n + m) :].reshape(n, n)
+    end = solve_ivp(slope, (0.0, model.period), start, method="DOP853", rtol=1e-11, atol=1e-13).y[
+        :, -1
+    ]
+    return (
+        end[: n * n].reshape(n, n),
+        end[n * n : n * (n + m)].reshape(n, m),
+        end[n * (n + m) :].reshape(n, n),
+    )
 
 
 def measurement_noise(model: HandModel, i: int) -> np.ndarray:
@@ -94,7 +119,9 @@ def measurement_noise(model: HandModel, i: int) -> np.ndarray:
     return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
 
 
-def covariance_by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
+def covariance_by_doubling(
+    F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray
+) -> np.ndarray:
     """Return the steady-state covariance of a Kalman filter's prediction, by structured doubling (Anderson 1978)."""
     A, G, P = F.T, H.T @ np.linalg.solve(R, H), Q
     for _ in range(60):
@@ -116,7 +143,9 @@ def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray
     return H
 
 
-def joseph_update(block: FilterBlock, P: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def joseph_update(
+    block: FilterBlock, P: np.ndarray, missing: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the gain (7, 2) and the covariance after an update by encoder and load cell.
 
     ``missing`` (2,) marks absent measurements.

@@ -46,7 +46,13 @@ class PlantRun:
 
 
 def run_on_plant(
-    hand: str, program: Program, scene: str | None, folder: Path, seconds: float, seed: int = 0, **wrong: float
+    hand: str,
+    program: Program,
+    scene: str | None,
+    folder: Path,
+    seconds: float,
+    seed: int = 0,
+    **wrong: float,
 ) -> PlantRun:
     """Run a program on a simulated hand whose motor zeros are known.
 

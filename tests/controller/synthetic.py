@@ -130,7 +130,10 @@ def state_with_estimate(model: HandModel, estimate: Estimate) -> State:
 def estimate_of(state: State) -> Estimate:
     """Return copies of the estimates that a controller's state contains."""
     seen = state.estimate
-    own = {name: state.view("cell_error") if name == "cell_error" else getattr(seen, name) for name in Estimate._fields}
+    own = {
+        name: state.view("cell_error") if name == "cell_error" else getattr(seen, name)
+        for name in Estimate._fields
+    }
     return Estimate(**{name: np.array(value) for name, value in own.items()})
 
 
@@ -149,12 +152,17 @@ class LoadStatics(NamedTuple):
 
 
 @kernel("block", "layout", "constants", "layout")
-def _load_forces(block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces) -> np.ndarray:
+def _load_forces(
+    block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces
+) -> np.ndarray:
     return kalman._load_forces(state_tables(block, at), constant_tables(of, of_at))
 
 
 def load_statics(
-    model: HandModel, table: np.ndarray, tension: np.ndarray, friction_state: np.ndarray | None = None
+    model: HandModel,
+    table: np.ndarray,
+    tension: np.ndarray,
+    friction_state: np.ndarray | None = None,
 ) -> LoadStatics:
     """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
 
@@ -163,7 +171,9 @@ def load_statics(
     state, space = active_state(model), model.space
     state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = table.T
     damped = space.damping * (table[:, V] - table[:, W])
-    state.view("stretch_offset")[...] = table[:, X] - table[:, S] - (tension - damped) / space.stiffness
+    state.view("stretch_offset")[...] = (
+        table[:, X] - table[:, S] - (tension - damped) / space.stiffness
+    )
     if friction_state is not None:
         state.view("friction_state")[...] = friction_state
     return LoadStatics(*_load_forces(state.block, state.layout.places, *constants(model)))
@@ -179,7 +189,9 @@ def _efficiency(of: BlockArray, of_at: TablePlaces, q: np.ndarray, tendons: int)
 
 def efficiency(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the fraction of each tension (N,) that reaches the joints at angles (J,) [rad] while the motor winds."""
-    return np.asarray(_efficiency(*constants(model), np.asarray(q, dtype=np.float64), model.tendon_count))
+    return np.asarray(
+        _efficiency(*constants(model), np.asarray(q, dtype=np.float64), model.tendon_count)
+    )
 
 
 def exact_estimate(model: HandModel, x: np.ndarray) -> Estimate:
@@ -243,7 +255,9 @@ def slack(model: HandModel) -> Estimate:
 def empty_readings(model: HandModel) -> Readings:
     """Return the readings of a tick in which no frame arrived."""
     n, joints = model.tendon_count, len(model.hand.joints)
-    return Readings(np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan))
+    return Readings(
+        np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan)
+    )
 
 
 def detect_contacts(model: HandModel, state: State, estimate: Estimate) -> Estimate:
@@ -257,9 +271,13 @@ def detect_contacts(model: HandModel, state: State, estimate: Estimate) -> Estim
             state.view(FIELDS.get(name, name))[...] = value
     state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.slack, SLACK, 0)
     borne = estimate.tension - model.space.damping * (estimate.speed - estimate.rate)
-    state.view("stretch_offset")[...] = estimate.travel - estimate.excursion - borne / model.space.stiffness
+    state.view("stretch_offset")[...] = (
+        estimate.travel - estimate.excursion - borne / model.space.stiffness
+    )
     stages.conclude_estimate(state.block, state.layout.places, *constants(model))
     seen = state.estimate
     return estimate._replace(
-        contact_force=seen.contact_force.copy(), grip_opening=seen.grip_opening, grip=seen.grip.copy()
+        contact_force=seen.contact_force.copy(),
+        grip_opening=seen.grip_opening,
+        grip=seen.grip.copy(),
     )

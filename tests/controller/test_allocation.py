@@ -14,7 +14,9 @@ DIGITS = {
     f"{name} {digit}": (load_hand(name), digit)
     for name, digit in (("jamia", "index"), ("jamia11", "index"), ("jamia11", "thumb"))
 }
-EXTENSOR = np.array([[9e-3, 0.0, 0.0], [3e-3, 6e-3, 0.0], [3e-3, 3e-3, 3e-3], [-9e-3, -6e-3, -3e-3]])
+EXTENSOR = np.array(
+    [[9e-3, 0.0, 0.0], [3e-3, 6e-3, 0.0], [3e-3, 3e-3, 3e-3], [-9e-3, -6e-3, -3e-3]]
+)
 """Moment arms of four tendons on three joints [m].
 
 The last tendon opens all joints, with radii 3:2:1 (N + 1 class).
@@ -44,7 +46,9 @@ def test_feasible_torques_are_made_exactly(case: str) -> None:
         assert (tension >= floor).all()
         assert (tension <= ceiling).all()
         if len(arms) == arms.shape[1]:
-            np.testing.assert_allclose(tension, wanted, rtol=1e-9, err_msg="one tendon a coordinate: no choice")
+            np.testing.assert_allclose(
+                tension, wanted, rtol=1e-9, err_msg="one tendon a coordinate: no choice"
+            )
         else:
             assert tension.sum() <= wanted.sum() * 1.001, "no more co-contraction than needed"
 
@@ -52,7 +56,10 @@ def test_feasible_torques_are_made_exactly(case: str) -> None:
 def cost(arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.ndarray) -> float:
     """Return the cost of tensions, as the docstring of the allocation module defines it."""
     r = np.abs(arms).mean()
-    return float(((arms.T @ tension - torque) ** 2).sum() / r**2 + REGULARISATION * ((tension - floor) ** 2).sum())
+    return float(
+        ((arms.T @ tension - torque) ** 2).sum() / r**2
+        + REGULARISATION * ((tension - floor) ** 2).sum()
+    )
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -70,9 +77,15 @@ def test_bounded_solution_has_the_smallest_error(case: str) -> None:
         assert (tension <= ceiling).all()
         np.testing.assert_allclose(missing, torque - arms.T @ tension, atol=1e-15)
         weight = np.sqrt(REGULARISATION)
-        rows, right = np.vstack([arms.T / r, weight * np.eye(n)]), np.concatenate([torque / r, weight * floor])
+        rows, right = (
+            np.vstack([arms.T / r, weight * np.eye(n)]),
+            np.concatenate([torque / r, weight * floor]),
+        )
         best = lsq_linear(rows, right, (floor, ceiling), method="bvls", tol=1e-12).x
-        assert cost(arms, torque, floor, tension) <= cost(arms, torque, floor, best) * (1 + 1e-6) + 1e-6
+        assert (
+            cost(arms, torque, floor, tension)
+            <= cost(arms, torque, floor, best) * (1 + 1e-6) + 1e-6
+        )
         outside += bool(np.abs(missing).max() > 1e-6)
     assert outside > 20, "torques that the bounds forbid were among them"
 
@@ -80,7 +93,10 @@ def test_bounded_solution_has_the_smallest_error(case: str) -> None:
 finite = st.floats(-1e6, 1e6, allow_nan=False)
 
 
-@given(torque=st.lists(finite, min_size=3, max_size=3), case=st.sampled_from(["jamia11 index", "N + 1"]))
+@given(
+    torque=st.lists(finite, min_size=3, max_size=3),
+    case=st.sampled_from(["jamia11 index", "N + 1"]),
+)
 def test_bounds_hold_for_any_torque(torque: list[float], case: str) -> None:
     arms = arms_of(case)
     floor, ceiling = np.full(len(arms), 3.0), np.full(len(arms), 110.0)
@@ -94,7 +110,9 @@ def test_bounds_hold_for_any_torque(torque: list[float], case: str) -> None:
 @given(torque=finite)
 def test_one_tendon_pulls_between_its_bounds(torque: float) -> None:
     arms = arms_of("jamia index")
-    tension, missing = tensions_for_torque(arms, np.array([torque]), np.array([3.0]), np.array([110.0]))
+    tension, missing = tensions_for_torque(
+        arms, np.array([torque]), np.array([3.0]), np.array([110.0])
+    )
     expected = min(max(torque / arms[0, 0], 3.0), 110.0)
     np.testing.assert_allclose(tension, [expected], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(missing, [torque - arms[0, 0] * expected], rtol=1e-6, atol=1e-6)
@@ -109,7 +127,9 @@ def test_where_the_solver_starts_changes_nothing(case: str) -> None:
         torque = arms.T @ rng.uniform(-100.0, 200.0, n)
         first = solve_bounded(arms, torque, floor, ceiling, floor)
         for near in (ceiling, rng.uniform(-1e3, 1e3, n), np.where(rng.random(n) < 0.5, -1e9, 1e9)):
-            np.testing.assert_allclose(solve_bounded(arms, torque, floor, ceiling, near), first, rtol=1e-7, atol=1e-7)
+            np.testing.assert_allclose(
+                solve_bounded(arms, torque, floor, ceiling, near), first, rtol=1e-7, atol=1e-7
+            )
 
 
 def test_arguments_are_not_changed() -> None:

@@ -43,7 +43,9 @@ def n_plus_1() -> Hand:
 def without_encoders() -> Hand:
     """Return the same hand without joint encoders. Its motor zeros refer to the lower joint limits."""
     content = hand_content("n_plus_1")
-    return hand_from_content(content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders")
+    return hand_from_content(
+        content | {"sensor_node": content["sensor_node"] | {"joints": []}}, "no encoders"
+    )
 
 
 @cache
@@ -65,10 +67,14 @@ def two_n() -> Hand:
     tendons = [one for one in content["tendon"] if not one["name"].startswith("thumb")]
     motors = [one for one in content["motor"] if not one["name"].startswith("thumb")]
     for i, (name, arms) in enumerate(routes.items()):
-        tendons.append(base | {"name": f"thumb_{name}", "motor": f"thumb_m{name}", "moment_arm_m": arms})
+        tendons.append(
+            base | {"name": f"thumb_{name}", "motor": f"thumb_m{name}", "moment_arm_m": arms}
+        )
         motors.append(motor | {"name": f"thumb_m{name}", "node_id": 9 + i})
     node = content["sensor_node"] | {"tendons": [one["name"] for one in tendons]}
-    return hand_from_content(content | {"tendon": tendons, "motor": motors, "sensor_node": node}, "2 n")
+    return hand_from_content(
+        content | {"tendon": tendons, "motor": motors, "sensor_node": node}, "2 n"
+    )
 
 
 @cache
@@ -83,14 +89,22 @@ def moves(*angles: tuple[float, float]) -> Task:
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
         for i, (angle, duration) in enumerate(angles)
     ]
-    return Task.model_validate({"schema": 1, "name": "moves", "description": "moves", "phase": tuple(phases)})
+    return Task.model_validate(
+        {"schema": 1, "name": "moves", "description": "moves", "phase": tuple(phases)}
+    )
 
 
 def ticks_of(
-    peer: SimulatedHand, program: Program, calibration: Calibration | None, first: int, hand: Hand | None = None
+    peer: SimulatedHand,
+    program: Program,
+    calibration: Calibration | None,
+    first: int,
+    hand: Hand | None = None,
 ) -> tuple[SimulatedRun, Iterator[None]]:
     """Begin a run of a program at tick ``first``. The simulated hand may have run before."""
-    controller = make_controller(hand or n_plus_1(), Gains(), RATE_HZ, program, calibration, arm_at_once=True)
+    controller = make_controller(
+        hand or n_plus_1(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
+    )
     run = SimulatedRun.of(controller, peer)
     run.k = first
     run.record = False
@@ -108,7 +122,9 @@ HANDS = {"n + 1": n_plus_1, "n + 1 without joint encoders": without_encoders, "2
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("kind", HANDS)
-def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(kind: str, seed: int) -> None:
+def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
+    kind: str, seed: int
+) -> None:
     """The motor zeros that commissioning finds are those of the simulator.
 
     The joints follow their goals within a degree.
@@ -121,7 +137,9 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(kind: str
         for _ in ticks:
             assert not [event for event in events_of(run) if event.level == "error"]
         assert not run.state.progress.failure
-        calibration = calibration_of_result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
+        calibration = calibration_of_result(
+            run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00"
+        )
         for row in calibration.tendon.values():
             assert row.answer_N == pytest.approx(PULL_N, abs=0.8)
         # The motor encoder reads its offset where the tendon is just taut and the digit open. An
@@ -156,8 +174,20 @@ GRASP = Task.model_validate(
                 "angle_deg": {"index": 10.0, "middle": 10.0, "thumb": 5.0},
                 "duration_s": 0.8,
             },
-            {"kind": "close", "name": "close", "angle_deg": 80.0, "speed_deg_s": 50.0, "contact_tension_N": 18.0},
-            {"kind": "hold", "name": "hold", "tension_N": 40.0, "rate_N_per_s": 40.0, "duration_s": 3.5},
+            {
+                "kind": "close",
+                "name": "close",
+                "angle_deg": 80.0,
+                "speed_deg_s": 50.0,
+                "contact_tension_N": 18.0,
+            },
+            {
+                "kind": "hold",
+                "name": "hold",
+                "tension_N": 40.0,
+                "rate_N_per_s": 40.0,
+                "duration_s": 3.5,
+            },
             {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 60.0},
             {"kind": "move", "name": "open", "angle_deg": 0.0, "duration_s": 0.8},
         ),
@@ -180,7 +210,9 @@ sink_speed_m_s = 0.2
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
-    with SimulatorSettings(n_plus_1(), CYLINDER, seed, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
+    with SimulatorSettings(n_plus_1(), CYLINDER, seed, homed=True).peer(
+        round(1e9 / RATE_HZ)
+    ) as peer:
         plant = peer.world.plant
         run, ticks = ticks_of(peer, TaskProgram(GRASP), None, 0)
         height, tension = dict[str, float](), dict[str, np.ndarray]()
@@ -195,7 +227,9 @@ def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
         assert height["open"] < -0.05, "the antagonists open the digits"
         closes = model().redundancy.side > 0.0
         np.testing.assert_allclose(tension["hold"][closes], 40.0, atol=3.0)
-        np.testing.assert_allclose(tension["hold"][~closes], model().redundancy.balance[~closes], atol=2.0)
+        np.testing.assert_allclose(
+            tension["hold"][~closes], model().redundancy.balance[~closes], atol=2.0
+        )
 
 
 def test_the_balance_makes_no_torque_and_is_at_the_floor_or_above() -> None:

@@ -85,7 +85,9 @@ def test_new_field_needs_one_line() -> None:
     block = new.initial.copy()
     np.testing.assert_array_equal(new.table(block, "tendon")[row], np.full(4, 7.0))
     for field in before.fields:
-        np.testing.assert_array_equal(new.view(block, field.name), old.view(old.initial, field.name))
+        np.testing.assert_array_equal(
+            new.view(block, field.name), old.view(old.initial, field.name)
+        )
     assert new.view(block, "speed").base is not None, "a view: changes go into the block"
     new.view(block, "speed")[...] = 1.0
     assert (new.table(block, "tendon")[row] == 1.0).all()
@@ -115,7 +117,9 @@ def state(request: pytest.FixtureRequest) -> State:
     for field in STATE.fields:
         part = layout.view(block, field.name)
         whole = field.table.endswith(INTEGER_TABLE_SUFFIX)
-        part[...] = rng.integers(-(2**40), 2**40, part.shape) if whole else rng.normal(size=part.shape)
+        part[...] = (
+            rng.integers(-(2**40), 2**40, part.shape) if whole else rng.normal(size=part.shape)
+        )
     return State(layout, block, Decisions((), ProgramProgress.initial(len(model.digits), "test")))
 
 
@@ -126,7 +130,11 @@ def constants_by_field(module: Any) -> dict[str, str]:
     """
     declared = {}
     for node in ast.parse(inspect.getsource(module)).body:
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and isinstance(node.targets[0], ast.Name):
+        if (
+            isinstance(node, ast.Assign)
+            and isinstance(node.value, ast.Call)
+            and isinstance(node.targets[0], ast.Name)
+        ):
             function, first = node.value.func, node.value.args[:1]
             if isinstance(function, ast.Name) and function.id in ("_real", "_whole"):
                 assert isinstance(first[0], ast.Constant)
@@ -135,7 +143,9 @@ def constants_by_field(module: Any) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(("schema", "module"), [(STATE, state_block), (HAND, constants)])
-def test_every_field_is_declared_once_and_found_by_its_name(schema: BlockSchema, module: Any) -> None:
+def test_every_field_is_declared_once_and_found_by_its_name(
+    schema: BlockSchema, module: Any
+) -> None:
     names = names_of(schema.fields)
     assert len(set(names)) == len(names) > 50
     declared = constants_by_field(module)
@@ -150,9 +160,13 @@ def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
     seen = interpreted(state_tables)(state.block, state.layout.places)
     for field in STATE.fields:
         rows = getattr(seen, field.table)[field.first : field.first + field.rows]
-        np.testing.assert_array_equal(rows.ravel(), state.view(field.name).ravel(), err_msg=field.name)
+        np.testing.assert_array_equal(
+            rows.ravel(), state.view(field.name).ravel(), err_msg=field.name
+        )
         assert np.shares_memory(rows, state.block), field.name
-        assert rows.dtype == (np.int64 if field.table.endswith(INTEGER_TABLE_SUFFIX) else np.float64), field.name
+        assert rows.dtype == (
+            np.int64 if field.table.endswith(INTEGER_TABLE_SUFFIX) else np.float64
+        ), field.name
 
 
 def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
@@ -215,7 +229,9 @@ def random_hand(seed: int) -> HandModel:
     for section in ("digit", "tendon", "motor"):
         raw[section] = [_varied(one, chance) for one in raw[section] if own(one["name"])]
     node = raw["sensor_node"]
-    raw["sensor_node"] = node | {key: [name for name in node[key] if own(name)] for key in ("tendons", "joints")}
+    raw["sensor_node"] = node | {
+        key: [name for name in node[key] if own(name)] for key in ("tendons", "joints")
+    }
     return HandModel.of(hand_from_content(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0)
 
 
@@ -229,7 +245,11 @@ def _varied(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
     for key in VARIED:
         if key in found:
             factor = chance.uniform(0.8, 1.25)
-            found[key] = [factor * x for x in found[key]] if isinstance(found[key], list) else factor * found[key]
+            found[key] = (
+                [factor * x for x in found[key]]
+                if isinstance(found[key], list)
+                else factor * found[key]
+            )
     return found
 
 
@@ -238,7 +258,13 @@ def packed_constants(
 ) -> tuple[HandConstants, dict[str, object]]:
     """Return the constants of a hand, and for each field the value that was packed into them."""
     values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
-    for part in ("_motor_constants", "_law_constants", "_link_constants", "_structure_constants", "_posture_constants"):
+    for part in (
+        "_motor_constants",
+        "_law_constants",
+        "_link_constants",
+        "_structure_constants",
+        "_posture_constants",
+    ):
         own = getattr(hand_constants, part)(model)
         assert not values.keys() & own.keys(), "each field is packed once"
         values |= own
@@ -256,8 +282,14 @@ def packed_constants(
 
 
 @pytest.mark.parametrize("hand", [*packaged_hands(), *SEEDS])
-def test_every_constant_that_kernels_see_is_what_was_packed(hand: str | int, monkeypatch: pytest.MonkeyPatch) -> None:
-    model = random_hand(hand) if isinstance(hand, int) else HandModel.of(load_hand(hand), Gains(), 200.0)
+def test_every_constant_that_kernels_see_is_what_was_packed(
+    hand: str | int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = (
+        random_hand(hand)
+        if isinstance(hand, int)
+        else HandModel.of(load_hand(hand), Gains(), 200.0)
+    )
     found, values = packed_constants(model, monkeypatch)
     assert values.keys() == set(names_of(HAND.fields)), "every field is packed"
     assert not found.block.flags.writeable
@@ -287,7 +319,11 @@ def test_every_element_of_every_field_changes_the_digest(active: Bench, field: B
     state = active.state
     seen = {state.digest()}
     size = state.view(field.name).size
-    for at in range(size) if NIGHTLY else sorted({*np.linspace(0, size - 1, min(size, 16), dtype=int).tolist()}):
+    for at in (
+        range(size)
+        if NIGHTLY
+        else sorted({*np.linspace(0, size - 1, min(size, 16), dtype=int).tolist()})
+    ):
         changed = state.copy()
         values = changed.view(field.name).reshape(-1)
         values[at] = (
@@ -367,7 +403,10 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
         "gains": [pending.gains],
         "pending": [pending, replace(pending, step=1), replace(pending, gains=Gains())],
         "commander": ["one", "two"],
-        "lease": [ClientLease(*one) for one in (("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("a", 1, 1), ("a", 1, 2, True))],
+        "lease": [
+            ClientLease(*one)
+            for one in (("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("a", 1, 1), ("a", 1, 2, True))
+        ],
         "amplifiers": [
             (AmplifierState(0x21),),
             (AmplifierState(0x22),),
@@ -377,7 +416,10 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
             (AmplifierState(0x21, error_text="x"),),
             (AmplifierState(0x21), AmplifierState(0x22)),
         ],
-        "stream": [STREAM, *(replace(STREAM, **{name: value}) for name, value in OTHER_STREAM.items())],
+        "stream": [
+            STREAM,
+            *(replace(STREAM, **{name: value}) for name, value in OTHER_STREAM.items()),
+        ],
     }
     assert values.keys() == set(Decisions._fields), "a new decision needs a line here"
     for name, others in values.items():
@@ -406,8 +448,16 @@ def other_values(value: Any) -> list[Any]:
     if isinstance(value, str):
         return [value + "x"]
     assert hasattr(value, "_fields"), value
-    plain = {name: getattr(value, name) for name in value._fields if not isinstance(getattr(value, name), tuple)}
-    return [value._replace(**{name: other}) for name, part in plain.items() for other in other_values(part)]
+    plain = {
+        name: getattr(value, name)
+        for name in value._fields
+        if not isinstance(getattr(value, name), tuple)
+    }
+    return [
+        value._replace(**{name: other})
+        for name, part in plain.items()
+        for other in other_values(part)
+    ]
 
 
 @pytest.mark.parametrize("name", DriveState._fields)

@@ -22,7 +22,9 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
     run.until(Mode.ACTIVE)
     run.run(0.5)
     run.peer.bias[1] = -100.0
-    faults = [event.text[:3] for _ in range(4) for event in run.tick().events if event.name == "fault"]
+    faults = [
+        event.text[:3] for _ in range(4) for event in run.tick().events if event.name == "fault"
+    ]
     assert "T06" in faults
     assert run.state.mode == Mode.RELAX
 

@@ -41,7 +41,9 @@ def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -
         client.wait(1.5 * LEASE_S)
         assert client.outs[-1].mode == Mode.ACTIVE
         assert len(lease_events(client)) == 1
-        assert client.outs[-1].telemetry.tension[0] == pytest.approx(30.0, abs=2.0), "a hold is held"
+        assert client.outs[-1].telemetry.tension[0] == pytest.approx(30.0, abs=2.0), (
+            "a hold is held"
+        )
         client.wait(0.6 * LEASE_S)
         assert [out.mode for out in client.outs].index(Mode.RELAX) == pytest.approx(
             2 * LEASE_S / jamia.period, abs=0.1 / jamia.period

@@ -87,7 +87,9 @@ def run_commissioning(
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
         if pulled and not progress.finished and progress.phase.startswith("pull"):
             pulls = [d for d, goal in enumerate(progress.goals) if goal.kind != GoalKind.LIMP]
-            assert pulls == [next(d for d, s in enumerate(model.digit_tendons) if s.start <= i < s.stop)]
+            assert pulls == [
+                next(d for d, s in enumerate(model.digit_tendons) if s.start <= i < s.stop)
+            ]
             goal = progress.goals[pulls[0]]
             assert goal.force_limit == PULL_FORCE_LIMIT_N
             assert goal.tension is not None
@@ -148,7 +150,9 @@ def fifteen() -> HandModel:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fifteen: HandModel, seed: int) -> None:
+def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
+    fifteen: HandModel, seed: int
+) -> None:
     """The load cells drift twice as fast as those of packaged hands.
 
     The drift of 0.9 N rms at the end is the limit of crosstalk.
@@ -173,8 +177,13 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
 
     progress = run_commissioning(jamia, cells, noise=0.0)
     assert not progress.failure
-    tare = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand) - BIAS_N
-    assert np.diff(tare) == pytest.approx(np.full(3, np.diff(tare).mean()), abs=0.01), "each a pull later than the last"
+    tare = (
+        calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand)
+        - BIAS_N
+    )
+    assert np.diff(tare) == pytest.approx(np.full(3, np.diff(tare).mean()), abs=0.01), (
+        "each a pull later than the last"
+    )
     assert 0.1 < np.diff(tare).mean() < 0.2, "a pull takes 1.7 s"
 
 
@@ -197,7 +206,9 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
     held = np.zeros(jamia.tendon_count)
 
     def cells(i: int) -> np.ndarray:
-        held[:] = np.maximum(held - 2.0 * jamia.period, PULL_N * (np.arange(jamia.tendon_count) == i))
+        held[:] = np.maximum(
+            held - 2.0 * jamia.period, PULL_N * (np.arange(jamia.tendon_count) == i)
+        )
         return held.copy()
 
     progress = run_commissioning(jamia, cells)
@@ -234,7 +245,9 @@ def whole(faster: HandModel) -> Bench:
     return bench(faster, CommissionProgram())
 
 
-@pytest.mark.parametrize("bias", [-2.0, *(pytest.param(bias, marks=pytest.mark.nightly) for bias in (0.0, 2.0)), 4.5])
+@pytest.mark.parametrize(
+    "bias", [-2.0, *(pytest.param(bias, marks=pytest.mark.nightly) for bias in (0.0, 2.0)), 4.5]
+)
 def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: float) -> None:
     """After the tare the tension loop uses tared readings of the load cells.
 
@@ -252,12 +265,18 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: f
 def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
     whole.peer.bias[2] = 25.0
     whole.until(Mode.DONE, 30.0)
-    expected = "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
+    expected = (
+        "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
+    )
     assert whole.state.failure == expected
 
 
-@pytest.mark.parametrize(("tare", "refused"), [(-4.1, True), (-3.9, False), (5.9, False), (6.1, True)])
-def test_a_tare_too_near_to_an_end_of_the_range_is_refused(model: HandModel, tare: float, refused: bool) -> None:
+@pytest.mark.parametrize(
+    ("tare", "refused"), [(-4.1, True), (-3.9, False), (5.9, False), (6.1, True)]
+)
+def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
+    model: HandModel, tare: float, refused: bool
+) -> None:
     """The message names the load cell that is nearest to an end of its range, even if another cell reads more."""
 
     def cells(i: int) -> np.ndarray:
@@ -293,9 +312,12 @@ def test_swapped_load_cells_are_found_and_both_named(whole: Bench) -> None:
     assert "middle_tendon" in whole.state.failure
     assert "swapped" in whole.state.failure
     asked = (
-        np.array([out.telemetry.motor_torque_goal for _, _, out in whole.history]) / whole.controller.model.space.spool
+        np.array([out.telemetry.motor_torque_goal for _, _, out in whole.history])
+        / whole.controller.model.space.spool
     )
-    assert asked.max() <= PULL_FORCE_LIMIT_N * 1.001, "a cell that does not answer does not unleash the motor"
+    assert asked.max() <= PULL_FORCE_LIMIT_N * 1.001, (
+        "a cell that does not answer does not unleash the motor"
+    )
 
 
 def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
@@ -312,7 +334,9 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
 
     whole.peer.step = reversed_motor  # type: ignore[method-assign]
     whole.until(Mode.DONE, 30.0)
-    assert whole.state.failure == "fault N17 index_motor", "safety is there before the rope would have to be taut"
+    assert whole.state.failure == "fault N17 index_motor", (
+        "safety is there before the rope would have to be taut"
+    )
 
 
 @pytest.fixture
@@ -322,7 +346,9 @@ def calibration(model: HandModel) -> Calibration:
     )
 
 
-def test_the_file_is_read_back_as_it_was_written(model: HandModel, calibration: Calibration, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_the_file_is_read_back_as_it_was_written(
+    model: HandModel, calibration: Calibration, tmp_path
+) -> None:  # type: ignore[no-untyped-def]
     from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"
@@ -346,14 +372,21 @@ def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
     with pytest.raises(ConfigError, match="handctl commission again"):
         load_calibration(path, jamia11.hand)
     write_calibration(
-        path, found.model_copy(update={"tendon": {k: v for k, v in found.tendon.items() if "ring" not in k}})
+        path,
+        found.model_copy(
+            update={"tendon": {k: v for k, v in found.tendon.items() if "ring" not in k}}
+        ),
     )
     with pytest.raises(ConfigError, match="ring_tendon"):
         load_calibration(path, jamia.hand)
 
 
-@pytest.mark.parametrize(("tare", "right"), [("-4.1", False), ("-4.0", True), ("6.0", True), ("6.1", False)])
-def test_a_tare_that_hides_an_end_of_the_range_is_refused(jamia: HandModel, tmp_path, tare: str, right: bool) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize(
+    ("tare", "right"), [("-4.1", False), ("-4.0", True), ("6.0", True), ("6.1", False)]
+)
+def test_a_tare_that_hides_an_end_of_the_range_is_refused(
+    jamia: HandModel, tmp_path, tare: str, right: bool
+) -> None:  # type: ignore[no-untyped-def]
     from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"

@@ -55,14 +55,18 @@ number = st.floats(-1e4, 1e4, allow_nan=False)
 
 
 @given(data=st.data())
-def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, jamia: HandModel) -> None:
+def test_torque_is_within_its_limits_for_any_finite_input(
+    data: st.DataObject, jamia: HandModel
+) -> None:
     n = jamia.tendon_count
     column = st.lists(number, min_size=n, max_size=n).map(np.array)
     names = ("tension", "travel", "speed", "excursion", "rate", "disturbance", "external", "offset")
     estimate = exact_estimate(jamia, np.zeros((n, STATE_COUNT)))._replace(
         **{name: data.draw(column) for name in names}
     )
-    estimate = estimate._replace(slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n))))
+    estimate = estimate._replace(
+        slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n)))
+    )
     state = LawState(*(data.draw(column) for _ in range(5)))
     angle = st.floats(-0.5, 2.6)
     kinds = {
@@ -83,7 +87,9 @@ def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, j
     held = np.array([goal.kind == GoalKind.TENSION for goal in goals])
     assert (np.abs(law.integral) <= INTEGRAL_LIMIT_N).all()
     assert (law.integral[~held] == 0.0).all()
-    assert np.isnan(command.q[: jamia.digits[0].joint_count]).all() == (goals[0].kind != GoalKind.MOTION)
+    assert np.isnan(command.q[: jamia.digits[0].joint_count]).all() == (
+        goals[0].kind != GoalKind.MOTION
+    )
     for d, goal in enumerate(goals):
         if goal.kind == GoalKind.LIMP:
             assert command.torque[d] == 0.0
@@ -94,7 +100,9 @@ def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, j
             target = np.clip(goal.tension, 0.0, jamia.ceiling[d])
             before, now = state.setpoint[d], law.setpoint[d]
             assert abs(now - before) <= goal.rate * jamia.period + 1e-9
-            assert abs(target - now) <= abs(target - before) + 1e-9, "towards the target, never past it"
+            assert abs(target - now) <= abs(target - before) + 1e-9, (
+                "towards the target, never past it"
+            )
 
 
 def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel) -> None:
@@ -103,17 +111,23 @@ def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel)
     law, moved = step(
         model, LawState.initial(len(x)), estimate, moving_goals(model, 0.2, 0.8, 1.0), 2.0
     )
-    np.testing.assert_allclose(law.setpoint, estimate.tension, err_msg="ready to hold what is there")
+    np.testing.assert_allclose(
+        law.setpoint, estimate.tension, err_msg="ready to hold what is there"
+    )
     for tension in (0.0, 30.0):
         _, held = step(model, law, estimate, holding_goals(model, tension), 2.0 + model.period)
         force = (held.torque - moved.torque) / model.space.spool
-        assert np.abs(force).max() < 2.5 * 200.0 * model.period + 0.2, "one step of the ramp, times the gain"
+        assert np.abs(force).max() < 2.5 * 200.0 * model.period + 0.2, (
+            "one step of the ramp, times the gain"
+        )
 
 
 def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: HandModel) -> None:
     x = balanced_state(model, 0.8)
     estimate = exact_estimate(model, x)
-    law, command = step(model, LawState.initial(len(x)), estimate, (DigitGoal(),) * len(model.digits), 0.0)
+    law, command = step(
+        model, LawState.initial(len(x)), estimate, (DigitGoal(),) * len(model.digits), 0.0
+    )
     assert not command.torque.any()
     after, _ = step(model, law, estimate, holding_goals(model, 0.0, rate=10.0), model.period)
     np.testing.assert_allclose(after.setpoint, estimate.tension - 10.0 * model.period)
@@ -311,7 +325,12 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
 
     Only feedback of motion remains.
     """
-    none = {"inertia_share": 0.0, "friction_share": 0.0, "disturbance_rejection": 0.0, "tension_feedback": 0.0}
+    none = {
+        "inertia_share": 0.0,
+        "friction_share": 0.0,
+        "disturbance_rejection": 0.0,
+        "tension_feedback": 0.0,
+    }
     gains = Gains(motion=MotionGains(**none))
     bare = replace(model, gains=gains, inverse=lambda digit, *way: (0.0,) * digit.joint_count)
     x = balanced_state(model, 0.5)
@@ -323,7 +342,9 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     mass = model.space.motor_mass + model.space.load_mass
     asked = model.floor + mass * (model.motion.stiffness * excursion + model.motion.damping * rate)
     limit = model.torque_limit / model.space.spool
-    np.testing.assert_allclose(command.torque / model.space.spool, np.clip(asked, -UNWIND_FRACTION * limit, limit))
+    np.testing.assert_allclose(
+        command.torque / model.space.spool, np.clip(asked, -UNWIND_FRACTION * limit, limit)
+    )
 
 
 def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None:
@@ -358,4 +379,6 @@ def test_planned_friction_reverses_only_when_the_tendon_does(model: HandModel) -
     ):
         law, _ = step(model, law, estimate, goals, t)
     later, _ = step(model, law, estimate, goals, 0.1 + model.period)
-    assert np.abs((later.planned - law.planned) / law.planned).max() < 0.05, "still the friction of a winding cable"
+    assert np.abs((later.planned - law.planned) / law.planned).max() < 0.05, (
+        "still the friction of a winding cable"
+    )

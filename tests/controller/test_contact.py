@@ -19,7 +19,13 @@ from handctl.core.model import HandModel
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from tests.controller.plant_run import model_of, run_on_plant
-from tests.controller.synthetic import active_state, balanced_state, constant_tables_of, detect_contacts, exact_estimate
+from tests.controller.synthetic import (
+    active_state,
+    balanced_state,
+    constant_tables_of,
+    detect_contacts,
+    exact_estimate,
+)
 
 WALL = """name = "wall"
 [object]
@@ -36,7 +42,9 @@ OPEN = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
 
 
 def program(*phases: dict[str, Any]) -> TaskProgram:
-    return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases})))
+    return TaskProgram(
+        Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases}))
+    )
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
@@ -45,8 +53,16 @@ def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_pat
 
     A benchmark covers more closing speeds and more places of the object than this test.
     """
-    closing = {"kind": "close", "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0}, "speed_deg_s": 60.0}
-    task = program({"kind": "move", "angle_deg": OPEN, "duration_s": 0.3}, closing, {"kind": "hold", "tension_N": 15.0})
+    closing = {
+        "kind": "close",
+        "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0},
+        "speed_deg_s": 60.0,
+    }
+    task = program(
+        {"kind": "move", "angle_deg": OPEN, "duration_s": 0.3},
+        closing,
+        {"kind": "hold", "tension_N": 15.0},
+    )
     run = run_on_plant(hand, task, WALL, tmp_path, 2.6)
     found = {where: t for t, where in run.events_named("contact")}
     force = np.array(run.force)

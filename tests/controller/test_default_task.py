@@ -17,7 +17,9 @@ from tests.hand.chains import SEEDS, random_tree
 
 
 @pytest.mark.parametrize("name", packaged_hands())
-def test_the_default_task_suits_every_hand_and_reads_back_from_text(name: str, tmp_path: Path) -> None:
+def test_the_default_task_suits_every_hand_and_reads_back_from_text(
+    name: str, tmp_path: Path
+) -> None:
     hand = load_hand(name)
     task, text = default_task(hand)
     check_task_for_hand(task, hand, "default task")
@@ -46,7 +48,9 @@ def test_the_default_task_keeps_spreading_joints_centred_and_extensors_taut() ->
     motor = {**content["motor"][-1], "name": "thumb_m3", "node_id": 12}
     arms = {"thumb_j1": -0.003, "thumb_j2": -0.003}
     content["motor"].append(motor)
-    content["tendon"].append({**content["tendon"][-1], "name": "thumb_ext", "motor": "thumb_m3", "moment_arm_m": arms})
+    content["tendon"].append(
+        {**content["tendon"][-1], "name": "thumb_ext", "motor": "thumb_m3", "moment_arm_m": arms}
+    )
     task, _ = default_task(hand_from_content(content, "an extensor"))
     close, hold = task.phase[1], task.phase[2]
     assert isinstance(close, ClosePhase)
@@ -101,7 +105,10 @@ def test_fingers_around_a_circle_press_alike_and_take_a_ball() -> None:
 def test_a_hand_with_digits_on_one_side_gets_a_warning_that_it_lifts_nothing() -> None:
     content = hand_content("t42")
     content["digit"][1]["mount_rpy_deg"] = [180.0, 0.0, 0.0]
-    assert "no digit closes against another" in grasp_warnings(hand_from_content(content, "one-sided"))[0]
+    assert (
+        "no digit closes against another"
+        in grasp_warnings(hand_from_content(content, "one-sided"))[0]
+    )
 
 
 def test_a_hand_that_holds_with_its_palm_takes_the_small_cylinder() -> None:

@@ -40,8 +40,12 @@ def test_the_limit_falls_linearly_from_the_soft_to_the_hard_temperature(
     jamia: HandModel, temperature: float, share: float
 ) -> None:
     most = limit_at(jamia, (20.0, temperature, math.nan, 70.0))
-    assert most[1] == pytest.approx(jamia.floor[1] + share * (jamia.ceiling[1] - jamia.floor[1]), rel=1e-3)
-    assert most[[0, 2, 3]].tolist() == jamia.ceiling[[0, 2, 3]].tolist(), "cool, unknown, just at the limit"
+    assert most[1] == pytest.approx(
+        jamia.floor[1] + share * (jamia.ceiling[1] - jamia.floor[1]), rel=1e-3
+    )
+    assert most[[0, 2, 3]].tolist() == jamia.ceiling[[0, 2, 3]].tolist(), (
+        "cool, unknown, just at the limit"
+    )
 
 
 @pytest.mark.parametrize("temperatures", [(20.0, 70.0, math.nan, 0.0), (math.nan,) * 4])
@@ -72,7 +76,9 @@ def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -
 
 def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None:
     estimate, goals = estimate_under_tension(jamia, 20.0), moving_goals(jamia, 0.0, 1.5, 1.0)
-    law, held = step(jamia, LawState.idle(estimate.tension), estimate, goals, 0.5, None, np.full(4, 300.0))
+    law, held = step(
+        jamia, LawState.idle(estimate.tension), estimate, goals, 0.5, None, np.full(4, 300.0)
+    )
     _, going = step(jamia, LawState.idle(estimate.tension), estimate, goals, 0.5)
     assert held.q.tolist() == going.q.tolist()
     assert (going.dq > 1.0).all()
@@ -115,7 +121,9 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.peer.truth()["tension"])
 
-    def restrained(before: State, action: Action, tension: np.ndarray, mode: Mode = Mode.ACTIVE) -> State:
+    def restrained(
+        before: State, action: Action, tension: np.ndarray, mode: Mode = Mode.ACTIVE
+    ) -> State:
         after = before.copy()
         after.mode = mode
         after.view("tension")[...] = tension

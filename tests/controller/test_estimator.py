@@ -18,7 +18,13 @@ from tests.controller.filter_runs import (
     tick,
 )
 from tests.controller.oracle import SCALE
-from tests.controller.synthetic import Readings, active_state, constants, empty_readings, load_statics
+from tests.controller.synthetic import (
+    Readings,
+    active_state,
+    constants,
+    empty_readings,
+    load_statics,
+)
 
 
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:
@@ -27,7 +33,9 @@ def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> N
     after, estimate = step(model, state, empty_readings(model), force, no_contact(model))
     for i, row in enumerate(after.x.reshape(-1, STATE_COUNT)):
         block = model.filter.blocks[i][TendonRegime.FREE]
-        np.testing.assert_allclose(row / SCALE, (block.F @ x[i] + block.B @ [force[i], 0.0]) / SCALE, atol=1e-9)
+        np.testing.assert_allclose(
+            row / SCALE, (block.F @ x[i] + block.B @ [force[i], 0.0]) / SCALE, atol=1e-9
+        )
     assert np.isnan(estimate.innovation).all()
     assert np.isnan(estimate.nis).all()
     assert not np.isnan(estimate.tension).any()
@@ -154,7 +162,9 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
             model, state, noiseless_readings(model, x, cell), cell, no_contact(model)
         )
         estimates.append(estimate.tension)
-        assert ((np.abs(estimate.tension) < 1e-9) | (np.abs(estimate.tension - cell) < 2.0)).all(), "no overshoot"
+        assert (
+            (np.abs(estimate.tension) < 1e-9) | (np.abs(estimate.tension - cell) < 2.0)
+        ).all(), "no overshoot"
     np.testing.assert_allclose(estimates[-1], cell, atol=0.5)
     np.testing.assert_allclose(estimate.offset, x[:, X] - cell / model.space.stiffness, atol=1e-5)
     np.testing.assert_allclose(estimate.excursion, 0.0, atol=2e-5)
@@ -188,7 +198,11 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
         model, all_in_regime(model, TendonRegime.FREE, x), measured, balance, no_contact(model)
     )
     held, after = step(
-        model, all_in_regime(model, TendonRegime.FREE, x), measured, balance, (True,) * len(model.digits)
+        model,
+        all_in_regime(model, TendonRegime.FREE, x),
+        measured,
+        balance,
+        (True,) * len(model.digits),
     )
     assert set(free.regimes) == {TendonRegime.FREE}
     assert set(held.regimes) == {TendonRegime.HELD}
@@ -278,7 +292,9 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
     copies = [state.x.copy(), measured.travel.copy(), measured.tension.copy(), force.copy()]
     first = step(model, state, measured, force, no_contact(model))[0]
     second = step(model, state, measured, force, no_contact(model))[0]
-    for now, before in zip((state.x, measured.travel, measured.tension, force), copies, strict=True):
+    for now, before in zip(
+        (state.x, measured.travel, measured.tension, force), copies, strict=True
+    ):
         np.testing.assert_array_equal(now, before)
     np.testing.assert_array_equal(first.x, second.x)
     assert first.regimes == second.regimes
@@ -340,7 +356,9 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
         resistance = load_statics(model, x, force, known).resistance
         np.testing.assert_allclose(estimate.external, pull - resistance, atol=0.02)
         found.append(estimate.external)
-    assert (found[1] < found[0] - 0.5).all(), "winding, friction takes from what the load cell shows"
+    assert (found[1] < found[0] - 0.5).all(), (
+        "winding, friction takes from what the load cell shows"
+    )
     assert (found[2] > found[0] + 0.5).all()
 
 

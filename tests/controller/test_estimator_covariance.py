@@ -11,7 +11,15 @@ import pytest
 
 from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
-from handctl.core.estimation.filter_stack import MEASUREMENT_COUNT, STATE_COUNT, E, S, TendonRegime, V, X
+from handctl.core.estimation.filter_stack import (
+    MEASUREMENT_COUNT,
+    STATE_COUNT,
+    E,
+    S,
+    TendonRegime,
+    V,
+    X,
+)
 from handctl.core.estimation.kalman import _is_measurement_missing
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -34,7 +42,13 @@ from tests.controller.oracle import (
     measurement_noise,
     over_one_period,
 )
-from tests.controller.synthetic import Readings, active_state, constants, empty_readings, interpreted
+from tests.controller.synthetic import (
+    Readings,
+    active_state,
+    constants,
+    empty_readings,
+    interpreted,
+)
 
 
 def plain_hand(name: str, rate_hz: float) -> HandModel:
@@ -101,8 +115,12 @@ def monte_carlo(
         # The motor holds the tendon as a controller would. The planned rate keeps the tension from
         # drifting.
         tension = (tension_rows * truth).sum(axis=1)
-        away = truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
-        force = (tension if free else 40.0) - model.space.motor_mass * (40.0 * truth[:, V] + 400.0 * free * away)
+        away = (
+            truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
+        )
+        force = (tension if free else 40.0) - model.space.motor_mass * (
+            40.0 * truth[:, V] + 400.0 * free * away
+        )
         rate = 5.0 * (40.0 - tension)
         z = truth @ model.filter.blocks[0][regime].H.T
         z[:, 1] = tension
@@ -151,7 +169,11 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
     """The filter's error has the size that its covariance predicts, within the uncertainty of the sample."""
     missing = SPARSE[what]
     course = monte_carlo(
-        plain, regime, 2500, 5, lambda k, rng: np.broadcast_to(missing(k, rng), (2, plain.tendon_count))
+        plain,
+        regime,
+        2500,
+        5,
+        lambda k, rng: np.broadcast_to(missing(k, rng), (2, plain.tendon_count)),
     )
     gains = plain.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
@@ -174,7 +196,9 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
     steady = np.sqrt(parts(model, state.regimes, "tension_variance"))
     assert 5 < len(sigma) < 200
     assert sigma[4][0] > 1.01 * steady[0]
-    assert max(each[0] for each in sigma) == max(sigma[4][0], sigma[5][0]), "it grows as long as nothing is read"
+    assert max(each[0] for each in sigma) == max(sigma[4][0], sigma[5][0]), (
+        "it grows as long as nothing is read"
+    )
     np.testing.assert_allclose([each[1:] for each in sigma], [steady[1:]] * len(sigma), rtol=1e-3)
     np.testing.assert_allclose(sigma[-1], steady, rtol=0.02)
 
@@ -194,7 +218,10 @@ def test_missing_measurement_is_detected_in_each_regime(
     state = active_state(model)
     state.view("regime")[-1] = regime
     x = interpreted(state_tables)(state.block, state.layout.places)
-    assert interpreted(_is_measurement_missing)(x, interpreted(constant_tables)(*constants(model)), z) is counts
+    assert (
+        interpreted(_is_measurement_missing)(x, interpreted(constant_tables)(*constants(model)), z)
+        is counts
+    )
 
 
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
@@ -204,7 +231,10 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     unread, none = empty_readings(model)._replace(tension=force), np.zeros(model.tendon_count)
     after, _ = tick(model, state, unread, force, none, touched, missed=4)
     first, last = 0, model.tendon_count - 1
-    assert (after.regimes[first], after.regimes[last]) == (int(TendonRegime.HELD), int(TendonRegime.FREE))
+    assert (after.regimes[first], after.regimes[last]) == (
+        int(TendonRegime.HELD),
+        int(TendonRegime.FREE),
+    )
     assert after.covariance is not None
     steady = [model.filter.blocks[n][after.regimes[n]].P for n in range(model.tendon_count)]
     np.testing.assert_array_equal(after.covariance[first], steady[first])
@@ -237,7 +267,9 @@ MISSING_SAMPLES: dict[str, Missing] = {
 
 @pytest.mark.parametrize("regime", TendonRegime)
 @pytest.mark.parametrize("what", MISSING_SAMPLES)
-def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regime: TendonRegime, what: str) -> None:
+def test_the_covariance_is_that_of_a_plain_joseph_update(
+    model: HandModel, regime: TendonRegime, what: str
+) -> None:
     """The filter agrees with numpy for as long as it updates the covariances.
 
     A slack tendon has only its encoder.
@@ -254,7 +286,9 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regim
         z = np.where(missing, np.nan, (x[:, X], force))
         read = noiseless_readings(model, x, z[1])._replace(travel=z[0])
         before = state
-        state, _ = step(model, state, read, force, (regime == TendonRegime.HELD,) * len(model.digits))
+        state, _ = step(
+            model, state, read, force, (regime == TendonRegime.HELD,) * len(model.digits)
+        )
         assert set(state.regimes) == {regime}
         if before.covariance is None and state.covariance is None:
             continue
@@ -270,7 +304,9 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regim
 
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
-def test_covariance_grows_over_skipped_ticks(model: HandModel, missed: int, predicted_s: float | None) -> None:
+def test_covariance_grows_over_skipped_ticks(
+    model: HandModel, missed: int, predicted_s: float | None
+) -> None:
     """The covariance grows over the skipped ticks, but at most over the time for which motors hold the last command."""
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
@@ -314,7 +350,9 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
             H, R = H[here], np.diag(block.R[here])
             gain = np.linalg.solve(H @ P[i] @ H.T + R, H @ P[i]).T
             gain[E] = 0.0
-            P[i] = (np.eye(STATE_COUNT) - gain @ H) @ P[i] @ (np.eye(STATE_COUNT) - gain @ H).T + gain @ R @ gain.T
+            P[i] = (np.eye(STATE_COUNT) - gain @ H) @ P[i] @ (
+                np.eye(STATE_COUNT) - gain @ H
+            ).T + gain @ R @ gain.T
             P[i] = block.F @ P[i] @ block.F.T + block.Q
             innovation = z[i] - block.H @ second[i]
             read = 0.0 if np.isnan(z[i, 2]) else innovation[2]
@@ -322,6 +360,8 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
             second[i] = block.F @ second[i] + block.B @ [push[i], 0.0]
         if state.covariance is None:
             P = [block.P.copy() for block in blocks]
-        np.testing.assert_allclose(state.x.reshape(n, -1) / SCALE, second / SCALE, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(
+            state.x.reshape(n, -1) / SCALE, second / SCALE, rtol=1e-7, atol=1e-7
+        )
         compared += 1
     assert compared > 50

@@ -25,7 +25,9 @@ class Held:
         self.travel = x[:, X]
         self.state = FilterState.of(x.ravel(), regime, stopped=False)
 
-    def sample(self, cell: float, *, saturated: tuple[int, ...] = (), travel: float = 0.0) -> Estimate:
+    def sample(
+        self, cell: float, *, saturated: tuple[int, ...] = (), travel: float = 0.0
+    ) -> Estimate:
         """Run one tick in which the load cell of tendon 0 reads ``cell`` [N]."""
         model, n = self.model, self.model.tendon_count
         read = empty_readings(model)._replace(
@@ -50,7 +52,9 @@ def test_single_outlier_is_rejected(model: HandModel) -> None:
     after = hit.sample(TENSION + 60.0)
     np.testing.assert_allclose(after.tension, before, atol=0.02)
     assert after.innovation[0] != after.innovation[0], "as if it had not come"
-    np.testing.assert_allclose(hit.sample(TENSION).tension, quiet.sample(TENSION).tension, atol=0.02)
+    np.testing.assert_allclose(
+        hit.sample(TENSION).tension, quiet.sample(TENSION).tension, atol=0.02
+    )
 
 
 @pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
@@ -89,7 +93,9 @@ def slack_state(hand: Held, error: float, loose: float, seconds: float) -> Estim
     hand.travel = np.full(model.tendon_count, -loose)
     x[:, X] = hand.travel
     known = (True,) * model.tendon_count
-    hand.state = FilterState.of(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(measured=known)
+    hand.state = FilterState.of(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(
+        measured=known
+    )
     for _ in range(round(seconds / model.period)):
         n = model.tendon_count
         read = empty_readings(model)._replace(travel=hand.travel, tension=np.zeros(n))
@@ -102,7 +108,9 @@ def slack_state(hand: Held, error: float, loose: float, seconds: float) -> Estim
 def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> None:
     hand = Held(model)
     estimate = slack_state(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
-    np.testing.assert_allclose(estimate.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02)
+    np.testing.assert_allclose(
+        estimate.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02
+    )
     np.testing.assert_allclose(estimate.tension, 0.0, atol=1e-9)
     assert hand.state.regimes == (TendonRegime.SLACK,) * model.tendon_count
 
@@ -139,8 +147,12 @@ def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     assert len(events) == 2 * len(names)
 
 
-@pytest.mark.parametrize(("missed", "predicted_s"), [(0, 0.0), (1, None), (4, None), (10_000, 0.05)])
-def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, predicted_s: float | None) -> None:
+@pytest.mark.parametrize(
+    ("missed", "predicted_s"), [(0, 0.0), (1, None), (4, None), (10_000, 0.05)]
+)
+def test_the_filter_predicts_every_tick_that_was_skipped(
+    model, missed: int, predicted_s: float | None
+) -> None:
     """The filter predicts with a constant motor force for up to 50 ms.
 
     The planned change of tension acts for one period.
@@ -150,7 +162,10 @@ def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, pre
     after, estimate = tick(model, state, empty_readings(model), force, rate, nowhere, missed=missed)
     once, _ = tick(model, state, empty_readings(model), force, rate, nowhere)
     F, B = (parts(model, once.regimes, name) for name in "FB")
-    x, inputs = once.x.reshape(-1, STATE_COUNT, 1), np.column_stack((force, np.zeros(model.tendon_count)))[..., None]
+    x, inputs = (
+        once.x.reshape(-1, STATE_COUNT, 1),
+        np.column_stack((force, np.zeros(model.tendon_count)))[..., None],
+    )
     for _ in range(missed if predicted_s is None else round(predicted_s / model.period)):
         x = F @ x + B @ inputs
     np.testing.assert_allclose(after.x, x.ravel(), rtol=1e-12, atol=1e-15)
@@ -163,11 +178,15 @@ def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
     x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
-    return FilterState.of(x.ravel(), TendonRegime.HELD, stopped=False), np.full(model.tendon_count, 20.0)
+    return FilterState.of(x.ravel(), TendonRegime.HELD, stopped=False), np.full(
+        model.tendon_count, 20.0
+    )
 
 
 @pytest.mark.parametrize("every", [5, 11, 30])
-def test_occasional_positions_do_not_make_the_filter_oscillate(jamia: HandModel, every: int) -> None:
+def test_occasional_positions_do_not_make_the_filter_oscillate(
+    jamia: HandModel, every: int
+) -> None:
     """The filter's gains assume a position in every tick.
 
     After a reset, a drive sent its position only in every 11th tick.

@@ -26,15 +26,30 @@ from handctl.core.estimation.take_up import (
     TAUT_ABOVE_N,
 )
 from handctl.core.model import HandModel
-from tests.controller.filter_runs import FilterState, corrected_state, filter_state_of, read, state_of, step
+from tests.controller.filter_runs import (
+    FilterState,
+    corrected_state,
+    filter_state_of,
+    read,
+    state_of,
+    step,
+)
 from tests.controller.synthetic import Estimate, Readings, empty_readings, interpreted
 
-EVIDENCE = ((TAUT_ABOVE_N, POINTS_AT_ONCE), (LIKELY_ABOVE_N, POINTS_LIKELY), (POSSIBLE_ABOVE_N, POINTS_POSSIBLE))
+EVIDENCE = (
+    (TAUT_ABOVE_N, POINTS_AT_ONCE),
+    (LIKELY_ABOVE_N, POINTS_LIKELY),
+    (POSSIBLE_ABOVE_N, POINTS_POSSIBLE),
+)
 
 
 @pytest.mark.parametrize("was", [False, True])
 def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> None:
-    band, most = (STOP_BAND_STAY_M, 10.0 * STOP_PULL_STAY) if was else (STOP_BAND_REST_M, 10.0 * STOP_PULL_REST)
+    band, most = (
+        (STOP_BAND_STAY_M, 10.0 * STOP_PULL_STAY)
+        if was
+        else (STOP_BAND_REST_M, 10.0 * STOP_PULL_REST)
+    )
     at_stop = interpreted(_is_at_stop)
     assert at_stop(was, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
     assert not at_stop(was, band, 0.0, 10.0)
@@ -77,10 +92,14 @@ def used_measurements(model: HandModel, state: FilterState, measured: Readings) 
     """Return the measurements (N, 3) that the filter uses in a state, NaN where it uses none."""
     run = state_of(model, state)
     read(run, measured)
-    return interpreted(_usable_measurements)(interpreted(state_tables)(run.block, run.layout.places))
+    return interpreted(_usable_measurements)(
+        interpreted(state_tables)(run.block, run.layout.places)
+    )
 
 
-@pytest.mark.parametrize(("x", "s", "o"), [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)])
+@pytest.mark.parametrize(
+    ("x", "s", "o"), [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)]
+)
 def test_slack_length_is_digit_excursion_minus_spool_travel(
     model: HandModel, x: float, s: float, o: float
 ) -> None:
@@ -108,7 +127,8 @@ def regimes_after_sample(model: HandModel, state: FilterState, cell: float) -> F
 
 
 @pytest.mark.parametrize(
-    ("hangs_m", "known", "turns"), [(0.0, True, True), (2 * NEARLY_TAUT_M, True, False), (0.0, False, False)]
+    ("hangs_m", "known", "turns"),
+    [(0.0, True, True), (2 * NEARLY_TAUT_M, True, False), (0.0, False, False)],
 )
 def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     model: HandModel, hangs_m: float, known: bool, turns: bool
@@ -118,7 +138,9 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     The count then starts again.
     """
     n = model.tendon_count
-    above = next(above for above, worth in EVIDENCE if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth)
+    above = next(
+        above for above, worth in EVIDENCE if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth
+    )
     state = filter_state(model, TendonRegime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(
         measured=(known,) * n
     )
@@ -137,7 +159,9 @@ def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
 
 
 def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: HandModel) -> None:
-    state = filter_state(model, TendonRegime.SLACK, S=1e-4)._replace(stopped=(True,) * model.tendon_count)
+    state = filter_state(model, TendonRegime.SLACK, S=1e-4)._replace(
+        stopped=(True,) * model.tendon_count
+    )
     after = regimes_after_sample(model, state, EVIDENCE[0][0] + 1e-6)
     assert after.stopped == state.stopped
     assert (after.x[S::STATE_COUNT] == 0.0).all()

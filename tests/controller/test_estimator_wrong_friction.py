@@ -10,7 +10,12 @@ from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATE_COUNT, TendonRegime
-from handctl.core.estimation.kalman import MAX_ADDED_NOISE_S, NOISE_NIS_LIMIT, NOISE_NIS_LIMIT_OF_HAND, NOISE_NIS_S
+from handctl.core.estimation.kalman import (
+    MAX_ADDED_NOISE_S,
+    NOISE_NIS_LIMIT,
+    NOISE_NIS_LIMIT_OF_HAND,
+    NOISE_NIS_S,
+)
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, TablePlaces
@@ -18,7 +23,13 @@ from handctl.document import validate_content
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from tests.controller.filter_runs import all_in_regime, no_contact, noiseless_readings, state_at_rest, step
+from tests.controller.filter_runs import (
+    all_in_regime,
+    no_contact,
+    noiseless_readings,
+    state_at_rest,
+    step,
+)
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
 from tests.controller.synthetic import active_state, constants, interpreted
 
@@ -35,7 +46,9 @@ MOVES = {
         for n, angle in enumerate((20.0, 50.0, 15.0, 55.0, 20.0, 50.0, 15.0))
     ],
 }
-seeds = pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 20))])
+seeds = pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 20))]
+)
 
 
 def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
@@ -50,7 +63,9 @@ def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
     raw = np.array(run.cell)
     kept = later[:, None] & (real > TAUT_N) & np.isfinite(raw)
     assert np.count_nonzero(kept) > 500
-    estimate, cell = (float(np.sqrt(np.mean(np.square(way - real)[kept]))) for way in (np.array(run.tension), raw))
+    estimate, cell = (
+        float(np.sqrt(np.mean(np.square(way - real)[kept]))) for way in (np.array(run.tension), raw)
+    )
     return estimate, cell
 
 
@@ -95,7 +110,9 @@ def _judge(
     innovation: np.ndarray,
     information: np.ndarray,
 ) -> None:
-    kalman._judge_consistency(state_tables(block, at), constant_tables(of, of_at), innovation, information, True)
+    kalman._judge_consistency(
+        state_tables(block, at), constant_tables(of, of_at), innovation, information, True
+    )
 
 
 def averages_and_doubts(
@@ -155,7 +172,9 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
     x = interpreted(state_tables)(state.block, state.layout.places)
     assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()
     state.view("wary")[...] = 1e-9
-    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == (regimes + len(TendonRegime)).tolist()
+    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == (
+        regimes + len(TendonRegime)
+    ).tolist()
 
 
 @pytest.mark.parametrize("hand", HANDS)

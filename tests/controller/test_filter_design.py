@@ -39,7 +39,9 @@ class DesignParts:
 
     def design(self, name: str, rate_hz: float) -> FilterDesign:
         model = self.models[name]
-        return design_filter(model.space, FilterGains(), 1.0 / rate_hz, _joint_period(model.hand, 1.0 / rate_hz))
+        return design_filter(
+            model.space, FilterGains(), 1.0 / rate_hz, _joint_period(model.hand, 1.0 / rate_hz)
+        )
 
 
 @pytest.fixture
@@ -53,18 +55,25 @@ def one_of_each(model: HandModel) -> list[int]:
 
 
 @pytest.mark.parametrize("regime", TendonRegime)
-def test_discrete_model_and_gains_agree_with_the_differential_equations(model: HandModel, regime: TendonRegime) -> None:
+def test_discrete_model_and_gains_agree_with_the_differential_equations(
+    model: HandModel, regime: TendonRegime
+) -> None:
     for i in one_of_each(model):
         block = model.filter.blocks[i][regime]
         F, G, Q = over_one_period(model, i, regime)
         np.testing.assert_allclose(block.F * SCALE / SCALE[:, None], F, rtol=1e-7, atol=1e-8)
         np.testing.assert_allclose(block.B / SCALE[:, None], G, rtol=1e-7, atol=1e-8)
-        H, R = assumed_measurements(block, regime) * SCALE, np.diag(measurement_noise(model, i) ** 2)
+        H, R = (
+            assumed_measurements(block, regime) * SCALE,
+            np.diag(measurement_noise(model, i) ** 2),
+        )
         P = covariance_by_doubling(F, H, Q, R)
         innovation = H @ P @ H.T + R
         gain = np.linalg.solve(innovation, H @ P).T
         gain[E] *= regime == TendonRegime.SLACK
-        np.testing.assert_allclose(block.K[:, :2] / SCALE[:, None], gain, rtol=1e-5, atol=1e-6 * np.abs(gain).max())
+        np.testing.assert_allclose(
+            block.K[:, :2] / SCALE[:, None], gain, rtol=1e-5, atol=1e-6 * np.abs(gain).max()
+        )
         row, gains = block.tension_row * SCALE, model.gains.filter
         drift = (
             0.0
@@ -72,7 +81,9 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(model: H
             else gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
         )
         np.testing.assert_allclose(block.tension_variance, row @ P @ row + drift, rtol=1e-6)
-        np.testing.assert_allclose(block.innovation_information, np.linalg.inv(innovation), rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(
+            block.innovation_information, np.linalg.inv(innovation), rtol=1e-5, atol=1e-6
+        )
 
 
 @pytest.mark.parametrize("regime", TendonRegime)
@@ -81,7 +92,9 @@ def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Ten
         H, row = blocks[regime].H, blocks[regime].tension_row
         state = np.array([3e-4, 0.01, 1e-4, 0.002, 5.0, 7.0, 4e-5])
         taut = regime != TendonRegime.SLACK
-        tension = (model.space.stiffness[i] * 1.6e-4 + model.space.damping[i] * 0.008) if taut else 0.0
+        tension = (
+            (model.space.stiffness[i] * 1.6e-4 + model.space.damping[i] * 0.008) if taut else 0.0
+        )
         np.testing.assert_allclose(row @ state, tension, rtol=1e-12)
         np.testing.assert_allclose(H @ state, [state[X], tension + state[E], state[S]], rtol=1e-12)
 
@@ -98,12 +111,15 @@ def test_every_regime_is_stable_at_every_rate(
             assert np.abs(np.linalg.eigvals(error)).max() < 1.0
             without = block.K.copy()
             without[:, 2] = 0.0
-            assert np.abs(np.linalg.eigvals(block.F @ (np.eye(STATE_COUNT) - without @ block.H))).max() < 1.0, (
-                "no joint frame"
-            )
+            assert (
+                np.abs(np.linalg.eigvals(block.F @ (np.eye(STATE_COUNT) - without @ block.H))).max()
+                < 1.0
+            ), "no joint frame"
 
 
-def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(jamia: HandModel, jamia11: HandModel) -> None:
+def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(
+    jamia: HandModel, jamia11: HandModel
+) -> None:
     gains = jamia11.gains.filter
     cycle = jamia11.hand.sensor_node.joint_decimation
     for blocks in jamia11.filter.blocks:
@@ -113,15 +129,22 @@ def test_joint_encoders_separate_excursion_from_offset_and_nothing_else(jamia: H
             assert block.K[O, 2] == -block.K[S, 2]
             assert not np.delete(block.K[:, 2], [S, O]).any()
             np.testing.assert_allclose(block.tension_row @ block.K[:, 2], 0.0, atol=1e-9)
-    assert not any(block.K[:, 2].any() for blocks in jamia.filter.blocks for block in blocks), "no joint encoders"
+    assert not any(block.K[:, 2].any() for blocks in jamia.filter.blocks for block in blocks), (
+        "no joint encoders"
+    )
 
 
-def test_the_transition_of_all_tendons_is_that_of_its_blocks(model: HandModel, rng: np.random.Generator) -> None:
+def test_the_transition_of_all_tendons_is_that_of_its_blocks(
+    model: HandModel, rng: np.random.Generator
+) -> None:
     n = model.tendon_count
     kinds = rng.integers(0, 2 * len(TendonRegime), n)
     found = model.filter.transition(kinds.tobytes())
     x, u = rng.normal(size=(n, STATE_COUNT)), rng.normal(size=(n, 2))
-    moved, driven = (found.F @ x.T.ravel()).reshape(STATE_COUNT, n).T, (found.B @ u.T.ravel()).reshape(STATE_COUNT, n).T
+    moved, driven = (
+        (found.F @ x.T.ravel()).reshape(STATE_COUNT, n).T,
+        (found.B @ u.T.ravel()).reshape(STATE_COUNT, n).T,
+    )
     for i, kind in enumerate(kinds.tolist()):
         block = model.filter.blocks[i][kind]
         np.testing.assert_allclose(moved[i], block.F @ x[i], rtol=1e-9, atol=1e-9)
@@ -132,17 +155,31 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     """The kernels get all parts of the filter design, and the variances that are derived from them."""
     design = constant_tables_of(model).design
     assert design.shape == (model.tendon_count, h.KINDS, h.ELEMENTS)
-    parts = {"F": h.F_AT, "B": h.B_AT, "K": h.K_AT, "Q": h.Q_AT, "R": h.R_AT, "P": h.P_AT, "H": h.H_AT}
+    parts = {
+        "F": h.F_AT,
+        "B": h.B_AT,
+        "K": h.K_AT,
+        "Q": h.Q_AT,
+        "R": h.R_AT,
+        "P": h.P_AT,
+        "H": h.H_AT,
+    }
     for own, rows in zip(model.filter.blocks, design, strict=True):
         for block, row in zip(own, rows, strict=True):
             for name, first in {**parts, "tension_row": h.TENSION_ROW_AT}.items():
                 part = getattr(block, name)
-                np.testing.assert_array_equal(row[first : first + part.size].reshape(part.shape), part, err_msg=name)
+                np.testing.assert_array_equal(
+                    row[first : first + part.size].reshape(part.shape), part, err_msg=name
+                )
             information = np.array([[1.0, 0.5], [0.5, 1.0]]) * block.innovation_information
             twice = row[h.INFORMATION_AT : h.INFORMATION_AT + 3]
-            np.testing.assert_allclose([information[0, 0], 4 * information[0, 1], information[1, 1]], twice)
+            np.testing.assert_allclose(
+                [information[0, 0], 4 * information[0, 1], information[1, 1]], twice
+            )
             assert row[h.TENSION_VARIANCE_AT] == block.tension_variance
-            np.testing.assert_allclose(row[h.CELL_SIGMA_AT] ** 2, np.linalg.inv(block.innovation_information)[1, 1])
+            np.testing.assert_allclose(
+                row[h.CELL_SIGMA_AT] ** 2, np.linalg.inv(block.innovation_information)[1, 1]
+            )
             assert row[h.CELL_ERROR_VARIANCE_AT] == block.cell_error_variance
             assert row[h.CELL_ERROR_OBSERVABLE_AT] == block.cell_error_observable
 
@@ -150,7 +187,10 @@ def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
 def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> None:
     design = FilterDesign(jamia.filter.blocks * 2)
     kinds = [
-        np.array(each) for each in itertools.islice(itertools.product(range(3), repeat=8), 2 * TRANSITION_CACHE_SIZE)
+        np.array(each)
+        for each in itertools.islice(
+            itertools.product(range(3), repeat=8), 2 * TRANSITION_CACHE_SIZE
+        )
     ]
     kept = [weakref.ref(design.transition(each.tobytes()).F) for each in kinds]
     assert sum(F() is not None for F in kept) <= TRANSITION_CACHE_SIZE

@@ -36,7 +36,9 @@ def test_a_curve_meets_its_points_and_rests_at_the_ends() -> None:
 def test_velocity_and_acceleration_are_the_derivatives() -> None:
     curve, h = CurveTrajectory.through((0.0, 0.3, 0.9, 1.4), (0.0, 0.6, 0.1, 0.4), 1), 1e-5
     for t in np.linspace(0.05, 1.35, 40):
-        (before, _, _), (_, speed, acceleration), (after, _, _) = (curve.at(t + d) for d in (-h, 0.0, h))
+        (before, _, _), (_, speed, acceleration), (after, _, _) = (
+            curve.at(t + d) for d in (-h, 0.0, h)
+        )
         assert (after - before) / (2 * h) == pytest.approx(speed, abs=1e-6)
         faster, slower = curve.at(t + h)[1], curve.at(t - h)[1]
         assert (faster - slower) / (2 * h) == pytest.approx(acceleration, abs=1e-3)
@@ -70,7 +72,9 @@ def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:
         ("time_s", "times_s", "times_s"),
     ],
 )
-def test_a_wrong_file_is_refused_in_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_a_wrong_file_is_refused_in_one_line(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     path = tmp_path / "wave.toml"
     path.write_text(GOOD.replace(old, new))
     with pytest.raises(ConfigError) as refused:
@@ -85,7 +89,9 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
     path.write_text(GOOD)
     follow = load_trajectory(path).phase[1]
     assert isinstance(follow, FollowPhase)
-    curve = CurveTrajectory.through(follow.time_s, tuple(map(math.radians, follow.angle_deg["index"])), 1)
+    curve = CurveTrajectory.through(
+        follow.time_s, tuple(map(math.radians, follow.angle_deg["index"])), 1
+    )
     assert curve.at(0.5)[0][0] == pytest.approx(math.radians(20.0))
 
 

@@ -65,15 +65,23 @@ def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> 
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(hand: str, tmp_path: Path) -> None:
+def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
+    hand: str, tmp_path: Path
+) -> None:
     angles = (40.0, 15.0, 45.0, 10.0, 35.0, 12.0)
-    moves = [{"kind": "move", "angle_deg": {"index": a, "ring": a}, "duration_s": MOVE_S} for a in angles]
-    task = TaskProgram(validate_content({"schema": 1, "name": "turns", "phase": moves}, Task, "test"))
+    moves = [
+        {"kind": "move", "angle_deg": {"index": a, "ring": a}, "duration_s": MOVE_S} for a in angles
+    ]
+    task = TaskProgram(
+        validate_content({"schema": 1, "name": "turns", "phase": moves}, Task, "test")
+    )
     run = run_on_plant(hand, task, None, tmp_path, 4.5)
     starts = [t for t, event in run.events if event.name == "phase" and event.text == "move"][1:]
     assert len(starts) == len(angles) - 1
     tendons = [0, 2] if hand == "jamia" else [0, 1, 2, 6, 7, 8]
-    real, estimate, cell = (np.array(table)[:, tendons] for table in (run.real, run.tension, run.cell))
+    real, estimate, cell = (
+        np.array(table)[:, tendons] for table in (run.real, run.tension, run.cell)
+    )
     ticks = [k for k, t in enumerate(run.t) if any(0.0 <= t - start < TURN_S for start in starts)]
     assert len(ticks) == pytest.approx(len(starts) * TURN_S * RATE_HZ, abs=len(starts))
     mine, raw = (np.sqrt(((table - real)[ticks] ** 2).mean()) for table in (estimate, cell))

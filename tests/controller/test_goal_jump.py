@@ -63,13 +63,17 @@ def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
     assert goal(after) == pytest.approx(arms * (0.4 - 0.2 * np.exp(-1.0)), rel=0.02)
     assert goal(goals(0.4, 1000, after)) == pytest.approx(arms * 0.4, rel=1e-6)
     slow = goals(0.4 + 1e-5, 1, goals(0.4, 1000, after))
-    assert goal(slow) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), "what goes slowly is followed at once"
+    assert goal(slow) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), (
+        "what goes slowly is followed at once"
+    )
     limp = targets_after_command(jamia, after, np.nan)
     assert np.isnan(goal(limp)).all()
     assert goal(goals(0.1, 1, limp)) == pytest.approx(arms * 0.1), "after a hold it begins anew"
 
 
-def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(jamia: HandModel) -> None:
+def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
+    jamia: HandModel,
+) -> None:
     """Friction stops a motor short of its target.
 
     Only the motion of the target since that stop shows a stuck motor.

@@ -14,7 +14,12 @@ from handctl.core.law.goal import GoalKind
 from handctl.core.model import HandModel
 from handctl.core.types import TickEvent
 from handctl.hand.dynamics import static_torque
-from handctl.programs.grasp import RELEASE_TIMEOUT_S, RELEASED_WITHIN_N, SETTLE_AFTER_CLOSE_S, TaskProgram
+from handctl.programs.grasp import (
+    RELEASE_TIMEOUT_S,
+    RELEASED_WITHIN_N,
+    SETTLE_AFTER_CLOSE_S,
+    TaskProgram,
+)
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.task import Task
 from tests.controller.synthetic import (
@@ -33,9 +38,25 @@ TASK = {
     "name": "test",
     "phase": [
         {"kind": "move", "name": "home", "angle_deg": 0.0, "duration_s": 0.2},
-        {"kind": "move", "name": "preshape", "angle_deg": {"index": 20.0, "thumb": 5.0}, "duration_s": 0.3},
-        {"kind": "close", "name": "close", "angle_deg": 80.0, "speed_deg_s": 100.0, "contact_tension_N": 12.0},
-        {"kind": "hold", "name": "hold", "tension_N": {"index": 30.0, "thumb": 25.0}, "duration_s": 0.4},
+        {
+            "kind": "move",
+            "name": "preshape",
+            "angle_deg": {"index": 20.0, "thumb": 5.0},
+            "duration_s": 0.3,
+        },
+        {
+            "kind": "close",
+            "name": "close",
+            "angle_deg": 80.0,
+            "speed_deg_s": 100.0,
+            "contact_tension_N": 12.0,
+        },
+        {
+            "kind": "hold",
+            "name": "hold",
+            "tension_N": {"index": 30.0, "thumb": 25.0},
+            "duration_s": 0.4,
+        },
         {"kind": "release", "name": "release", "tension_N": 8.0, "settle_s": 0.1},
         {"kind": "move", "name": "open", "angle_deg": 0.0, "duration_s": 0.2},
     ],
@@ -82,7 +103,9 @@ class ProgramRun:
 
     @property
     def phases(self) -> list[str]:
-        return [event.text for event in self.events if event.name == "phase" and event.level == "info"]
+        return [
+            event.text for event in self.events if event.name == "phase" and event.level == "info"
+        ]
 
 
 @pytest.fixture
@@ -104,7 +127,9 @@ def hand_in_contact(
     return estimate._replace(external=force)
 
 
-def test_phases_come_in_the_order_of_the_task_and_last_as_long(model: HandModel, taut: Estimate) -> None:
+def test_phases_come_in_the_order_of_the_task_and_last_as_long(
+    model: HandModel, taut: Estimate
+) -> None:
     run = ProgramRun(model)
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.LIMP}, "limp until active"
     assert run.until("tighten", taut) <= 2 * model.period
@@ -149,7 +174,9 @@ def test_tightening_must_last(model: HandModel, taut: Estimate) -> None:
     assert run.until("home", taut) == pytest.approx(0.3, abs=3.1 * model.period)
 
 
-def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(model: HandModel, taut: Estimate) -> None:
+def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(
+    model: HandModel, taut: Estimate
+) -> None:
     run = ProgramRun(model)
     run.until("tighten", taut)
     while run.progress.phase == "tighten":
@@ -159,7 +186,9 @@ def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(model: H
     assert run.t == pytest.approx(0.5, abs=8 * model.period)
 
 
-def test_tendon_slack_in_every_second_tick_never_counts_as_tight(model: HandModel, taut: Estimate) -> None:
+def test_tendon_slack_in_every_second_tick_never_counts_as_tight(
+    model: HandModel, taut: Estimate
+) -> None:
     run = ProgramRun(model)
     run.until("tighten", taut)
     while not run.progress.finished:
@@ -182,7 +211,9 @@ def test_motions_begin_where_the_digit_is(model: HandModel, taut: Estimate) -> N
         assert goal.trajectory is not None
         if name in ("index", "thumb"):
             np.testing.assert_allclose(goal.trajectory.start, 0.4, atol=1e-9)
-            np.testing.assert_allclose(goal.trajectory.end, math.radians({"index": 20.0, "thumb": 5.0}[name]))
+            np.testing.assert_allclose(
+                goal.trajectory.end, math.radians({"index": 20.0, "thumb": 5.0}[name])
+            )
             assert goal.since == run.t
         else:
             np.testing.assert_allclose(goal.trajectory.end, 0.0, err_msg="not named: as before")
@@ -228,11 +259,15 @@ def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estima
         events = run.tick(touch)
         assert run.t - began < 0.02, "found in time"
     index = model.hand.digit_names.index("index")
-    assert [i for i, c in enumerate(run.progress.contact) if c] == [index], "only the digit that touches"
+    assert [i for i, c in enumerate(run.progress.contact) if c] == [index], (
+        "only the digit that touches"
+    )
     assert [(event.name, event.where) for event in events] == [("contact", "index")]
     goal = run.progress.goals[index]
     assert goal.kind == GoalKind.TENSION
-    np.testing.assert_allclose(goal.tension, 15.0, err_msg="holds what it has, as that is more than it shall")
+    np.testing.assert_allclose(
+        goal.tension, 15.0, err_msg="holds what it has, as that is more than it shall"
+    )
     assert {g.kind for i, g in enumerate(run.progress.goals) if i != index} == {GoalKind.MOTION}
 
 
@@ -244,7 +279,10 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
         if len(digit.reduced_moment_arms) < digit.joint_count:
             own[:] = 0.4
         forces.append(2.5 + d)
-        q[digit.joints], balance[digit.tendons] = own, forces[-1] * (digit.torque_to_tension @ joint_lever(digit, own))
+        q[digit.joints], balance[digit.tendons] = (
+            own,
+            forces[-1] * (digit.torque_to_tension @ joint_lever(digit, own)),
+        )
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = x[:, X] = model.hand.moment_arms @ q
     np.testing.assert_allclose(
@@ -258,7 +296,9 @@ def test_a_digit_that_touches_later_joins_the_grasp(model: HandModel, taut: Esti
     held = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
     assert [i for i, c in enumerate(run.progress.contact) if c] == held
     for d in held:
-        np.testing.assert_allclose(run.progress.goals[d].tension, 12.0, err_msg="at least the contact tension")
+        np.testing.assert_allclose(
+            run.progress.goals[d].tension, 12.0, err_msg="at least the contact tension"
+        )
     before = run.progress.goals[held[0]]
     run.touch(hand_in_contact(model, {"ring": 12.0}))
     assert sum(run.progress.contact) == 3
@@ -306,7 +346,10 @@ def run_release(
     model: HandModel, taut: Estimate, tension: float, **release: float
 ) -> tuple[ProgramRun, float]:
     """Return a run after its release phase, and the duration of this phase [s]. All tendons keep ``tension`` [N]."""
-    task = {**TASK, "phase": [{**p, **release} if p["kind"] == "release" else p for p in TASK["phase"]]}
+    task = {
+        **TASK,
+        "phase": [{**p, **release} if p["kind"] == "release" else p for p in TASK["phase"]],
+    }
     run, touch = ProgramRun(model, task), hand_in_contact(model, {"index": 12.0})
     run.until("close", taut)
     run.touch(touch)
@@ -321,11 +364,15 @@ def run_release(
     (9.0, 12.0, 12.0, False),                  # a longer settling time replaces the timeout
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip
-def test_a_release_that_does_not_let_go_is_reported(model, taut, tension, settle, took, is_reported) -> None:
+def test_a_release_that_does_not_let_go_is_reported(
+    model, taut, tension, settle, took, is_reported
+) -> None:
     run, lasted = run_release(model, taut, tension, settle_s=settle)
     assert lasted == pytest.approx(took, abs=0.1)
     warnings = [(event.where, event.text) for event in run.events if event.level == "warn"]
-    assert warnings == ([("index", f"release: above 8 N after {took:g} s, and going on")] if is_reported else [])
+    assert warnings == (
+        [("index", f"release: above 8 N after {took:g} s, and going on")] if is_reported else []
+    )
 
 
 def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Estimate) -> None:
@@ -343,7 +390,9 @@ def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Esti
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}, "all close"
     assert run.until("more", taut) > 0.3
     assert not any(run.progress.contact)
-    assert [event.text for event in run.events if event.level == "warn"] == ["more: no digit is in contact"]
+    assert [event.text for event in run.events if event.level == "warn"] == [
+        "more: no digit is in contact"
+    ]
 
 
 def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut: Estimate) -> None:
@@ -358,7 +407,9 @@ def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut
     assert run.progress.goals[index].kind == GoalKind.TENSION
 
 
-def test_a_goal_tip_force_becomes_the_tension_that_makes_it(model: HandModel, taut: Estimate) -> None:
+def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
+    model: HandModel, taut: Estimate
+) -> None:
     phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
     run = ProgramRun(model, {**TASK, "phase": phases})
     run.until("close", taut)
@@ -389,7 +440,9 @@ def test_contact_ends_with_the_next_move(model: HandModel, taut: Estimate) -> No
     assert not any(run.progress.touching)
 
 
-def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(model: HandModel, taut: Estimate) -> None:
+def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(
+    model: HandModel, taut: Estimate
+) -> None:
     size = len(model.digits[0].reduced_moment_arms)
     angles, tensions = [10.0, 20.0, 30.0][:size], [11.0, 12.0, 13.0][:size]
     phases = [

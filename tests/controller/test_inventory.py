@@ -32,7 +32,11 @@ def test_motors_that_reply_in_alternate_ticks_are_armed(hand: Bench) -> None:
     motors = range(0x11, 0x15)
 
     def in_turn(frame: Frame) -> bool:
-        return frame.can_id not in motors or frame.can_id == motors[hand.k % 4] or frame.data[2] in (READ, WRITTEN)
+        return (
+            frame.can_id not in motors
+            or frame.can_id == motors[hand.k % 4]
+            or frame.data[2] in (READ, WRITTEN)
+        )
 
     hand.to_host = lambda frames: [frame for frame in frames if in_turn(frame)]
     hand.until(Mode.READY)
@@ -41,7 +45,9 @@ def test_motors_that_reply_in_alternate_ticks_are_armed(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
 
 
-def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(jamia11: HandModel) -> None:
+def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
+    jamia11: HandModel,
+) -> None:
     run = bench(jamia11, LiveProgram())
     first, *others = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in others]
@@ -64,7 +70,15 @@ def hand_in_inventory(hand: Bench, seconds: float) -> State:
 
 def decided(hand: Bench, state: State) -> tuple[Mode, str]:
     after = state.copy()
-    next_mode(hand.controller.model, hand.controller.drives, after, Action.PASS, OperatorRequests(), (), 0.0)
+    next_mode(
+        hand.controller.model,
+        hand.controller.drives,
+        after,
+        Action.PASS,
+        OperatorRequests(),
+        (),
+        0.0,
+    )
     return after.mode, after.failure
 
 

@@ -48,8 +48,19 @@ def end_of(hand: str, program: Task, seconds: float) -> dict[str, float]:
 
 def test_a_move_of_one_joint_leaves_the_others() -> None:
     wait = move({"thumb_j2": 10.0})
-    angles = end_of("jamia11", task(move({"index": 20.0}), move({"index_j2": 30.0, "thumb_j2": 10.0}), wait, wait), 6.0)
-    wanted = {"index_j1": 20.0, "index_j2": 30.0, "index_j3": 20.0, "thumb_j1": 0.0, "thumb_j2": 10.0, "ring_j1": 0.0}
+    angles = end_of(
+        "jamia11",
+        task(move({"index": 20.0}), move({"index_j2": 30.0, "thumb_j2": 10.0}), wait, wait),
+        6.0,
+    )
+    wanted = {
+        "index_j1": 20.0,
+        "index_j2": 30.0,
+        "index_j3": 20.0,
+        "thumb_j1": 0.0,
+        "thumb_j2": 10.0,
+        "ring_j1": 0.0,
+    }
     assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_DEG)
 
 
@@ -58,12 +69,26 @@ def test_a_trajectory_can_name_single_joints() -> None:
         "schema": 1,
         "name": "wave",
         "time_s": [0.0, 0.5, 1.0],
-        "angle_deg": {"index_j1": [5.0, 40.0, 30.0], "index_j2": [5.0, 5.0, 20.0], "thumb": [0.0, 10.0, 20.0]},
+        "angle_deg": {
+            "index_j1": [5.0, 40.0, 30.0],
+            "index_j2": [5.0, 5.0, 20.0],
+            "thumb": [0.0, 10.0, 20.0],
+        },
     }
     program = trajectory_from(content, "t")
-    wait = {**program.phase[0].model_dump(), "angle_deg": {"index_j1": 30.0, "index_j2": 20.0}, "duration_s": 0.5}
+    wait = {
+        **program.phase[0].model_dump(),
+        "angle_deg": {"index_j1": 30.0, "index_j2": 20.0},
+        "duration_s": 0.5,
+    }
     angles = end_of("jamia11", task(*[phase.model_dump() for phase in program.phase], wait), 8.0)
-    wanted = {"index_j1": 30.0, "index_j2": 20.0, "index_j3": 0.0, "thumb_j1": 20.0, "thumb_j2": 20.0}
+    wanted = {
+        "index_j1": 30.0,
+        "index_j2": 20.0,
+        "index_j3": 0.0,
+        "thumb_j1": 20.0,
+        "thumb_j2": 20.0,
+    }
     assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_DEG)
 
 
@@ -86,13 +111,25 @@ def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
 @pytest.mark.parametrize(
     ("hand", "angles", "line"),
     [
-        ("jamia11", {"index_j4": 10.0}, "no digit 'index_j4'; expected one of index, middle, ring, thumb, or a joint"),
-        ("jamia11", {"index": 10.0, "index_j1": 20.0}, "index and index_j1; expected either the digit or its joints"),
+        (
+            "jamia11",
+            {"index_j4": 10.0},
+            "no digit 'index_j4'; expected one of index, middle, ring, thumb, or a joint",
+        ),
+        (
+            "jamia11",
+            {"index": 10.0, "index_j1": 20.0},
+            "index and index_j1; expected either the digit or its joints",
+        ),
         ("jamia11", {"index_j1": [10.0, 20.0]}, "2 numbers for index_j1; expected one number"),
         ("jamia11", {"index_j1": 120.0}, "120 deg for index_j1; expected 0 to 100 deg"),
         ("t42", {"left_j2": 60.0}, "60 deg for left_j2; expected 0 to 37.5 deg"),
         ("t42", {"left_j1": 60.0, "left_j2": 60.0}, "expected"),
-        ("jamia", {"index_j1": 30.0, "index_j2": 10.0}, "index_j1, index_j2 are coupled; expected index, one angle"),
+        (
+            "jamia",
+            {"index_j1": 30.0, "index_j2": 10.0},
+            "index_j1, index_j2 are coupled; expected index, one angle",
+        ),
     ],
 )
 def test_joint_angles_that_a_hand_cannot_have(hand: str, angles: dict[str, Any], line: str) -> None:
@@ -101,6 +138,10 @@ def test_joint_angles_that_a_hand_cannot_have(hand: str, angles: dict[str, Any],
 
 
 def test_a_curve_of_a_joint_is_checked_at_every_time() -> None:
-    follow = {"kind": "follow", "time_s": (0.0, 1.0, 2.0), "angle_deg": {"index_j1": (0.0, 110.0, 0.0)}}
+    follow = {
+        "kind": "follow",
+        "time_s": (0.0, 1.0, 2.0),
+        "angle_deg": {"index_j1": (0.0, 110.0, 0.0)},
+    }
     with pytest.raises(ConfigError, match="110 deg for index_j1; expected 0 to 100 deg"):
         check_task_for_hand(task(follow), load_hand("jamia11"), "t")

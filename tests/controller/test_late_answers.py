@@ -59,7 +59,9 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
     run.to_host = lambda frames: taken_off([*waiting, *frames])
     out = run.tick()
     assert not [
-        event.text for event in out.events if event.name == "fault" and ("B05" in event.text or "B06" in event.text)
+        event.text
+        for event in out.events
+        if event.name == "fault" and ("B05" in event.text or "B06" in event.text)
     ]
     assert out.mode == Mode.ACTIVE
     run.to_host = lambda frames: taken_off([*frames, *[f for f in frames if f.can_id == 0x11]])
@@ -95,7 +97,11 @@ def stamped(run: Bench, frames: list[Frame]) -> list[Frame]:
 
 
 def second_answers(out: TickOut) -> list[str]:
-    return [event.text for event in out.events if event.name == "fault" and event.text[:3] in ("B05", "B06", "N13")]
+    return [
+        event.text
+        for event in out.events
+        if event.name == "fault" and event.text[:3] in ("B05", "B06", "N13")
+    ]
 
 
 def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
@@ -124,7 +130,9 @@ def test_a_lost_answer_excuses_one_duplicate_and_no_second_node() -> None:
     run = active_on_a_bus_without_stamps()
     run.to_host = lambda frames: stamped(run, [frame for frame in frames if frame.can_id != 0x11])
     run.tick()
-    run.to_host = lambda frames: stamped(run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]])
+    run.to_host = lambda frames: stamped(
+        run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]]
+    )
     assert not second_answers(run.tick())
     assert [text[:3] for text in second_answers(run.tick())] == ["B05"]
     run.tick()
@@ -137,6 +145,8 @@ def test_missing_replies_excuse_one_duplicate_over_a_long_time() -> None:
     run.run(3 * run.period_ns * 1e-9)
     run.to_host = lambda frames: stamped(run, frames)
     run.run(2 * LOSS_WINDOW_TICKS * run.period_ns * 1e-9)
-    run.to_host = lambda frames: stamped(run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]])
+    run.to_host = lambda frames: stamped(
+        run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]]
+    )
     assert not second_answers(run.tick())
     assert [text[:3] for text in second_answers(run.tick())] == ["B05"]

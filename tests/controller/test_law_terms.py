@@ -44,7 +44,9 @@ def estimate(model: HandModel) -> Estimate:
     return exact_estimate(model, balanced_state(model, 0.42))
 
 
-def test_motion_feedback_applies_each_gain(model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate) -> None:
+def test_motion_feedback_applies_each_gain(
+    model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
+) -> None:
     space, gains, design = model.space, model.gains.motion, model.motion
     mass = space.motor_mass + space.load_mass
     before = force(model, estimate, way)
@@ -77,14 +79,25 @@ def test_the_planned_acceleration_is_fed_forward(
 def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 20.0)
     off = estimate._replace(disturbance=np.full(model.tendon_count, 0.5))
-    change = force(model, off, holding_goals(model, 20.0)) - force(model, estimate, holding_goals(model, 20.0))
+    change = force(model, off, holding_goals(model, 20.0)) - force(
+        model, estimate, holding_goals(model, 20.0)
+    )
     np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
 
 
 def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     """After an idle tick the tension loop starts at the present tension, whatever the control law commanded before."""
     state, tension = active_state(model), np.linspace(3.0, 4.0, model.tendon_count)
-    for name in ("setpoint", "integral", "force", "planned", "rate", "trim", "torque", "friction_state"):
+    for name in (
+        "setpoint",
+        "integral",
+        "force",
+        "planned",
+        "rate",
+        "trim",
+        "torque",
+        "friction_state",
+    ):
         state.view(name)[...] = 7.0
     state.view("tension")[...] = tension
     state.set_whole(s.TRIMMED, 1)
@@ -107,7 +120,9 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
 
 def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 20.0)
-    command = step(model, LawState.idle(estimate.tension), estimate, holding_goals(model, 20.0), EVALUATED_S)[1]
+    command = step(
+        model, LawState.idle(estimate.tension), estimate, holding_goals(model, 20.0), EVALUATED_S
+    )[1]
     joints = len(model.hand.joints)
     assert [np.isnan(goal).tolist() for goal in (command.q, command.dq)] == [[True] * joints] * 2
 
@@ -136,15 +151,22 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     still = holding_goals(model, 20.0)
     start, end, since = 0.4, 0.7, 0.1
     ways = [
-        MinimumJerk(np.full(d.coupling.shape[1], start), np.full(d.coupling.shape[1], end), 1.0) for d in model.digits
+        MinimumJerk(np.full(d.coupling.shape[1], start), np.full(d.coupling.shape[1], end), 1.0)
+        for d in model.digits
     ]
-    goals = tuple(replace(goal, trajectory=one, since=since) for goal, one in zip(still, ways, strict=True))
+    goals = tuple(
+        replace(goal, trajectory=one, since=since) for goal, one in zip(still, ways, strict=True)
+    )
     speed, acceleration = np.zeros((2, model.tendon_count))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, ways, strict=True):
-        speed[tendons], acceleration[tendons] = one.at(EVALUATED_S - since)[1:] @ digit.reduced_moment_arms.T
+        speed[tendons], acceleration[tendons] = (
+            one.at(EVALUATED_S - since)[1:] @ digit.reduced_moment_arms.T
+        )
     needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
     needed += (model.motion.tension_speed + space.motor_damping) * speed
-    np.testing.assert_allclose(force(model, estimate, goals) - force(model, estimate, still), needed, rtol=1e-9)
+    np.testing.assert_allclose(
+        force(model, estimate, goals) - force(model, estimate, still), needed, rtol=1e-9
+    )
     one_only = (goals[0], *still[1:])
     change = force(model, estimate, one_only) - force(model, estimate, still)
     first = model.digit_tendons[0]
@@ -152,7 +174,9 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     assert not np.delete(change, first).any(), "no other digit is in motion"
 
 
-def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(model: HandModel) -> None:
+def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
+    model: HandModel,
+) -> None:
     slack_estimate = slack(model)
     taut_estimate = slack_estimate._replace(slack=np.zeros(model.tendon_count, dtype=bool))
     state = LawState.idle(np.full(model.tendon_count, 0.5))
@@ -173,7 +197,13 @@ def test_the_goal_tension_of_a_motion_stays_within_its_limit(
 
 def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 10.0)
-    command = step(model, LawState.idle(estimate.tension), estimate, (DigitGoal(),) * len(model.digits), EVALUATED_S)[1]
+    command = step(
+        model,
+        LawState.idle(estimate.tension),
+        estimate,
+        (DigitGoal(),) * len(model.digits),
+        EVALUATED_S,
+    )[1]
     assert not command.joint_torque.any()
     assert np.isnan(command.tension).all()
 
@@ -187,6 +217,9 @@ def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: Estimat
         assert np.isnan(angles[joints:]).all()
     assert law.friction_state is not None
     assert np.isnan(law.friction_state[tendons:]).all()
-    held = np.where(np.arange(model.tendon_count) < tendons, 0.0, law.setpoint) @ model.hand.moment_arms
+    held = (
+        np.where(np.arange(model.tendon_count) < tendons, 0.0, law.setpoint)
+        @ model.hand.moment_arms
+    )
     np.testing.assert_allclose(command.joint_torque[joints:], held[joints:], rtol=1e-12)
     assert goals[2].kind == GoalKind.TENSION

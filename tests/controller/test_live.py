@@ -49,7 +49,11 @@ def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
         np.testing.assert_allclose(goal.trajectory.end, math.radians(40 if name == "index" else 10))
         assert (goal.since, goal.trajectory.duration) == (7.0, 2.0)
     held, _ = apply_goal(
-        model, moved, goal_from('{"do": "hold", "tension_N": {"index": 25}, "rate_N_per_s": 9}'), estimate, 8.0
+        model,
+        moved,
+        goal_from('{"do": "hold", "tension_N": {"index": 25}, "rate_N_per_s": 9}'),
+        estimate,
+        8.0,
     )
     goal = held.goals[0]
     assert (goal.kind, goal.rate) == (GoalKind.TENSION, 9.0)
@@ -61,7 +65,9 @@ def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 5.0)
     _, progress = live(model, estimate)
     progress = replace(progress, contact=(True,) * len(model.digits))
-    moved, _ = apply_goal(model, progress, goal_from('{"do": "move", "angle_deg": {"index": 0}}'), estimate, 1.0)
+    moved, _ = apply_goal(
+        model, progress, goal_from('{"do": "move", "angle_deg": {"index": 0}}'), estimate, 1.0
+    )
     assert moved.contact == (False, *[True] * (len(model.digits) - 1))
 
 
@@ -89,7 +95,9 @@ def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> No
     estimate, program = slack(model), LiveProgram()
     progress = program.initial(model)
     for t in (0.0, 0.1):
-        after, events = apply_goal(model, progress, goal_from('{"do": "move", "angle_deg": {"index": 0}}'), estimate, t)
+        after, events = apply_goal(
+            model, progress, goal_from('{"do": "move", "angle_deg": {"index": 0}}'), estimate, t
+        )
         assert after is progress
         assert "not ready" in events[0].text
         progress, _ = program.advance(model, progress, estimate, empty_readings(model), t)
@@ -129,7 +137,9 @@ def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
         progress, _ = jog.advance(model, progress, estimate, empty_readings(model), t)
         if progress.phase == "jog" and began < 0:
             began = t
-            np.testing.assert_array_equal(progress.goals[-1].tension, [8.0] * len(progress.goals[-1].tension))
+            np.testing.assert_array_equal(
+                progress.goals[-1].tension, [8.0] * len(progress.goals[-1].tension)
+            )
     assert t - began == pytest.approx(0.5, abs=1.5 * model.period)
     assert not progress.failure
 

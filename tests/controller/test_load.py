@@ -43,7 +43,9 @@ def load_by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_the_load_of_each_digit_is_limited_separately(hand: str, request: pytest.FixtureRequest) -> None:
+def test_the_load_of_each_digit_is_limited_separately(
+    hand: str, request: pytest.FixtureRequest
+) -> None:
     """The tensions of some digits are within their bounds, of others at a bound.
 
     A bound of one digit does not change the tensions of other digits.
@@ -54,7 +56,9 @@ def test_the_load_of_each_digit_is_limited_separately(hand: str, request: pytest
     kinds = set()
     for spread in (0.0, 1.0, 30.0, 1000.0, 1e5):
         for _ in range(20):
-            way = rng.normal(size=(3, joints)) * np.array([[0.3], [1.0], [spread]]) + np.array([[0.7], [0.0], [0.0]])
+            way = rng.normal(size=(3, joints)) * np.array([[0.3], [1.0], [spread]]) + np.array(
+                [[0.7], [0.0], [0.0]]
+            )
             load = load_of(model, goals, way)
             np.testing.assert_allclose(load, load_by_digit(model, way), rtol=1e-6, atol=1e-6)
             bound = (load <= model.floor) | (load >= model.ceiling)

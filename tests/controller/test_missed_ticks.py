@@ -32,4 +32,6 @@ def test_a_fast_rotor_does_not_jump_because_ticks_were_skipped(jamia: HandModel,
     run.peer.x[0] -= 3.0 * FAST_RAD_S * run.peer.spool[0] * run.peer.period_s
     run.tick()
     run.tick()
-    assert [event for event in run.events if event.text[:4] == "N05a"], "positive control: a step that no rotor makes"
+    assert [event for event in run.events if event.text[:4] == "N05a"], (
+        "positive control: a step that no rotor makes"
+    )

@@ -6,7 +6,14 @@ The motors of the hand are scripted.
 import numpy as np
 import pytest
 
-from handctl.controller.modes import ARMING_TIMEOUT_S, CUT_S, DISARM_TIMEOUT_S, INVENTORY_TIMEOUT_S, LISTEN_S, READY_S
+from handctl.controller.modes import (
+    ARMING_TIMEOUT_S,
+    CUT_S,
+    DISARM_TIMEOUT_S,
+    INVENTORY_TIMEOUT_S,
+    LISTEN_S,
+    READY_S,
+)
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -56,7 +63,9 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
     for _, _, out in run.history:
         if out.mode == Mode.SILENT:
             assert out.frames == (), "silent means silent"
-    assert ids_sent(run, ENABLE) == [motor.node_id for motor in run.peer.motors], "each drive is enabled once"
+    assert ids_sent(run, ENABLE) == [motor.node_id for motor in run.peer.motors], (
+        "each drive is enabled once"
+    )
     assert [motor.nibble for motor in run.peer.motors] == [1] * model.tendon_count
     run.run(2.0)
     assert run.state.progress.phase == "live"
@@ -73,8 +82,12 @@ def test_registers_are_written_before_any_torque(hand: Bench) -> None:
         motor.registers[23] = 1.0
     hand.until(Mode.ACTIVE)
     assert all(motor.written for motor in hand.peer.motors)
-    assert all(motor.registers[9] == 1000 for motor in hand.peer.motors), "watchdog of 50 ms, in units of 50 us"
-    assert all(motor.registers[23] == pytest.approx(0.8) for motor in hand.peer.motors), "torque limit"
+    assert all(motor.registers[9] == 1000 for motor in hand.peer.motors), (
+        "watchdog of 50 ms, in units of 50 us"
+    )
+    assert all(motor.registers[23] == pytest.approx(0.8) for motor in hand.peer.motors), (
+        "torque limit"
+    )
 
 
 def test_hand_waits_without_an_arm_request(quick: HandModel) -> None:
@@ -108,7 +121,9 @@ def test_stop_from_every_mode(hand: Bench, mode: Mode, way: list[Mode]) -> None:
         assert ids_sent(hand, ENABLE) == []
 
 
-@pytest.mark.parametrize("mode", [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE, Mode.RELAX])
+@pytest.mark.parametrize(
+    "mode", [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE, Mode.RELAX]
+)
 def test_cut_from_every_mode(hand: Bench, mode: Mode) -> None:
     if mode == Mode.RELAX:
         hand.until(Mode.ACTIVE)
@@ -125,11 +140,15 @@ def test_cut_from_every_mode(hand: Bench, mode: Mode) -> None:
         return
     assert first.mode == Mode.CUT
     ids = [motor.node_id for motor in hand.peer.motors]
-    assert [(f.can_id, f.data) for f in first.frames[: len(ids)]] == [(i, DISABLE) for i in ids], "before all else"
+    assert [(f.can_id, f.data) for f in first.frames[: len(ids)]] == [(i, DISABLE) for i in ids], (
+        "before all else"
+    )
     assert disabled(hand), "without a ramp, in the same tick"
     hand.until(Mode.DONE)
     assert hand.modes[-3:] == [Mode.CUT, Mode.DISARM, Mode.DONE]
-    assert duration_in(hand, Mode.CUT) == pytest.approx(CUT_S, abs=1.5 * hand.controller.model.period)
+    assert duration_in(hand, Mode.CUT) == pytest.approx(
+        CUT_S, abs=1.5 * hand.controller.model.period
+    )
     assert not hand.state.failure, "a person wanted it"
 
 
@@ -315,7 +334,9 @@ def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand: Bench) -> None:
     while hand.state.mode == Mode.RELAX:
         hand.tick()
     assert 0.05 < duration_in(hand, Mode.RELAX) < 0.5, "500 N/s from 60 N"
-    goals = np.array([out.telemetry.tension_goal for _, _, out in hand.history if out.mode == Mode.RELAX])
+    goals = np.array(
+        [out.telemetry.tension_goal for _, _, out in hand.history if out.mode == Mode.RELAX]
+    )
     assert (np.diff(goals, axis=0) <= 1e-9).all(), "no tension rises"
     assert np.abs(np.diff(goals, axis=0)).max() <= 500.0 * hand.controller.model.period + 1e-9
     assert (goals[-1] <= 5.0 + 500.0 * hand.controller.model.period + 1e-6).all()
@@ -344,15 +365,21 @@ def test_every_mode_change_is_reported_once(hand: Bench) -> None:
     hand.tick(STOP)
     hand.until(Mode.DONE)
     mode_changes = [event.text.partition(":")[0] for event in hand.events if event.name == "mode"]
-    assert mode_changes == [f"{a.name} -> {b.name}" for a, b in zip(hand.modes, hand.modes[1:], strict=False)]
+    assert mode_changes == [
+        f"{a.name} -> {b.name}" for a, b in zip(hand.modes, hand.modes[1:], strict=False)
+    ]
 
 
-def test_the_time_of_a_program_stops_during_a_hold_by_safety(hand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_time_of_a_program_stops_during_a_hold_by_safety(
+    hand: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     hand.until(Mode.ACTIVE)
     hand.run(1.0)
     before = hand.state
     real = Controller._judge
-    monkeypatch.setattr(Controller, "_judge", lambda self, *words: (Action.HOLD, real(self, *words)[1]))
+    monkeypatch.setattr(
+        Controller, "_judge", lambda self, *words: (Action.HOLD, real(self, *words)[1])
+    )
     hand.run(0.5)
     assert hand.state.mode == Mode.ACTIVE
     assert hand.state.goal_time == before.goal_time

@@ -36,14 +36,21 @@ def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, 
     return F, G
 
 
-def loops(model: HandModel, gains: Gains, period: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def loops(
+    model: HandModel, gains: Gains, period: float
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return (F, G, K) of both control loops of the first and of the last tendon, with force = -K state."""
     design, found = design_motion(model.space, gains, period), []
     for i in (0, model.tendon_count - 1):
         mass = model.space.motor_mass[i] + model.space.load_mass[i]
         K = np.array([[design.stiffness[i] * mass, design.damping[i] * mass]])
         found.append((*motion_plant(mass, period), K))
-        found.append((*tension_plant(model, i, period), np.array([[design.tension[i], design.tension_speed[i]]])))
+        found.append(
+            (
+                *tension_plant(model, i, period),
+                np.array([[design.tension[i], design.tension_speed[i]]]),
+            )
+        )
     return found
 
 
@@ -86,10 +93,16 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
     gains, full = Gains(), min(1.0, (rate_hz / 500.0) ** 0.5)
     weights = [
         (gains.motion.position_error_m, gains.motion.speed_error_m_s, full * gains.motion.force_N),
-        (gains.tension.tension_error_N, gains.tension.speed_error_m_s, full * gains.tension.force_N),
+        (
+            gains.tension.tension_error_N,
+            gains.tension.speed_error_m_s,
+            full * gains.tension.force_N,
+        ),
     ]
 
-    def cost(F: np.ndarray, G: np.ndarray, K: np.ndarray, weight: tuple[float, float, float]) -> float:
+    def cost(
+        F: np.ndarray, G: np.ndarray, K: np.ndarray, weight: tuple[float, float, float]
+    ) -> float:
         closed = F - G @ K
         stage = np.diag([1 / weight[0] ** 2, 1 / weight[1] ** 2]) + K.T @ K / weight[2] ** 2
         total, power = np.zeros((2, 2)), np.eye(2)

@@ -47,7 +47,9 @@ def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[TickE
     """
     nis: list[np.ndarray] = []
     events: list[TickEvent] = []
-    with SimulatorSettings(hand, seed=seed, homed=True).against(controller_at(hand, rate_hz)) as run:
+    with SimulatorSettings(hand, seed=seed, homed=True).against(
+        controller_at(hand, rate_hz)
+    ) as run:
         for _, out in run.ticks(3.0):
             events += [event for event in out.events if event.name in ("estimate", "fault")]
             if out.mode == Mode.ACTIVE:

@@ -45,8 +45,15 @@ def test_a_move_without_time_is_refused(phases: tuple[dict[str, Any], ...], line
 
 
 def test_the_time_that_is_named_is_enough() -> None:
-    short_ways = ({"kind": "release"}, move(60.0, 0.05), CLOSE | {"angle_deg": 70.0}, move(65.0, 0.05))
-    check_speed(task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), DigitModel.all_of(ELEVEN), "t")
+    short_ways = (
+        {"kind": "release"},
+        move(60.0, 0.05),
+        CLOSE | {"angle_deg": 70.0},
+        move(65.0, 0.05),
+    )
+    check_speed(
+        task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), DigitModel.all_of(ELEVEN), "t"
+    )
 
 
 def test_the_speed_of_a_close_phase_is_limited() -> None:

@@ -47,7 +47,9 @@ def waving(hand: Hand) -> Task:
     for i, (digits, wrist) in enumerate(ANGLES):
         angles = dict.fromkeys(hand.digit_names, digits) | {"wrist": wrist}
         phases.append({"kind": "move", "name": f"move {i}", "angle_deg": angles, "duration_s": 0.6})
-    return Task.model_validate({"schema": 1, "name": "wave", "description": "wave", "phase": tuple(phases)})
+    return Task.model_validate(
+        {"schema": 1, "name": "wave", "description": "wave", "phase": tuple(phases)}
+    )
 
 
 def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
@@ -67,11 +69,17 @@ def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
             if [event for event in out.events if event.level == "error"]:
                 return None
             if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
-                apart.append(np.degrees(along @ (run.state.view("q_goal") - run.peer.world.plant.engine.q)))
+                apart.append(
+                    np.degrees(along @ (run.state.view("q_goal") - run.peer.world.plant.engine.q))
+                )
                 external.append(run.state.view("external")[0])
         assert run.state.mode == Mode.DONE
     squares = np.mean(np.square(apart), axis=0)
-    return Errors(float(np.sqrt(squares[1:].mean())), float(np.sqrt(squares[0])), float(np.mean(np.abs(external))))
+    return Errors(
+        float(np.sqrt(squares[1:].mean())),
+        float(np.sqrt(squares[0])),
+        float(np.mean(np.abs(external))),
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -52,7 +52,9 @@ TRIP_N = 140.0
 
 def with_position_loop(hand: Hand, **changes: Any) -> Hand:
     """Return the hand with drives that close the position loops."""
-    motors = tuple(motor.model_copy(update={"control": "position", **changes}) for motor in hand.motor)
+    motors = tuple(
+        motor.model_copy(update={"control": "position", **changes}) for motor in hand.motor
+    )
     return hand.model_copy(update={"motor": motors})
 
 
@@ -63,7 +65,9 @@ def loop_hand(name: str = "jamia", protocol: str = "mit", kp: float | None = STI
         return hand
     other = loop_hand(name, "mit", kp)
     gains = servo_constants(HandModel.of(other, packaged_gains(name), RATE_HZ))
-    stiffness, damping = ([float(gains[key][0])] * len(hand.motor) for key in ("servo_stiffness", "servo_damping"))
+    stiffness, damping = (
+        [float(gains[key][0])] * len(hand.motor) for key in ("servo_stiffness", "servo_damping")
+    )
     motors = tuple(
         motor.model_copy(update={"kp_N_m_per_rad": stiffness[n], "kd_N_m_s_per_rad": damping[n]})
         for n, motor in enumerate(hand.motor)
@@ -75,16 +79,26 @@ def to_and_fro(hand: Hand, moves: int, duration_s: float) -> TaskProgram:
     """Return a program that closes and opens all digits of a hand in turn."""
     ends = [dict.fromkeys(hand.digit_names, angle) for angle in (45.0, 15.0)]
     phases = [{"kind": "move", "name": "ready", "angle_deg": ends[1], "duration_s": 0.6}] + [
-        {"kind": "move", "name": f"move {i}", "angle_deg": ends[i % 2], "duration_s": duration_s} for i in range(moves)
+        {"kind": "move", "name": f"move {i}", "angle_deg": ends[i % 2], "duration_s": duration_s}
+        for i in range(moves)
     ]
-    return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "to and fro", "phase": phases})))
+    return TaskProgram(
+        Task.model_validate_json(json.dumps({"schema": 1, "name": "to and fro", "phase": phases}))
+    )
 
 
 @contextmanager
-def moving(hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, moves: int = 6) -> Iterator[SimulatedRun]:
+def moving(
+    hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, moves: int = 6
+) -> Iterator[SimulatedRun]:
     """Yield the run of a simulated hand that moves to and fro. The run is at the start of its first move."""
     controller = make_controller(
-        hand, packaged_gains(hand.name), rate_hz, to_and_fro(hand, moves, 0.6), None, arm_at_once=True
+        hand,
+        packaged_gains(hand.name),
+        rate_hz,
+        to_and_fro(hand, moves, 0.6),
+        None,
+        arm_at_once=True,
     )
     with SimulatorSettings(hand, None, seed, homed=True).against(controller) as run:
         assert run.until(lambda out: out.phase == "move 0", 5.0)
@@ -118,7 +132,11 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
 def moteus_command(data: bytes) -> tuple[float, ...]:
     """Return position [rad], velocity [rad/s], torque [N m], fractions of kp and kd, and limit [N m] of a command."""
     assert len(data) == 48
-    assert (data[:5], data[17:19], data[31:36]) == (b"\1\0\x0a\x0f\x20", b"\x0f\x23", b"\1\x2b\0\x0d\x27")
+    assert (data[:5], data[17:19], data[31:36]) == (
+        b"\1\0\x0a\x0f\x20",
+        b"\x0f\x23",
+        b"\1\x2b\0\x0d\x27",
+    )
     position, velocity, torque = struct.unpack_from("<fff", data, 5)
     return (math.tau * position, math.tau * velocity, torque, *struct.unpack_from("<fff", data, 19))
 
@@ -127,21 +145,30 @@ def moteus_command(data: bytes) -> tuple[float, ...]:
 def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
     """The target moves with the velocity, so on average it is half a period of motion ahead of the command."""
     hand = loop_hand(protocol="moteus")
-    motors = tuple(motor.model_copy(update={"direction": direction, "zero_rad": 0.7}) for motor in hand.motor)
+    motors = tuple(
+        motor.model_copy(update={"direction": direction, "zero_rad": 0.7}) for motor in hand.motor
+    )
     hand = hand.model_copy(update={"motor": motors})
     with moving(hand) as run:
         model, sent = run.controller.model, 0
         for _ in range(400):
             out = run.tick()
-            commands = {frame.can_id & 0xFF: frame.data for frame in out.frames if len(frame.data) == 48}
+            commands = {
+                frame.can_id & 0xFF: frame.data for frame in out.frames if len(frame.data) == 48
+            }
             for n, motor in enumerate(hand.motor):
                 if stiffness_sent(run)[n] == 0.0:
                     continue
                 position, velocity, added, kp, kd, limit = moteus_command(commands[motor.node_id])
                 assert 0.0 < kp <= 1.0
                 assert 0.0 < kd <= 1.0
-                p, v = (run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed"))
-                target = direction * (position - motor.zero_rad) + 0.5 * model.period * direction * velocity
+                p, v = (
+                    run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed")
+                )
+                target = (
+                    direction * (position - motor.zero_rad)
+                    + 0.5 * model.period * direction * velocity
+                )
                 ahead = p + run.controller.zero[n] + 0.5 * model.period * v
                 torque = STIFF * kp * (target - ahead) + direction * added
                 torque += motor.kd_N_m_s_per_rad * kd * (direction * velocity - v)
@@ -149,7 +176,9 @@ def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
                 # The gains are rounded to six digits, and the position is a float32.
                 assert torque == pytest.approx(torque_of_law, abs=2e-5)
                 margin = LIMIT_MARGIN_N * model.space.spool[n]
-                assert limit == pytest.approx(min(abs(torque_of_law) + margin, motor.torque_max_N_m), rel=1e-6)
+                assert limit == pytest.approx(
+                    min(abs(torque_of_law) + margin, motor.torque_max_N_m), rel=1e-6
+                )
                 sent += 1
         assert sent > 1500, "nearly all commands carry a position"
 
@@ -164,9 +193,15 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
             commands = {frame.can_id: frame.data for frame in out.frames if 0 < frame.can_id < 5}
             for n in range(4):
                 given = decode_command(commands[n + 1], ranges)
-                p, v = (run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed"))
+                p, v = (
+                    run.state.view(name)[n] / model.space.spool[n] for name in ("travel", "speed")
+                )
                 ahead = p + run.controller.zero[n] + 0.5 * model.period * v
-                torque = given.kp * (given.position - ahead) + given.kd * (given.velocity - v) + given.torque
+                torque = (
+                    given.kp * (given.position - ahead)
+                    + given.kd * (given.velocity - v)
+                    + given.torque
+                )
                 # The tolerance is the torque of one count of position at this stiffness, one of
                 # velocity and one of torque.
                 assert torque == pytest.approx(run.state.view("torque")[n], abs=2.0e-3)
@@ -205,9 +240,17 @@ def test_a_stiff_moteus_follows_better(name: str, seed: int) -> None:
 
 @pytest.mark.parametrize(
     ("name", "protocol"),
-    [("jamia", "mit"), ("jamia", "robstride"), ("jamia", "moteus"), ("jamia11", "moteus"), ("t42", "moteus")],
+    [
+        ("jamia", "mit"),
+        ("jamia", "robstride"),
+        ("jamia", "moteus"),
+        ("jamia11", "moteus"),
+        ("t42", "moteus"),
+    ],
 )
-def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(name: str, protocol: str) -> None:
+def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
+    name: str, protocol: str
+) -> None:
     hand = loop_hand(name, protocol, None)
     with homed_run(hand, RATE_HZ, 0) as run:
         advance_to(run, FREE_STAGE)
@@ -247,7 +290,9 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: i
 
 @pytest.mark.parametrize("ahead_ms", [0, 10, 20])
 @pytest.mark.parametrize("seed", MOTEUS_SEEDS)
-def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(ahead_ms: int, seed: int) -> None:
+def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
+    ahead_ms: int, seed: int
+) -> None:
     """A moteus moves its target on until its watchdog fires after 50 ms. Without the limit it pulls 70 N here."""
     with moving(loop_hand(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
@@ -267,7 +312,9 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(ahead
         for _ in range(round(0.1 * RATE_HZ)):
             run._step()
             peak = np.maximum(peak, run.peer.truth()["tension"])
-        assert [motor.servo.kp for motor in motors.values()] == [0.0] * 4, "the watchdogs have fired"
+        assert [motor.servo.kp for motor in motors.values()] == [0.0] * 4, (
+            "the watchdogs have fired"
+        )
         # The moving rotor adds its kinetic energy.
         assert (peak < np.maximum(at_host, limit) + 10.0).all(), f"{peak} N, limits {limit} N"
         assert peak.max() < 55.0
@@ -287,8 +334,12 @@ def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -
 
 
 @pytest.mark.parametrize(("protocol", "seed"), RUNS)
-@pytest.mark.parametrize("fault", ["", "swap node=index_motor with=thumb_motor", "disobey node=ring_motor size=1.6"])
-def test_relaxing_from_a_position_loop_raises_no_command(fault: str, protocol: str, seed: int) -> None:
+@pytest.mark.parametrize(
+    "fault", ["", "swap node=index_motor with=thumb_motor", "disobey node=ring_motor size=1.6"]
+)
+def test_relaxing_from_a_position_loop_raises_no_command(
+    fault: str, protocol: str, seed: int
+) -> None:
     with moving(loop_hand("jamia", protocol), seed) as run:
         for _ in range(round((0.1 + 0.03 * seed) * RATE_HZ)):
             run.tick()
@@ -301,7 +352,9 @@ def test_relaxing_from_a_position_loop_raises_no_command(fault: str, protocol: s
 def lose_gains(run: SimulatedRun, name: str) -> None:
     """Let a drive make only the torque of its commands, as if it ignored the gains kp and kd in them."""
     motor: Any = run.peer.world.plant.motors[name]  # type: ignore[attr-defined]
-    motor.power_stage_fault = lambda _: float(np.clip(motor.servo.torque, -motor.servo.limit, motor.servo.limit))
+    motor.power_stage_fault = lambda _: float(
+        np.clip(motor.servo.torque, -motor.servo.limit, motor.servo.limit)
+    )
 
 
 FOUND = {
@@ -340,7 +393,9 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
         assert peak < TRIP_N
 
 
-@pytest.mark.parametrize(("protocol", "sigma"), [("mit", 0.3), ("robstride", 0.3), ("moteus", 0.12)])
+@pytest.mark.parametrize(
+    ("protocol", "sigma"), [("mit", 0.3), ("robstride", 0.3), ("moteus", 0.12)]
+)
 def test_a_healthy_drive_reports_what_is_predicted(protocol: str, sigma: float) -> None:
     """The reported force of a drive agrees with the prediction. Detectors of disobedience compare these two."""
     with moving(loop_hand("jamia", protocol)) as run:
@@ -363,11 +418,14 @@ def test_a_report_is_predicted_within_the_limit_of_its_command(sign: int) -> Non
         # The report of a tick belongs to the command before the last.
         run.tick()
         assert run.state.view("servo_report")[1] == pytest.approx(sign * limit)
-        assert limit < 0.5 * run.controller.model.torque_limit[1] / run.controller.model.space.spool[1]
+        assert (
+            limit < 0.5 * run.controller.model.torque_limit[1] / run.controller.model.space.spool[1]
+        )
 
 
 @pytest.mark.parametrize(
-    ("protocol", "reason"), [("odrive", "Set_Input_Pos of an ODrive contains no gains"), ("cia402", "no gains")]
+    ("protocol", "reason"),
+    [("odrive", "Set_Input_Pos of an ODrive contains no gains"), ("cia402", "no gains")],
 )
 def test_a_protocol_without_position_commands_is_refused(protocol: str, reason: str) -> None:
     hand = with_position_loop(hand_with_protocol("jamia", protocol))
@@ -379,7 +437,10 @@ def test_a_protocol_without_position_commands_is_refused(protocol: str, reason: 
 @pytest.mark.parametrize("key", ["kp_N_m_per_rad", "kd_N_m_s_per_rad"])
 def test_a_moteus_without_gains_is_refused(key: str) -> None:
     hand = loop_hand(protocol="moteus")
-    with pytest.raises(ConfigError, match=rf"motor\[index_motor\].{key}: missing; expected a number, because control"):
+    with pytest.raises(
+        ConfigError,
+        match=rf"motor\[index_motor\].{key}: missing; expected a number, because control",
+    ):
         make_drives(with_position_loop(hand, **{key: None}))
 
 
@@ -389,7 +450,9 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: 
     """An identified torque per command below 1 requires more than the gains in the drive: kp and kd are limited."""
     hand = loop_hand(protocol="moteus")
     model = HandModel.of(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
-    controller = make_controller(hand, packaged_gains("jamia"), rate_hz, to_and_fro(hand, 1, 1.0), None, True)
+    controller = make_controller(
+        hand, packaged_gains("jamia"), rate_hz, to_and_fro(hand, 1, 1.0), None, True
+    )
     drives = make_drives(hand)
     steps, loop = servo_steps(model, drives), servo_constants(model)
     wire = WireTables(drives, controller.sensors, [True] * 4, model.torque_gain)
@@ -401,19 +464,26 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: 
             rounded = step * math.floor(value / step + 0.5)
             assert 0.0 < rounded <= rows[row, 3], "the law's rounded gain can be encoded"
             assert np.float32(rounded / rows[row, 0]) <= 1.0
-            assert (value < loop[f"servo_{name}"][n]) == (gain < 1.0 and (name == "damping" or rate_hz > 100.0))
+            assert (value < loop[f"servo_{name}"][n]) == (
+                gain < 1.0 and (name == "damping" or rate_hz > 100.0)
+            )
 
 
 def test_position_loops_of_antagonists_are_refused() -> None:
     content = hand_content("n_plus_1")
     content["motor"][0]["control"] = "position"
-    with pytest.raises(ConfigError, match=r'control: "position"; expected "torque": position loops of antagonistic'):
+    with pytest.raises(
+        ConfigError, match=r'control: "position"; expected "torque": position loops of antagonistic'
+    ):
         hand_from_content(content, "antagonists.toml")
 
 
 def test_a_stiffness_below_one_count_is_refused() -> None:
     hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=0.05)
-    with pytest.raises(ConfigError, match=r"motor\[index_motor\].kp_N_m_per_rad: 0.05; expected 0.122 to 500 N m/rad"):
+    with pytest.raises(
+        ConfigError,
+        match=r"motor\[index_motor\].kp_N_m_per_rad: 0.05; expected 0.122 to 500 N m/rad",
+    ):
         make_drives(hand)
 
 
@@ -431,7 +501,9 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
     assert loop.identity == hand.identity
     assert "control" not in hand.to_toml()
     layouts = [
-        make_controller(one, packaged_gains("jamia"), RATE_HZ, to_and_fro(one, 1, 1.0), None, True).layout
+        make_controller(
+            one, packaged_gains("jamia"), RATE_HZ, to_and_fro(one, 1, 1.0), None, True
+        ).layout
         for one in (hand, loop)
     ]
     assert [layout.axes["servo"] for layout in layouts] == [0, 4]
@@ -451,7 +523,10 @@ def print_tracking(protocol: str, seeds: int) -> None:
             errors = [error.mean() for error, _ in runs]
             mean, low, high = np.mean(errors), min(errors), max(errors)
             peak = max(peak for _, peak in runs)
-            print(f"{name:8}{mode:24}{mean:8.3f} deg ({low:.3f} to {high:.3f}){peak:7.1f} N", flush=True)
+            print(
+                f"{name:8}{mode:24}{mean:8.3f} deg ({low:.3f} to {high:.3f}){peak:7.1f} N",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

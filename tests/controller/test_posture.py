@@ -35,7 +35,12 @@ from tests.controller.synthetic import (
 RATE_HZ = 250.0
 PERIOD_NS = round(1e9 / RATE_HZ)
 SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") else (3,)
-GRASPS = [("grasp.toml", "cylinder"), ("pinch.toml", "sphere"), ("hook.toml", "handle"), ("grasp.toml", "box")]
+GRASPS = [
+    ("grasp.toml", "cylinder"),
+    ("pinch.toml", "sphere"),
+    ("hook.toml", "handle"),
+    ("grasp.toml", "box"),
+]
 HELD, FREE = ("close", "hold", "release"), ("tighten", "home")
 
 
@@ -63,7 +68,9 @@ def with_encoders(folder: Path, joints: int | None = None) -> Path:
     text = packaged("jamia").read_text(encoding="utf-8")
     read = load_hand("jamia").joints[:joints]
     path = folder / "encoders.toml"
-    path.write_text(text.replace("joints = []", f"joints = {list(read)}".replace("'", '"')), encoding="utf-8")
+    path.write_text(
+        text.replace("joints = []", f"joints = {list(read)}".replace("'", '"')), encoding="utf-8"
+    )
     return path
 
 
@@ -71,7 +78,9 @@ def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureT
     """Yield the values of each tick of a simulated grasp."""
     model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
     program = TaskProgram(find_task(Path(task), model.hand)[0])
-    with SimulatorSettings(path, scene, seed, homed=True).against(homed_controller(model, program)) as run:
+    with SimulatorSettings(path, scene, seed, homed=True).against(
+        homed_controller(model, program)
+    ) as run:
         plant, run.record = run.peer.world.plant, False
         for _, out in run.ticks():
             numbers, real = out.telemetry, np.array(plant.engine.q)
@@ -87,7 +96,9 @@ def rms(values: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize(("task", "scene"), GRASPS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS[:2])
+@pytest.mark.parametrize(
+    ("task", "scene"), GRASPS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS[:2]
+)
 def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: int) -> None:
     """This holds for at least 95 % of joints and ticks.
 
@@ -125,7 +136,9 @@ class Angles(NamedTuple):
     sigma: np.ndarray
 
 
-def angles_of_tick(model: HandModel, state: State, estimate: Estimate, touched: np.ndarray, k: int) -> Angles:
+def angles_of_tick(
+    model: HandModel, state: State, estimate: Estimate, touched: np.ndarray, k: int
+) -> Angles:
     """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
 
     The state then contains the tick.
@@ -187,10 +200,14 @@ def _fuse(
     spread: np.ndarray,
     t_ns: int,
 ) -> None:
-    posture._fuse_encoders(state_tables(block, at), constant_tables(of, of_at), columns, spread, t_ns)
+    posture._fuse_encoders(
+        state_tables(block, at), constant_tables(of, of_at), columns, spread, t_ns
+    )
 
 
-def state_after_fusion(model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int) -> State:
+def state_after_fusion(
+    model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int
+) -> State:
     """Return a state after joint encoders were fused. Columns (C, J) and spread (J, N) give the prior covariance."""
     after = state.copy()
     _fuse(after.block, after.layout.places, *controller_of(model)._constants, columns, spread, t_ns)
@@ -217,10 +234,14 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     P = columns.T @ columns
     gain = P[:, 0] / (P[0, 0] + noise[0])
     np.testing.assert_allclose(after.view("q"), 0.5 + gain * 0.2, rtol=1e-9)
-    np.testing.assert_allclose(after.view("q_sigma")[0] ** 2, P[0, 0] - gain[0] * P[0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        after.view("q_sigma")[0] ** 2, P[0, 0] - gain[0] * P[0, 0], atol=1e-12
+    )
     np.testing.assert_array_equal(after.view("q_sigma")[1:], state.view("q_sigma")[1:])
     old = state_after_fusion(model, state, columns, spread, round(1e9))
-    np.testing.assert_array_equal(old.block, state.block, "of a reading that is a second old nothing is used")
+    np.testing.assert_array_equal(
+        old.block, state.block, "of a reading that is a second old nothing is used"
+    )
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -232,10 +253,18 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
     model = HandModel.of(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, of, state = np.random.default_rng(seed), constant_tables_of(model), active_state(model)
     joints, now = len(model.hand.joints), 10**9
-    columns, spread = 0.2 * rng.normal(size=(12, joints)), 0.02 * rng.normal(size=(joints, model.tendon_count))
-    state.view("q")[...], state.view("dq")[...] = rng.uniform(0.0, 1.5, joints), rng.normal(size=joints)
+    columns, spread = (
+        0.2 * rng.normal(size=(12, joints)),
+        0.02 * rng.normal(size=(joints, model.tendon_count)),
+    )
+    state.view("q")[...], state.view("dq")[...] = (
+        rng.uniform(0.0, 1.5, joints),
+        rng.normal(size=joints),
+    )
     state.view("joint_angle")[...] = state.view("q") + 0.2 * rng.normal(size=joints)
-    heard = rng.integers(now - round(1.5 * posture.MAX_READING_AGE_S * 1e9), now, len(state.view("group_ns")))
+    heard = rng.integers(
+        now - round(1.5 * posture.MAX_READING_AGE_S * 1e9), now, len(state.view("group_ns"))
+    )
     state.view("group_ns")[...] = heard
     after = state_after_fusion(model, state, columns, spread, now)
 
@@ -244,7 +273,9 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
     moved = state.view("dq") * age
     digit = np.repeat(np.arange(len(model.digits)), [one.joint_count for one in model.digits])
     P = (columns.T @ columns + spread @ spread.T) * (digit[:, None] == digit)
-    R = np.diag(of.joint[h.ENCODER_VARIANCE, read] + (posture.RATE_ERROR_FRACTION * moved[read]) ** 2)
+    R = np.diag(
+        of.joint[h.ENCODER_VARIANCE, read] + (posture.RATE_ERROR_FRACTION * moved[read]) ** 2
+    )
     H = np.eye(joints)[read]
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
     q = state.view("q") + gain @ (state.view("joint_angle") + moved - state.view("q"))[read]

@@ -39,7 +39,9 @@ def test_angle_beyond_the_joint_range_is_refused(hand, kind, angle, said):
 def test_curve_point_beyond_the_joint_range_is_refused():
     curve = {"index": (0.0, 50.0, 100.1)}
     with pytest.raises(ConfigError, match=r"100\.1 deg for index"):
-        check_joint_range(task("follow", curve, time_s=(0.0, 1.0, 2.0)), JAMIA, "t.toml", DigitModel.all_of(JAMIA))
+        check_joint_range(
+            task("follow", curve, time_s=(0.0, 1.0, 2.0)), JAMIA, "t.toml", DigitModel.all_of(JAMIA)
+        )
 
 
 @pytest.mark.parametrize("angle", [0.0, 100.0, {"index": 50.0}, {"thumb": 100.0}])
@@ -55,11 +57,15 @@ def test_reach_is_that_of_the_mean_angle_where_one_tendon_moves_three_joints():
     assert DigitModel.of(ELEVEN, "index").reach[1].shape == (3,)
 
 
-def test_a_run_is_refused_before_its_bus_is_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_is_refused_before_its_bus_is_opened(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "far.toml"
     path.write_text('schema = 1\nname = "far"\n[[phase]]\nkind = "move"\nangle_deg = 120.0\n')
     assert main(["run", "--bus", "local:nobody", "--task", str(path)]) == 2
-    assert capsys.readouterr().err.endswith("phase[0].angle_deg: 120 deg for index; expected 0 to 100 deg\n")
+    assert capsys.readouterr().err.endswith(
+        "phase[0].angle_deg: 120 deg for index; expected 0 to 100 deg\n"
+    )
 
 
 def hold(force: object) -> Task:
@@ -89,8 +95,13 @@ def test_a_tip_force_for_all_digits_names_the_first_that_cannot_make_it():
 def test_a_tip_force_is_refused_before_the_bus_is_opened(tmp_path, capsys):
     """The bus of this command does not exist. If the run opened it first, the error would be another one."""
     path = tmp_path / "tip.toml"
-    path.write_text('schema = 1\nname = "t"\n[[phase]]\nkind = "close"\n[[phase]]\nkind = "hold"\ntip_force_N = 4.0\n')
-    for words in (["config", "check", "--task", str(path)], ["run", "--bus", "local:nobody", "--task", str(path)]):
+    path.write_text(
+        'schema = 1\nname = "t"\n[[phase]]\nkind = "close"\n[[phase]]\nkind = "hold"\ntip_force_N = 4.0\n'
+    )
+    for words in (
+        ["config", "check", "--task", str(path)],
+        ["run", "--bus", "local:nobody", "--task", str(path)],
+    ):
         assert main([*words, "--hand", "jamia"]) == 2
         error_lines = capsys.readouterr().err.splitlines()
         assert len(error_lines) == 1

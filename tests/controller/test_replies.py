@@ -34,7 +34,9 @@ def faults(out: TickOut) -> list[str]:
 
 
 @pytest.mark.parametrize("times", [1, 3])
-def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controller(silent: Bench, times: int) -> None:
+def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controller(
+    silent: Bench, times: int
+) -> None:
     out = silent.tick(extra=(UNASKED,) * times)
     assert faults(out) == ["H13"], "one is enough; it is no duplicate, since nothing was asked"
     assert out.mode == Mode.DONE
@@ -43,7 +45,9 @@ def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controlle
     assert all(out.frames == () for _, _, out in silent.history)
 
 
-def test_a_request_of_another_host_and_its_answer_in_one_tick_are_both_reported(silent: Bench) -> None:
+def test_a_request_of_another_host_and_its_answer_in_one_tick_are_both_reported(
+    silent: Bench,
+) -> None:
     out = silent.tick(extra=(Frame(0x01, bytes(8)), UNASKED))
     assert faults(out) == ["H13", "H13"]
     assert "(heard: 0x001, " in silent.state.failure
@@ -57,7 +61,11 @@ def test_the_first_reply_to_the_first_request_is_not_in_excess(silent: Bench) ->
 
 def test_frames_of_others_do_not_make_a_duplicate_a_second_node(run: Bench) -> None:
     """Only frames that were decoded as feedback of a motor count as its replies."""
-    run.to_host = lambda frames: [*frames, *[f for f in frames if f.can_id == 0x11], Frame(0x11, bytes([0x12] * 8))]
+    run.to_host = lambda frames: [
+        *frames,
+        *[f for f in frames if f.can_id == 0x11],
+        Frame(0x11, bytes([0x12] * 8)),
+    ]
     assert faults(run.tick()) == ["B05", "B09"]
 
 
@@ -75,7 +83,9 @@ def test_two_different_replies_show_a_second_node_despite_frames_between_them(ru
     (lambda cell: [cell, with_older_counter(cell)], ["B07"]),
 ])  # fmt: skip
 def test_only_load_cell_replies_of_the_present_tick_count(run, behind, found) -> None:
-    run.to_host = lambda frames: [f for frame in frames for f in (behind(frame) if is_cell(run, frame) else [frame])]
+    run.to_host = lambda frames: [
+        f for frame in frames for f in (behind(frame) if is_cell(run, frame) else [frame])
+    ]
     assert sorted(faults(run.tick())) == found
 
 
@@ -97,7 +107,9 @@ def with_other_tension(cell: Frame) -> Frame:
     (1, "AA", "B05"), (1, "AB", "B06"), (1, "ABB", "B06"), (1, "AAB", "B06"), (1, "AAA", "B05"),
     (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
 ])  # fmt: skip
-def test_only_replies_in_excess_are_compared_with_the_expected_reply(run, outstanding, came, found) -> None:
+def test_only_replies_in_excess_are_compared_with_the_expected_reply(
+    run, outstanding, came, found
+) -> None:
     """A late reply to an older request is not in excess. Its bytes may differ from those of the new reply."""
     if outstanding == 2:
         run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]

@@ -35,7 +35,9 @@ def test_valid_requests_are_parsed(text: str, kind: type) -> None:
 
 
 def test_numbers_arrive_as_they_were_sent() -> None:
-    request = parse_request('{"do": "move", "angle_deg": {"index": 30, "x": -1.5}, "duration_s": 2.5}')
+    request = parse_request(
+        '{"do": "move", "angle_deg": {"index": 30, "x": -1.5}, "duration_s": 2.5}'
+    )
     assert isinstance(request, MoveDigits)
     assert request.angle_deg == {"index": 30.0, "x": -1.5}
     assert request.duration_s == 2.5
@@ -96,7 +98,12 @@ json_value = st.recursive(
 )
 likely = st.fixed_dictionaries(
     {"do": st.sampled_from(["arm", "stop", "cut", "clear", "move", "hold"])},
-    optional={"angle_deg": json_value, "tension_N": json_value, "duration_s": json_value, "rate_N_per_s": json_value},
+    optional={
+        "angle_deg": json_value,
+        "tension_N": json_value,
+        "duration_s": json_value,
+        "rate_N_per_s": json_value,
+    },
 )
 
 
@@ -111,14 +118,29 @@ def test_nothing_raises_and_every_number_is_finite(text: str) -> None:
     if isinstance(request, str):
         assert request.isprintable()
     elif isinstance(request, MoveDigits):
-        assert all(math.isfinite(value) for value in (*request.angle_deg.values(), request.duration_s))
+        assert all(
+            math.isfinite(value) for value in (*request.angle_deg.values(), request.duration_s)
+        )
     elif isinstance(request, HoldTension):
-        assert all(math.isfinite(value) for value in (*request.tension_N.values(), request.rate_N_per_s))
+        assert all(
+            math.isfinite(value) for value in (*request.tension_N.values(), request.rate_N_per_s)
+        )
 
 
 def test_events_of_a_request_end_at_the_next_request() -> None:
-    texts = ["asked: move", "refused: a", "asked: hold by b", "hold index 3", "more", "asked: move by c", "refused: c"]
-    events = [{"name": "fault", "text": "T01"}, *({"name": "request", "text": text} for text in texts)]
+    texts = [
+        "asked: move",
+        "refused: a",
+        "asked: hold by b",
+        "hold index 3",
+        "more",
+        "asked: move by c",
+        "refused: c",
+    ]
+    events = [
+        {"name": "fault", "text": "T01"},
+        *({"name": "request", "text": text} for text in texts),
+    ]
     assert events_for_request("b", events) == ["hold index 3", "more"]
     assert events_for_request("c", events) == ["refused: c"]
     assert events_for_request("nobody", events) is None

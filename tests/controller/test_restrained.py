@@ -33,7 +33,13 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
     n = jamia.tendon_count
     most, kept = (None if value is None else np.full(n, value) for value in (warm, held))
     law, command = step(
-        jamia, idle(jamia), estimate_under_tension(jamia, 0.0), holding_goals(jamia, HIGH_N, AT_ONCE), 0.0, most, kept
+        jamia,
+        idle(jamia),
+        estimate_under_tension(jamia, 0.0),
+        holding_goals(jamia, HIGH_N, AT_ONCE),
+        0.0,
+        most,
+        kept,
     )
     np.testing.assert_allclose(command.tension, limit)
     asked = command.torque / jamia.space.spool
@@ -44,16 +50,28 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
 
 def test_without_a_limit_the_goal_is_not_changed(jamia: HandModel) -> None:
     law, command = step(
-        jamia, idle(jamia), estimate_under_tension(jamia, 0.0), holding_goals(jamia, HIGH_N, AT_ONCE), 0.0
+        jamia,
+        idle(jamia),
+        estimate_under_tension(jamia, 0.0),
+        holding_goals(jamia, HIGH_N, AT_ONCE),
+        0.0,
     )
     np.testing.assert_allclose(command.tension, HIGH_N)
     assert (command.torque / jamia.space.spool > HIGH_N).all()
     assert law.held is None
 
 
-def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety_holds(jamia: HandModel) -> None:
+def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety_holds(
+    jamia: HandModel,
+) -> None:
     n = jamia.tendon_count
-    free = step(jamia, idle(jamia), estimate_under_tension(jamia, 5.0), moving_goals(jamia, 0.0, 1.2, 0.2), 0.1)[1]
+    free = step(
+        jamia,
+        idle(jamia),
+        estimate_under_tension(jamia, 5.0),
+        moving_goals(jamia, 0.0, 1.2, 0.2),
+        0.1,
+    )[1]
     kept = step(
         jamia,
         idle(jamia),

@@ -65,7 +65,12 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
     used = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
     whole = designs.controller(run, used)
     for force in range(20, 20 + 3 * CACHE_SIZE):
-        designs.advance(jamia, PendingGains(Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})))
+        designs.advance(
+            jamia,
+            PendingGains(
+                Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})
+            ),
+        )
         assert designs.controller(run, used) is whole
     assert len(designs.designed_pieces) == CACHE_SIZE
     assert used in designs.designed_pieces
@@ -102,7 +107,9 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     assert desk.state.decisions.pending is None
 
 
-def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jamia: HandModel) -> None:
+def test_a_change_is_taken_over_when_every_piece_is_designed(
+    holding: Bench, jamia: HandModel
+) -> None:
     outs = [holding.tick(change({"tension.force_N": 45.0}))]
     outs += [holding.tick() for _ in range(design_piece_count(jamia.space) + 2)]
     events = [[event for event in out.events if event.name == "gain"] for out in outs]
@@ -163,7 +170,9 @@ def test_a_change_makes_no_step_in_torque(
     with_trim.view("trim")[...] = desk.state.view("trim")
     with_trim.set_whole(s.TRIMMED, 1)
     other._compute_torques(with_trim, action, ticks)
-    np.testing.assert_allclose(with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12)
+    np.testing.assert_allclose(
+        with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
+    )
     assert np.abs(without.view("torque") - with_trim.view("torque")).max() > 1e-4
 
 
@@ -175,7 +184,9 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     desk.tick(MOVE)
     desk.run(0.05)
     judge = Controller._judge
-    monkeypatch.setattr(Controller, "_judge", lambda self, *words: (Action.HOLD, judge(self, *words)[1]))
+    monkeypatch.setattr(
+        Controller, "_judge", lambda self, *words: (Action.HOLD, judge(self, *words)[1])
+    )
     calls = record_law_calls(monkeypatch)
     desk.tick(change({"motion.force_N": 60.0}))
     while desk.state.decisions.pending is not None:
@@ -188,7 +199,9 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     limit = old.view("limit_held")
     for state in (old, new):
         np.testing.assert_array_equal(limit_of(own.model, state), limit)
-        assert (state.view("torque") / jamia.space.spool <= limit + jamia.space.coulomb + 1e-9).all()
+        assert (
+            state.view("torque") / jamia.space.spool <= limit + jamia.space.coulomb + 1e-9
+        ).all()
 
 
 def test_the_trim_fades_and_the_goal_is_reached(holding: Bench) -> None:
@@ -207,7 +220,9 @@ def test_two_changes_of_gains_add_up_and_can_be_undone(holding: Bench, jamia: Ha
     gains = holding.state.decisions.gains
     assert gains is not None
     assert (gains.tension.force_N, gains.motion.tension_feedback) == (30.0, 0.1)
-    holding.tick(change({"tension.force_N": jamia.gains.tension.force_N, "motion.tension_feedback": 0.3}))
+    holding.tick(
+        change({"tension.force_N": jamia.gains.tension.force_N, "motion.tension_feedback": 0.3})
+    )
     holding.run(0.1)
     assert holding.state.decisions.gains == jamia.gains
 
@@ -264,10 +279,18 @@ def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high:
     """
     for key, bound in gain_bounds().items():
         if bound.live:
-            value = bound.high if high else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
-            gains = with_values(Gains(), {key: value if not bound.whole else round(value)}, "test", live=True)
+            value = (
+                bound.high
+                if high
+                else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
+            )
+            gains = with_values(
+                Gains(), {key: value if not bound.whole else round(value)}, "test", live=True
+            )
             design = design_motion(jamia.space, gains, jamia.period)
-            assert np.isfinite([design.stiffness, design.damping, design.tension, design.tension_speed]).all(), key
+            assert np.isfinite(
+                [design.stiffness, design.damping, design.tension, design.tension_speed]
+            ).all(), key
 
 
 def test_the_request_needs_at_least_one_value() -> None:

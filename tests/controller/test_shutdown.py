@@ -16,18 +16,24 @@ PERIOD_NS = 2_000_000
 
 @pytest.mark.parametrize("broken", [False, True])
 @pytest.mark.parametrize("protocol", sorted(OPTIONS))
-def test_shutdown_waits_until_each_motor_reports_off(protocol: str, broken: bool, tmp_path: Path) -> None:
+def test_shutdown_waits_until_each_motor_reports_off(
+    protocol: str, broken: bool, tmp_path: Path
+) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as course:
         assert course.until(lambda out: out.mode == Mode.ACTIVE, 3.0), course.state.failure
         course.peer.step(course.k * PERIOD_NS, list(course.controller.cut_frames()))
-        state, frames, enabled = shutdown_step(course.controller, course.state, course.k * PERIOD_NS, [])
+        state, frames, enabled = shutdown_step(
+            course.controller, course.state, course.k * PERIOD_NS, []
+        )
         assert enabled == tuple(motor.name for motor in hand.motor), "nothing was heard yet"
         if broken:
             course.peer.inject("off node=index_motor")
         for k in range(course.k + 1, course.k + 251):
             heard = [Frame(*answer) for answer in course.peer.step(k * PERIOD_NS, list(frames))]
-            state, frames, enabled = shutdown_step(course.controller, state, (k + 1) * PERIOD_NS, heard)
+            state, frames, enabled = shutdown_step(
+                course.controller, state, (k + 1) * PERIOD_NS, heard
+            )
             if not enabled:
                 break
         assert enabled == (("index_motor",) if broken else ())

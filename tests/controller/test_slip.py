@@ -19,7 +19,12 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.grip import SLIP_EXCURSION_M, GripPlan, GripState, advance_grip
 from handctl.programs.task import Task
 from tests.controller.plant_run import run_on_plant
-from tests.controller.synthetic import Estimate, active_state, detect_contacts, estimate_under_tension
+from tests.controller.synthetic import (
+    Estimate,
+    active_state,
+    detect_contacts,
+    estimate_under_tension,
+)
 
 TENSION_N = 20.0
 
@@ -46,7 +51,9 @@ class GraspRun:
             self.state.set_number(s.SLIP_JUDGED_FROM, self.grip.ready)
             felt = detect_contacts(self.model, self.state, estimate)
             self.t += self.model.period
-            self.grip, self.goals, events = advance_grip(self.model, self.grip, self.plan, self.goals, felt, self.t)
+            self.grip, self.goals, events = advance_grip(
+                self.model, self.grip, self.plan, self.goals, felt, self.t
+            )
             self.events += events
 
     def moved(self, metres: float, digit: int = 0) -> Estimate:
@@ -97,7 +104,9 @@ def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> N
     chance = np.random.default_rng(1)
     for k in range(round(20.0 / model.period)):
         creep = -0.02e-3 * k * model.period
-        held.tick(held.moved(5 * SLIP_EXCURSION_M + creep + chance.normal(0.0, 3.5e-6)), model.period)
+        held.tick(
+            held.moved(5 * SLIP_EXCURSION_M + creep + chance.normal(0.0, 3.5e-6)), model.period
+        )
     assert not held.events
 
 
@@ -131,11 +140,18 @@ rate_N_per_s = {rate}
 
 def grasp(limit: str) -> TaskProgram:
     phases = [
-        {"kind": "move", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0}, "duration_s": 0.4},
+        {
+            "kind": "move",
+            "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
+            "duration_s": 0.4,
+        },
         {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 80.0, "contact_tension_N": 14.0},
-        {"kind": "hold", "tension_N": 20.0, "duration_s": 60.0} | ({"slip_limit_N": 80.0} if limit else {}),
+        {"kind": "hold", "tension_N": 20.0, "duration_s": 60.0}
+        | ({"slip_limit_N": 80.0} if limit else {}),
     ]
-    return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases})))
+    return TaskProgram(
+        Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases}))
+    )
 
 
 @pytest.mark.parametrize(("hand", "friction", "rate"), [("jamia", 0.3, 5.0), ("jamia11", 0.2, 9.0)])
@@ -150,7 +166,9 @@ def test_a_growing_load_removes_the_object_only_without_slip_reaction(
         motion[limit] = 1e3 * np.linalg.norm(np.subtract(run.place[-1], run.place[begin]))
         tension[limit] = max(float(row.max()) for row in run.tension[begin:])
         assert run.events_named("slip"), "noticed in either case"
-        assert not [t for t, _ in run.events_named("slip") if t < 3.4], "before the load nothing slips"
+        assert not [t for t, _ in run.events_named("slip") if t < 3.4], (
+            "before the load nothing slips"
+        )
     assert motion[""] > 20.0, "the positive control: it is pulled out"
     assert motion["limit"] < 8.0
     assert tension["limit"] > 25.0

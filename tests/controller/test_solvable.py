@@ -23,7 +23,9 @@ ODD = {
     "filter.held_time_s": 1e-12,
     "filter.encoder_noise_counts": 1e-200,
 }
-WEIGHTS = [key for key, bound in gain_bounds().items() if bound.open_low and not key.startswith("contact")]
+WEIGHTS = [
+    key for key, bound in gain_bounds().items() if bound.open_low and not key.startswith("contact")
+]
 
 
 @pytest.mark.parametrize("key", ODD)
@@ -37,9 +39,16 @@ def test_solver_failure_is_one_line(key: str) -> None:
 @given(st.dictionaries(st.sampled_from(WEIGHTS), st.floats(-30.0, 0.0), min_size=1))
 def test_gains_within_bounds_are_designed_or_refused(powers: dict[str, float]) -> None:
     known = gain_bounds()
-    gains = with_values(Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test")
+    gains = with_values(
+        Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test"
+    )
     with suppress(ConfigError):
         model = HandModel.of(load_hand("jamia_bench"), gains, 500.0)
-        found = [model.motion.stiffness, model.motion.damping, model.motion.tension, model.motion.tension_speed]
+        found = [
+            model.motion.stiffness,
+            model.motion.damping,
+            model.motion.tension,
+            model.motion.tension_speed,
+        ]
         found += [block.K for blocks in model.filter.blocks for block in blocks]
         assert all(np.isfinite(one).all() for one in found)

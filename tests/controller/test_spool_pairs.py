@@ -70,9 +70,15 @@ def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: 
 @pytest.mark.parametrize("seed", range(20))
 def test_friction_of_both_tendons_is_subtracted_and_added_back(seed: int) -> None:
     random = np.random.default_rng(seed)
-    net, pretension, passed = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0), np.exp(random.uniform(-0.3, 0.3))
+    net, pretension, passed = (
+        random.uniform(-60.0, 60.0),
+        random.uniform(0.0, 20.0),
+        np.exp(random.uniform(-0.3, 0.3)),
+    )
     behind = interpreted(net_tension_at_joint)(net, pretension, passed)
-    assert interpreted(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(net, abs=1e-9)
+    assert interpreted(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(
+        net, abs=1e-9
+    )
     # Even without net tension, the pretension of a pair causes friction. The winding tendon loses
     # tension, the other one gains.
     lost = net - interpreted(net_tension_at_joint)(net, pretension, min(passed, 1.0 / passed))
@@ -126,7 +132,9 @@ MOVES = Task.model_validate(
         "description": "moves",
         "phase": tuple(
             {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
-            for i, (angle, duration) in enumerate([(0.0, 0.6), (50.0, 0.6), (-5.0, 0.6), (50.0, 0.25)])
+            for i, (angle, duration) in enumerate(
+                [(0.0, 0.6), (50.0, 0.6), (-5.0, 0.6), (50.0, 0.25)]
+            )
         ),
     }
 )
@@ -145,8 +153,12 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         for _, out in run.ticks(60.0):
             assert not [event for event in out.events if event.level == "error"]
         assert not run.state.progress.failure
-        calibration = calibration_of_result(run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00")
-        assert all(row.answer_N == pytest.approx(PULL_N, abs=0.8) for row in calibration.tendon.values())
+        calibration = calibration_of_result(
+            run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00"
+        )
+        assert all(
+            row.answer_N == pytest.approx(PULL_N, abs=0.8) for row in calibration.tendon.values()
+        )
         # Without load cells and joint encoders, friction leaves each motor zero uncertain by 0.1
         # mm, which is half a degree.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
@@ -179,7 +191,12 @@ class Pull:
         return ProgramProgress.initial(len(model.digits), "pull")
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         if progress.step:
             return progress, ()
@@ -206,13 +223,20 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
         np.testing.assert_allclose(peer.world.plant.tensions(), goal, atol=1.0)
 
 
-@pytest.mark.parametrize(("tension", "tendon"), [(40.0, "finger_mcp"), (-40.0, "finger_mcp_antagonist")])
+@pytest.mark.parametrize(
+    ("tension", "tendon"), [(40.0, "finger_mcp"), (-40.0, "finger_mcp_antagonist")]
+)
 def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) -> None:
     hand = finger()
     with SimulatorSettings(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
         run = run_of(peer, hand, Pull(tension), homed_calibration(hand, {}), 0)
         peer.inject(f"snap tendon={tendon} at=2s")
-        faults = [event.text for _, out in run.ticks(4.5) for event in out.events if event.level == "error"]
+        faults = [
+            event.text
+            for _, out in run.ticks(4.5)
+            for event in out.events
+            if event.level == "error"
+        ]
         assert faults
         assert "finger_mcp" in faults[0]
         assert run.state.mode in (Mode.RELAX, Mode.DISARM, Mode.DONE)
@@ -240,11 +264,27 @@ def without_pretension() -> dict[str, object]:
 
 
 MISTAKES = {
-    "half the limit": (with_tendon(pretension_N=31.0), "pretension_N", "at most tension_max_N / 2 = 30 N"),
+    "half the limit": (
+        with_tendon(pretension_N=31.0),
+        "pretension_N",
+        "at most tension_max_N / 2 = 30 N",
+    ),
     "a floor": (with_tendon(tension_floor_N=2.0), "tension_floor_N", "0, or no such key"),
-    "one single": (without_pretension(), "finger_mcp", "pretension_N on all tendons of finger, or on none"),
-    "one motor": (with_tendon(motor="finger_pip"), "finger_pip", "one tendon with pretension_N for both tendons"),
-    "coupling": (with_digit(coupling=[[1.0], [1.0]]), "digit[finger].tendon", "one spool pair per coordinate"),
+    "one single": (
+        without_pretension(),
+        "finger_mcp",
+        "pretension_N on all tendons of finger, or on none",
+    ),
+    "one motor": (
+        with_tendon(motor="finger_pip"),
+        "finger_pip",
+        "one tendon with pretension_N for both tendons",
+    ),
+    "coupling": (
+        with_digit(coupling=[[1.0], [1.0]]),
+        "digit[finger].tendon",
+        "one spool pair per coordinate",
+    ),
     "springs": (
         with_digit(spring_stiffness_N_m_per_rad=[0.1, 0.1], spring_preload_rad=[0.1, 0.1]),
         "spring_stiffness_N_m_per_rad",
@@ -276,7 +316,9 @@ def test_a_hand_with_pairs_is_ready_and_reads_back_as_itself() -> None:
     assert [tendon.tension_floor_N for tendon in hand.tendon] == [0.0, 0.0]
     again = hand_from_content(hand.content, "again")
     assert again.identity == hand.identity
-    assert "pretension_N" not in load_hand("jamia").to_toml(), "hands without pairs keep their identity"
+    assert "pretension_N" not in load_hand("jamia").to_toml(), (
+        "hands without pairs keep their identity"
+    )
 
 
 # --- orca_like ----------------------------------------------------------------------------------------------------
@@ -303,7 +345,8 @@ def test_the_log_has_both_tensions_of_each_pair() -> None:
     header = RunHeader.of_hand(load_hand("orca_like").to_toml(), 2_500_000)
     assert SPOOL_PAIRS_TOPIC in {channel.topic for channel in TopicSet(header).channels}
     assert SPOOL_PAIRS_TOPIC not in {
-        channel.topic for channel in TopicSet(RunHeader.of_hand(load_hand("jamia").to_toml(), 2_500_000)).channels
+        channel.topic
+        for channel in TopicSet(RunHeader.of_hand(load_hand("jamia").to_toml(), 2_500_000)).channels
     }
     state = StateTopics(header, TopicRegistry())
     net = np.zeros((1, 17))

@@ -43,7 +43,9 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
     rng = np.random.default_rng(4)
     for _ in range(20):
         theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
-        found = load_statics(model, filter_table_at(model, theta), np.zeros(model.tendon_count)).resistance
+        found = load_statics(
+            model, filter_table_at(model, theta), np.zeros(model.tendon_count)
+        ).resistance
         for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
             h = 1e-6
 
@@ -51,8 +53,12 @@ def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
                 q = digit.coupling @ at
                 return potential_energy(digit, q) + spring_energy(digit, q)
 
-            slope = np.array([(energy(one + h * e) - energy(one - h * e)) / (2 * h) for e in np.eye(len(one))])
-            np.testing.assert_allclose(digit.reduced_moment_arms.T @ found[tendons], slope, rtol=1e-6, atol=1e-9)
+            slope = np.array(
+                [(energy(one + h * e) - energy(one - h * e)) / (2 * h) for e in np.eye(len(one))]
+            )
+            np.testing.assert_allclose(
+                digit.reduced_moment_arms.T @ found[tendons], slope, rtol=1e-6, atol=1e-9
+            )
 
 
 def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model: HandModel) -> None:
@@ -65,10 +71,16 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
     assert (closing.pull < tension).all()
     assert (opening.pull > tension).all()
     np.testing.assert_allclose(closing.pull * opening.pull, tension**2, rtol=0.12)
-    known = load_statics(model, filter_table_at(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0))
-    np.testing.assert_allclose(known.pull, closing.pull, err_msg="what is known of friction goes before the speed")
+    known = load_statics(
+        model, filter_table_at(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0)
+    )
     np.testing.assert_allclose(
-        known.eager, opening.pull, err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost"
+        known.pull, closing.pull, err_msg="what is known of friction goes before the speed"
+    )
+    np.testing.assert_allclose(
+        known.eager,
+        opening.pull,
+        err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost",
     )
     np.testing.assert_array_equal(still.resistance, closing.resistance)
 
@@ -77,15 +89,22 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
     """This holds for any state of friction, while a tendon is wound and while it is paid out."""
     rng = np.random.default_rng(7)
     theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
-    q = np.concatenate([digit.coupling @ one for digit, one in zip(model.digits, theta, strict=True)])
-    tension, developed = rng.uniform(5.0, 60.0, model.tendon_count), rng.uniform(-1.0, 1.0, model.tendon_count)
+    q = np.concatenate(
+        [digit.coupling @ one for digit, one in zip(model.digits, theta, strict=True)]
+    )
+    tension, developed = (
+        rng.uniform(5.0, 60.0, model.tendon_count),
+        rng.uniform(-1.0, 1.0, model.tendon_count),
+    )
     torque = np.zeros(len(q))
     for i, tendon in enumerate(model.hand.tendon):
         passed = tendon.wrap_angle_rad
         for j, joint in enumerate(model.hand.joints):
             arm = tendon.moment_arm_m.get(joint, 0.0)
             passed += q[j] if arm else 0.0
-            torque[j] += arm * tension[i] * math.exp(-tendon.friction_coefficient * developed[i] * passed)
+            torque[j] += (
+                arm * tension[i] * math.exp(-tendon.friction_coefficient * developed[i] * passed)
+            )
     found = load_statics(model, filter_table_at(model, theta), tension, developed)
     np.testing.assert_allclose(found.pull, model.torque_to_tension @ torque, rtol=1e-9)
 
@@ -107,7 +126,10 @@ def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel
 def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
     rng = np.random.default_rng(8)
     for _ in range(50):
-        q, external = rng.uniform(-0.2, 1.8, len(model.hand.joints)), rng.normal(size=model.tendon_count) * 20.0
+        q, external = (
+            rng.uniform(-0.2, 1.8, len(model.hand.joints)),
+            rng.normal(size=model.tendon_count) * 20.0,
+        )
         torque = static_torque_of(model, q)
         state = active_state(model)
         state.view("q")[...], state.view("external")[...] = q, external
@@ -126,7 +148,11 @@ def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
     for digit in model.digits:
         for _ in range(20):
             q = rng.uniform(0.0, 1.6, digit.joint_count)
-            expected = digit.coupling.T @ tip_jacobian(digit, q).T @ forward_kinematics(digit, q).rotation[:, 1]
+            expected = (
+                digit.coupling.T
+                @ tip_jacobian(digit, q).T
+                @ forward_kinematics(digit, q).rotation[:, 1]
+            )
             np.testing.assert_allclose(reduced_tip_lever(digit, q), expected, atol=1e-15)
 
 

@@ -22,7 +22,12 @@ from handctl.hand.dynamics import static_torque
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import is_target, parse_target, target_text
-from handctl.programs.streams import continued_move, horizon_s, mapping_of_stream, nearest_holdable_posture
+from handctl.programs.streams import (
+    continued_move,
+    horizon_s,
+    mapping_of_stream,
+    nearest_holdable_posture,
+)
 from handctl.programs.task import Task
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
@@ -77,9 +82,13 @@ class Client:
     def target(self, *values: float, number: int | None = None, age_s: float = 0.0) -> str:
         """Return the request of a streamed target. It was sent ``age_s`` seconds ago."""
         self.sent += number is None
-        return target_text("s", self.sent if number is None else number, self.t_ns - round(1e9 * age_s), values)
+        return target_text(
+            "s", self.sent if number is None else number, self.t_ns - round(1e9 * age_s), values
+        )
 
-    def follow(self, motion: Callable[[float], float], seconds: float, rate_Hz: float = RATE_HZ) -> None:
+    def follow(
+        self, motion: Callable[[float], float], seconds: float, rate_Hz: float = RATE_HZ
+    ) -> None:
         """Stream the values of a motion at a regular rate."""
         every = round(1.0 / rate_Hz / self.model.period)
         for i in range(round(seconds / self.model.period)):
@@ -88,7 +97,12 @@ class Client:
     @property
     def faults(self) -> set[str]:
         """Return the ids of all faults that were reported so far."""
-        return {event.text.split()[0] for out in self.outs for event in out.events if event.name == "fault"}
+        return {
+            event.text.split()[0]
+            for out in self.outs
+            for event in out.events
+            if event.name == "fault"
+        }
 
     def goals(self, name: str) -> Any:
         """Return the goals of the first joint or tendon in all ticks so far, from a field of the telemetry."""
@@ -118,14 +132,18 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
         with live(jamia) as client:
             client.ask("move", angle_deg={"index": MIDDLE_DEG})
             client.wait(1.2)
-            assert client.open(interpolation=interpolation).startswith("stream digit of 1 values at 100 Hz")
+            assert client.open(interpolation=interpolation).startswith(
+                "stream digit of 1 values at 100 Hz"
+            )
             client.outs.clear()
             began_ns, horizon = client.t_ns, horizon_s(RATE_HZ, jamia.period)
             missed = []
             for _ in range(3):
                 for i in range(round(1.0 / jamia.period)):
                     missed.append(true_angle(client.run) - sine((client.t_ns - began_ns) / 1e9))
-                    client.tick(*([client.target(sine(i * jamia.period + horizon))] if i % 5 == 0 else []))
+                    client.tick(
+                        *([client.target(sine(i * jamia.period + horizon))] if i % 5 == 0 else [])
+                    )
             errors[interpolation] = float(np.sqrt(np.mean(np.square(missed[len(missed) // 3 :]))))
             assert client.faults == set()
             assert stream_status(client.run.state).accepted == 300
@@ -143,7 +161,9 @@ def error_of_trajectory(model: HandModel) -> float:
     follow = {"kind": "follow", "name": "follow", "time_s": times.tolist(), "angle_deg": angles}
     task = {"schema": 1, "name": "sine", "phase": [stay, follow]}
     program = TaskProgram(Task.model_validate_json(json.dumps(task)))
-    with SimulatorSettings(model.hand.name, homed=True).against(homed_controller(model, program)) as run:
+    with SimulatorSettings(model.hand.name, homed=True).against(
+        homed_controller(model, program)
+    ) as run:
         began, missed = None, []
         while run.out is None or run.out.mode != Mode.DONE:
             if run.out is not None and run.out.phase == "follow":
@@ -158,7 +178,11 @@ def error_of_trajectory(model: HandModel) -> float:
 def test_the_ticks_of_a_stream_repeat_to_the_last_bit(jamia: HandModel) -> None:
     """The ticks repeat from the start, and also from a snapshot in the middle of the stream."""
     with live(jamia) as client:
-        client.open(space="joint", names=("index_j1", "index_j2", "index_j3", "thumb_j1"), interpolation="minimum_jerk")
+        client.open(
+            space="joint",
+            names=("index_j1", "index_j2", "index_j3", "thumb_j1"),
+            interpolation="minimum_jerk",
+        )
         for i in range(100):
             angles = [sine(i / 100) + j for j in range(3)]
             client.tick(*([client.target(*angles, 10.0)] if i % 5 == 0 else []))
@@ -181,7 +205,9 @@ def check_ticks_repeat(run: SimulatedRun, middle: bytes, at: int) -> None:
 
 @pytest.mark.parametrize("interpolation", ["linear", "minimum_jerk"])
 @pytest.mark.parametrize("target", [80.0, 150.0, -40.0])
-def test_a_jump_is_bounded_in_speed_acceleration_and_range(jamia: HandModel, interpolation: str, target: float) -> None:
+def test_a_jump_is_bounded_in_speed_acceleration_and_range(
+    jamia: HandModel, interpolation: str, target: float
+) -> None:
     limits = jamia.hand.stream
     with live(jamia) as client:
         client.ask("move", angle_deg={"index": 40.0})
@@ -191,7 +217,9 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(jamia: HandModel, int
         client.follow(lambda t: target, 0.8)
         speed, angle = np.degrees(client.goals("dq_goal")), np.degrees(client.goals("q_goal"))
         assert np.abs(speed).max() <= limits.speed_deg_s * (1 + 1e-9)
-        assert np.abs(np.diff(speed)).max() <= limits.acceleration_deg_s2 * jamia.period * (1 + 1e-9)
+        assert np.abs(np.diff(speed)).max() <= limits.acceleration_deg_s2 * jamia.period * (
+            1 + 1e-9
+        )
         assert np.abs(np.diff(angle)).max() <= limits.speed_deg_s * jamia.period * (1 + 1e-9)
         assert angle.min() >= -1e-9
         assert angle.max() <= 100.0 + 1e-9
@@ -215,7 +243,12 @@ def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
             client.sent = 0
             client.outs.clear()
             for _ in range(100):
-                client.tick(*[client.target(random.uniform(-30.0, 130.0)) for _ in range(random.integers(0, 3))])
+                client.tick(
+                    *[
+                        client.target(random.uniform(-30.0, 130.0))
+                        for _ in range(random.integers(0, 3))
+                    ]
+                )
             speed, angle = np.degrees(client.goals("dq_goal")), np.degrees(client.goals("q_goal"))
             assert np.abs(np.diff(speed)).max() <= limits.acceleration_deg_s2 * period * (1 + 1e-9)
             assert np.abs(speed).max() <= limits.speed_deg_s * (1 + 1e-9)
@@ -266,7 +299,9 @@ def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
     "values",
     [(math.nan,), (math.inf,), (1e308,), (-1e308,), (721.0,), (), (1.0, 2.0)],
 )
-def test_invalid_target_is_counted_without_effect(jamia: HandModel, values: tuple[float, ...]) -> None:
+def test_invalid_target_is_counted_without_effect(
+    jamia: HandModel, values: tuple[float, ...]
+) -> None:
     with live(jamia) as client:
         client.open()
         client.follow(lambda t: 20.0, 0.3)
@@ -366,7 +401,9 @@ def test_a_stream_goes_on_from_a_moving_digit(jamia: HandModel) -> None:
         client.ask("move", angle_deg={"index": 20.0})
         client.wait(1.1)
         speed = np.degrees(client.goals("dq_goal"))
-        assert np.abs(np.diff(speed[before:])).max() <= limit * (1 + 1e-9), "and a move goes on from the stream"
+        assert np.abs(np.diff(speed[before:])).max() <= limit * (1 + 1e-9), (
+            "and a move goes on from the stream"
+        )
         assert np.degrees(client.goals("q_goal"))[-1] == pytest.approx(20.0)
         assert client.run.state.decisions.stream is None, "which the move has ended"
 
@@ -379,7 +416,9 @@ def test_goals_with_a_long_horizon_move_the_hand(jamia: HandModel) -> None:
         client.outs.clear()
         for i in range(round(3.0 / jamia.period)):
             if i % 10 == 0:
-                client.ask("move", angle_deg={"index": sine(i * jamia.period / 4.0)}, duration_s=0.5)
+                client.ask(
+                    "move", angle_deg={"index": sine(i * jamia.period / 4.0)}, duration_s=0.5
+                )
             else:
                 client.tick()
         swing = np.degrees([out.telemetry.q[0] for out in client.outs[500:]])
@@ -415,7 +454,10 @@ def test_one_client_commands_and_another_takes_over(jamia: HandModel) -> None:
         client.open()
         client.follow(lambda t: 20.0, 0.2)
         client.name = "two"
-        for do in ({"do": "move", "angle_deg": {"thumb": 5.0}}, {"do": "hold", "tension_N": {"thumb": 8.0}}):
+        for do in (
+            {"do": "move", "angle_deg": {"thumb": 5.0}},
+            {"do": "hold", "tension_N": {"thumb": 8.0}},
+        ):
             assert client.ask(**do) == "refused: one commands this hand, expected take_over"
         client.wait(0.02)
         assert client.faults == set()
@@ -477,17 +519,25 @@ def test_moves_of_single_joints(jamia: HandModel, jamia11: HandModel) -> None:
     with live(jamia) as client:
         text = client.ask("move", angle_deg={"index_j1": 20.0, "index_j2": 30.0})
         assert "index_j1, index_j2 are coupled, expected index" in text
-        assert client.ask("move", angle_deg={"index_j1": 20.0, "index_j2": 20.0}).startswith("move index_j1 20")
-        assert "expected either the digit or its joints" in client.ask("move", angle_deg={"index": 2, "index_j1": 3})
+        assert client.ask("move", angle_deg={"index_j1": 20.0, "index_j2": 20.0}).startswith(
+            "move index_j1 20"
+        )
+        assert "expected either the digit or its joints" in client.ask(
+            "move", angle_deg={"index": 2, "index_j1": 3}
+        )
     with live(jamia11) as client:
         assert client.ask("move", angle_deg={"index_j1": 25.0}).startswith("move index_j1 25")
         client.wait(1.2)
-        assert np.degrees(client.outs[-1].telemetry.q_goal[:3]) == pytest.approx([25.0, 0.0, 0.0], abs=3.0)
+        assert np.degrees(client.outs[-1].telemetry.q_goal[:3]) == pytest.approx(
+            [25.0, 0.0, 0.0], abs=3.0
+        )
 
 
 def test_tensions_follow_a_stream(jamia: HandModel) -> None:
     with live(jamia) as client:
-        assert "expected one of angles" in client.open("tension", ("index_tendon",), stiffness_N_m_per_rad=1.0)
+        assert "expected one of angles" in client.open(
+            "tension", ("index_tendon",), stiffness_N_m_per_rad=1.0
+        )
         assert client.open("tension", ("index_tendon",)).startswith("stream tension of 1 values")
         for i in range(2000):  # slow, because 1 N moves a free finger by 12 deg
             wave = 10.0 + 3.0 * math.sin(2.0 * math.pi * i / 1000)
@@ -531,7 +581,9 @@ def test_a_move_of_another_digit_does_not_disturb_streamed_tensions(jamia: HandM
 
 def test_tip_forces_become_tensions(jamia: HandModel, jamia11: HandModel) -> None:
     with live(jamia) as client:
-        assert "index has 1 tendons for 3 joints, expected a stream of tension" in client.open("tip_force", ("index",))
+        assert "index has 1 tendons for 3 joints, expected a stream of tension" in client.open(
+            "tip_force", ("index",)
+        )
     with live(jamia11) as client:
         assert client.open("tip_force", ("index",)).startswith("stream tip_force")
         client.tick(client.target(0.0))
@@ -546,7 +598,9 @@ def test_tip_forces_become_tensions(jamia: HandModel, jamia11: HandModel) -> Non
 
 
 @pytest.mark.parametrize("softness", [None, 0.3, 0.05])
-def test_a_softer_stream_is_still_followed_and_stable(jamia: HandModel, softness: float | None) -> None:
+def test_a_softer_stream_is_still_followed_and_stable(
+    jamia: HandModel, softness: float | None
+) -> None:
     with live(jamia) as client:
         client.ask("move", angle_deg={"index": MIDDLE_DEG})
         client.wait(1.2)
@@ -554,10 +608,14 @@ def test_a_softer_stream_is_still_followed_and_stable(jamia: HandModel, softness
         fraction = client.run.state.view("stiffness_fraction")[0]
         assert ("% of the stiffness" in text) == (softness is not None)
         assert fraction == 1.0 if softness is None else 0.05 <= fraction < 1.0
-        assert (client.run.state.view("stiffness_fraction")[1:] == 1.0).all(), "only the streamed digits"
+        assert (client.run.state.view("stiffness_fraction")[1:] == 1.0).all(), (
+            "only the streamed digits"
+        )
         client.outs.clear()
         client.follow(lambda t: sine(t), 3.0)
-        apart = np.degrees([out.telemetry.q[0] - out.telemetry.q_goal[0] for out in client.outs[500:]])
+        apart = np.degrees(
+            [out.telemetry.q[0] - out.telemetry.q_goal[0] for out in client.outs[500:]]
+        )
         assert np.sqrt(np.mean(apart**2)) < 3.0
         assert client.faults == set()
         client.ask("stream_end", stream="s")
@@ -587,7 +645,9 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
     assert yielded[0.2] > 1.5 * yielded[None] > 0.0, yielded
 
 
-def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(jamia11: HandModel) -> None:
+def test_targets_that_tendons_cannot_hold_are_moved_to_the_nearest_posture(
+    jamia11: HandModel,
+) -> None:
     """To bend an outer joint alone, an inner tendon would have to push.
 
     Regression: the safety monitor found this tendon slack and relaxed the hand.
@@ -629,7 +689,10 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         client.wait(3.0)
         assert client.outs[-1].phase == "hold", "longer than the task's 0.2 s"
         middle = snapshot_bytes(client.run.state)
-        assert restore_state(client.run.controller.layout, middle).digest() == client.run.state.digest()
+        assert (
+            restore_state(client.run.controller.layout, middle).digest()
+            == client.run.state.digest()
+        )
         assert client.ask("release") == "release after hold"
         client.wait(1.5)
         assert client.outs[-1].phase == "live"
@@ -662,8 +725,13 @@ def test_a_segment_meets_both_ends(jamia: HandModel) -> None:
             rows[s.TRAJECTORY : s.TRAJECTORY + 3] = start
             rows[s.STREAM_RANGE], rows[s.STREAM_RANGE + 1] = -9.0, 9.0
             rows[s.STREAM_TARGET] = target - speed * apart
-            assert not begin_segments(block, layout.places, target, target, 0.5, T, apart, 9.0, smooth)
-            assert (layout.view(block, "stream_since"), layout.view(block, "stream_duration")) == (0.5, T)
+            assert not begin_segments(
+                block, layout.places, target, target, 0.5, T, apart, 9.0, smooth
+            )
+            assert (layout.view(block, "stream_since"), layout.view(block, "stream_duration")) == (
+                0.5,
+                T,
+            )
             powers = rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6]
             at = [np.polynomial.polynomial.polyval(t, powers) for t in (0.0, T)]
             np.testing.assert_allclose(at[0], start[0], atol=1e-12)
@@ -672,7 +740,9 @@ def test_a_segment_meets_both_ends(jamia: HandModel) -> None:
             if smooth:
                 slope = np.polynomial.polynomial.polyder(powers)
                 np.testing.assert_allclose(np.polynomial.polynomial.polyval(0.0, slope), start[1])
-                np.testing.assert_allclose(np.polynomial.polynomial.polyval(T, slope), speed, atol=1e-6)
+                np.testing.assert_allclose(
+                    np.polynomial.polynomial.polyval(T, slope), speed, atol=1e-6
+                )
 
 
 def test_a_segment_keeps_range_and_speed(jamia: HandModel) -> None:
@@ -681,7 +751,9 @@ def test_a_segment_keeps_range_and_speed(jamia: HandModel) -> None:
     rows = layout.table(block, "coordinate")
     rows[s.STREAM_RANGE], rows[s.STREAM_RANGE + 1] = 0.0, 1.0
     aim = np.full(jamia.coordinate_count, 1.5)
-    assert begin_segments(block, layout.places, aim, aim, 0.0, 0.01, 0.01, 5.0, 1), "clipped to the range"
+    assert begin_segments(block, layout.places, aim, aim, 0.0, 0.01, 0.01, 5.0, 1), (
+        "clipped to the range"
+    )
     np.testing.assert_array_equal(rows[s.STREAM_TARGET], 1.0)
     np.testing.assert_array_equal(rows[s.STREAM_TARGET_RATE], 5.0)
     aim[:] = 0.5

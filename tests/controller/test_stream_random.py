@@ -52,13 +52,17 @@ def steps(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
 
 def sine(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
     """Return targets that oscillate as sines between the limits, at 0.3 to 6 Hz."""
-    angle = 2.0 * np.pi * rng.uniform(0.3, 6.0, len(low)) * t[:, None] + rng.uniform(0.0, 6.28, len(low))
+    angle = 2.0 * np.pi * rng.uniform(0.3, 6.0, len(low)) * t[:, None] + rng.uniform(
+        0.0, 6.28, len(low)
+    )
     return (low + high) / 2 + (high - low) / 2 * np.sin(angle)
 
 
 def walk(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
     """Return targets that walk at random within the limits. A walk takes 50 steps a second."""
-    steps_of_walk = rng.normal(0.0, 0.125, (len(t), len(low))) * (np.arange(len(t)) % 2 == 0)[:, None]
+    steps_of_walk = (
+        rng.normal(0.0, 0.125, (len(t), len(low))) * (np.arange(len(t)) % 2 == 0)[:, None]
+    )
     place = np.empty_like(steps_of_walk)
     present = np.full(len(low), 0.5)
     for i, step in enumerate(steps_of_walk):
@@ -73,7 +77,11 @@ def limits(name: str, space: str, digit: str) -> tuple[tuple[str, ...], Array, A
     if space == "tension":
         tendons = hand.tendon[hand.digit_tendons[digit]]
         low = np.array([tendon.tension_floor_N for tendon in tendons])
-        return tuple(tendon.name for tendon in tendons), low, np.array([tendon.tension_max_N for tendon in tendons])
+        return (
+            tuple(tendon.name for tendon in tendons),
+            low,
+            np.array([tendon.tension_max_N for tendon in tendons]),
+        )
     if space == "digit":
         reach = [digit.reach for digit in model_of(name).digits]
         low = np.array([np.degrees(bounds[0].max()) for bounds in reach])
@@ -85,9 +93,15 @@ def limits(name: str, space: str, digit: str) -> tuple[tuple[str, ...], Array, A
 
 
 FAULTY = ("n_plus_1", "orca_like")
-KNOWN = pytest.mark.xfail(reason="2 of 15 runs end with N14b or T01, see docs/evidence/streaming.md", strict=False)
+KNOWN = pytest.mark.xfail(
+    reason="2 of 15 runs end with N14b or T01, see docs/evidence/streaming.md", strict=False
+)
 CASES = [
-    *(("tension", hand, kind) for hand in ("jamia", "jamia_bench", "t42", "n_plus_1") for kind in (noise, steps, sine)),
+    *(
+        ("tension", hand, kind)
+        for hand in ("jamia", "jamia_bench", "t42", "n_plus_1")
+        for kind in (noise, steps, sine)
+    ),
     ("tension", "jamia11", noise),
     ("tension", "jamia11", sine),
     *(
@@ -101,7 +115,9 @@ SAMPLE = [*CASES[1:14:4], ("digit", "t42", walk), ("digit", "jamia", noise)]
 
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 1))
 @pytest.mark.parametrize(("space", "hand", "kind"), CASES if NIGHTLY else SAMPLE)
-def test_random_targets_cause_no_fault(space: str, hand: str, kind: Callable[..., Array], seed: int) -> None:
+def test_random_targets_cause_no_fault(
+    space: str, hand: str, kind: Callable[..., Array], seed: int
+) -> None:
     """Regression: random streams ended within 45 ms with the fault T01.
 
     The set-point of a tension ran ahead of a free digit. The reference of an angle ran ahead of a
@@ -115,7 +131,9 @@ def test_random_targets_cause_no_fault(space: str, hand: str, kind: Callable[...
     times = np.arange(round(SECONDS * rate)) / rate
     targets = kind(np.random.default_rng(seed), low, high, times)
     trip = np.array([tendon.tension_trip_N for tendon in model.hand.tendon])
-    with SimulatorSettings(hand, None, seed, homed=True).against(homed_controller(model, LiveProgram())) as run:
+    with SimulatorSettings(hand, None, seed, homed=True).against(
+        homed_controller(model, LiveProgram())
+    ) as run:
         run.record = False
         client = Client(run, model)
         assert client.open(space, names, rate_Hz=rate).startswith("stream")

@@ -36,7 +36,9 @@ tension_N = { index = 20.0 }
 def refusal(tmp_path: Path):  # type: ignore[no-untyped-def]
     """Return a function that loads a wrong task text and returns the error line with which it is refused."""
 
-    def refuse(text: str, digits: tuple[str, ...] = ("index", "thumb"), ceiling: float = 110.0) -> str:
+    def refuse(
+        text: str, digits: tuple[str, ...] = ("index", "thumb"), ceiling: float = 110.0
+    ) -> str:
         path = tmp_path / "t.toml"
         path.write_text(text)
         with pytest.raises(ConfigError) as caught:
@@ -67,7 +69,9 @@ def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
             hand = load_hand(name)
             if hand.digit_names != JAMIA_DIGITS:
                 continue
-            if stem.endswith("-joints") and {shape.tendons for shape in shapes_of_digits(hand).values()} == {1}:
+            if stem.endswith("-joints") and {
+                shape.tendons for shape in shapes_of_digits(hand).values()
+            } == {1}:
                 continue
             ceiling = min(tendon.tension_max_N for tendon in hand.tendon)
             check_task(task, hand.digit_names, ceiling, path.name, shapes_of_digits(hand))
@@ -75,12 +79,20 @@ def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
 
 def test_a_list_has_one_number_for_each_coordinate_of_the_digit(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
-    path.write_text(GOOD.replace("angle_deg = 10.0", "angle_deg = { index = [10.0, 5.0, 5.0], thumb = 3.0 }"))
+    path.write_text(
+        GOOD.replace("angle_deg = 10.0", "angle_deg = { index = [10.0, 5.0, 5.0], thumb = 3.0 }")
+    )
     task = load_task(path)
-    check_task(task, ("index", "thumb"), 110.0, "t", {"index": DigitShape(3, 3), "thumb": DigitShape(2, 2)})
-    with pytest.raises(ConfigError, match=r"t: phase\[0\]\.angle_deg.*3 numbers for index.*one coordinate"):
+    check_task(
+        task, ("index", "thumb"), 110.0, "t", {"index": DigitShape(3, 3), "thumb": DigitShape(2, 2)}
+    )
+    with pytest.raises(
+        ConfigError, match=r"t: phase\[0\]\.angle_deg.*3 numbers for index.*one coordinate"
+    ):
         check_task(task, ("index", "thumb"), 110.0, "t", {"index": ONE, "thumb": ONE})
-    tense = load_task(_written(tmp_path, GOOD.replace("{ index = 20.0 }", "{ index = [20.0, 120.0] }")))
+    tense = load_task(
+        _written(tmp_path, GOOD.replace("{ index = 20.0 }", "{ index = [20.0, 120.0] }"))
+    )
     with pytest.raises(ConfigError, match="120 N"):
         check_task(tense, ("index", "thumb"), 110.0, "t", {"index": DigitShape(2, 2), "thumb": ONE})
 
@@ -91,11 +103,21 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
     assert shapes_of_digits(hand)["thumb"] == DigitShape(2, 3, ("thumb_j1", "thumb_j2"))
     for angles, tensions, wrong in (
         ("[10.0, 20.0]", "[20.0, 20.0, 9.0]", ""),
-        ("[10.0, 20.0, 5.0]", "[20.0, 20.0, 9.0]", r"phase\[0\]\.angle_deg: 3 numbers.*or 2: it has 2 coordinates"),
-        ("[10.0, 20.0]", "[20.0, 20.0]", r"phase\[1\]\.tension_N: 2 numbers.*or 3: it has 3 tendons"),
+        (
+            "[10.0, 20.0, 5.0]",
+            "[20.0, 20.0, 9.0]",
+            r"phase\[0\]\.angle_deg: 3 numbers.*or 2: it has 2 coordinates",
+        ),
+        (
+            "[10.0, 20.0]",
+            "[20.0, 20.0]",
+            r"phase\[1\]\.tension_N: 2 numbers.*or 3: it has 3 tendons",
+        ),
     ):
         text = GOOD.replace("angle_deg = 10.0", f"angle_deg = {{ thumb = {angles} }}")
-        task = load_task(_written(tmp_path, text.replace("{ index = 20.0 }", f"{{ thumb = {tensions} }}")))
+        task = load_task(
+            _written(tmp_path, text.replace("{ index = 20.0 }", f"{{ thumb = {tensions} }}"))
+        )
         if not wrong:
             check_task_for_hand(task, hand, "t")
             continue
@@ -106,9 +128,18 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
 def hand_with_an_extensor() -> Hand:
     """Return the hand jamia11 with a third tendon at its thumb. The tendon opens both joints of the thumb."""
     content = hand_content("jamia11")
-    motor = {**content["motor"][-1], "name": "thumb_ext_motor", "node_id": content["motor"][-1]["node_id"] + 1}
+    motor = {
+        **content["motor"][-1],
+        "name": "thumb_ext_motor",
+        "node_id": content["motor"][-1]["node_id"] + 1,
+    }
     arms = {"thumb_j1": -0.003, "thumb_j2": -0.003}
-    tendon = {**content["tendon"][-1], "name": "thumb_ext", "motor": motor["name"], "moment_arm_m": arms}
+    tendon = {
+        **content["tendon"][-1],
+        "name": "thumb_ext",
+        "motor": motor["name"],
+        "moment_arm_m": arms,
+    }
     content["motor"].append(motor)
     content["tendon"].append(tendon)
     content["sensor_node"]["tendons"].append("thumb_ext")
@@ -126,7 +157,12 @@ def _written(folder: Path, text: str) -> Path:
 def test_phases_have_the_type_of_their_kind(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
     path.write_text(GOOD + '[[phase]]\nkind = "close"\n[[phase]]\nkind = "release"\n')
-    assert [type(phase) for phase in load_task(path).phase] == [MovePhase, HoldPhase, ClosePhase, ReleasePhase]
+    assert [type(phase) for phase in load_task(path).phase] == [
+        MovePhase,
+        HoldPhase,
+        ClosePhase,
+        ReleasePhase,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -148,7 +184,9 @@ def test_phases_have_the_type_of_their_kind(tmp_path: Path) -> None:
         (('name = "t"', ""), "name", "this key"),
     ],
 )  # fmt: skip
-def test_mistake_in_a_task_is_named(refusal, change: tuple[str, str], where: str, said: str) -> None:  # type: ignore[no-untyped-def]
+def test_mistake_in_a_task_is_named(
+    refusal, change: tuple[str, str], where: str, said: str
+) -> None:  # type: ignore[no-untyped-def]
     line = refusal(GOOD.replace(*change))
     assert where in line
     assert said in line
@@ -180,8 +218,12 @@ def test_an_empty_table_of_digits_is_accepted(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", [TARE_PHASE, "start"])
 def test_a_phase_may_not_have_a_reserved_name(refusal, name: str) -> None:  # type: ignore[no-untyped-def]
     """A phase may not be called tare or start, because the controller treats these names in a special way."""
-    assert "must not be named" in refusal(GOOD.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"'))
+    assert "must not be named" in refusal(
+        GOOD.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"')
+    )
 
 
 def test_a_move_takes_its_time(refusal) -> None:  # type: ignore[no-untyped-def]
-    assert "duration_s" in refusal(GOOD.replace("angle_deg = 10.0", "angle_deg = 10.0\nduration_s = 1e-300"))
+    assert "duration_s" in refusal(
+        GOOD.replace("angle_deg = 10.0", "angle_deg = 10.0\nduration_s = 1e-300")
+    )

@@ -67,7 +67,9 @@ def test_equal_inputs_give_equal_outputs(session: Bench) -> None:
 
 def test_another_controller_of_the_same_hand_repeats_the_run(session: Bench) -> None:
     model = session.controller.model
-    other = bench(HandModel.of(model.hand, model.gains, 1.0 / model.period), LiveProgram()).controller
+    other = bench(
+        HandModel.of(model.hand, model.gains, 1.0 / model.period), LiveProgram()
+    ).controller
     state = other.initial()
     for _, entry, out in session.history:
         state, again = other.tick(state, entry)
@@ -96,7 +98,9 @@ def test_frames_with_unknown_identifiers_change_no_decision(session: Bench) -> N
     for before, entry, out in session.history[::7]:
         _, again = session.controller.tick(before, entry._replace(frames=(*noise, *entry.frames)))
         assert bytes_of(again._replace(state_hash=b"")) == bytes_of(out._replace(state_hash=b""))
-        _, again = session.controller.tick(before, entry._replace(frames=(misshapen, *entry.frames)))
+        _, again = session.controller.tick(
+            before, entry._replace(frames=(misshapen, *entry.frames))
+        )
         assert (again.frames, again.mode) == (out.frames, out.mode)
 
 
@@ -135,7 +139,12 @@ def test_the_origin_of_time_does_not_matter() -> None:
 
 def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Bench) -> None:
     hand = session.controller.model.hand
-    sizes = {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor), "digit": len(hand.digit)}
+    sizes = {
+        "joint": len(hand.joints),
+        "tendon": len(hand.tendon),
+        "motor": len(hand.motor),
+        "digit": len(hand.digit),
+    }
     silent_here = {"contact"} | ({"joint_encoder"} if not hand.sensor_node.joints else set())
     for name, axis in TELEMETRY_AXES.items():
         rows = [getattr(out.telemetry, name) for _, _, out in session.history]
@@ -143,7 +152,9 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Bench)
         values = np.array(rows)
         assert not np.isinf(values).any(), name
         if name not in silent_here:
-            assert len(np.unique(values[~np.isnan(values)])) > 1 or name == "motor_temperature", name
+            assert len(np.unique(values[~np.isnan(values)])) > 1 or name == "motor_temperature", (
+                name
+            )
 
 
 def test_old_values_have_no_new_time_stamp() -> None:
@@ -156,7 +167,14 @@ def test_old_values_have_no_new_time_stamp() -> None:
     for _ in range(3):
         out = run.tick()
         numbers = out.telemetry
-        for name in ("tension_raw", "motor_position", "motor_velocity", "motor_torque", "innovation", "nis"):
+        for name in (
+            "tension_raw",
+            "motor_position",
+            "motor_velocity",
+            "motor_torque",
+            "innovation",
+            "nis",
+        ):
             assert np.isnan(getattr(numbers, name)).all(), name
         assert not np.isnan(numbers.tension).any(), "a prediction is there"
         ages.append(numbers.motor_age)
@@ -220,7 +238,9 @@ def test_no_frame_can_stop_the_tick(active: Bench, burst: list[list[Frame]]) -> 
     """For any received frames, no tick of an active hand raises, and all torques are finite and within their limits."""
     state, k = active.state, active.k
     for some in burst:
-        state, out = active.controller.tick(state, TickIn(k, k * active.period_ns, frames=tuple(some)))
+        state, out = active.controller.tick(
+            state, TickIn(k, k * active.period_ns, frames=tuple(some))
+        )
         torque = out.telemetry.motor_torque_goal
         assert np.isfinite(torque).all()
         assert (np.abs(torque) <= active.controller.model.torque_limit * (1 + 1e-9)).all()
@@ -228,8 +248,14 @@ def test_no_frame_can_stop_the_tick(active: Bench, burst: list[list[Frame]]) -> 
 
 
 @given(
-    texts=st.lists(st.text(max_size=60) | st.sampled_from(['{"do": "clear"}', '{"do": "arm"}', "[" * 900]), max_size=4),
-    kinds=st.lists(st.sampled_from(["enobufs", "dropped", "recorder", "error_frame", "signal", "?"]), max_size=4),
+    texts=st.lists(
+        st.text(max_size=60) | st.sampled_from(['{"do": "clear"}', '{"do": "arm"}', "[" * 900]),
+        max_size=4,
+    ),
+    kinds=st.lists(
+        st.sampled_from(["enobufs", "dropped", "recorder", "error_frame", "signal", "?"]),
+        max_size=4,
+    ),
     late=st.integers(0, 10**10),
     gap=st.integers(0, 10**6),
 )

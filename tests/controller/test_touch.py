@@ -12,12 +12,20 @@ from handctl.programs.live import JogProgram
 from handctl.programs.requests import MoveDigits
 from tests.controller.law_runs import limit_of, warm
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic import Estimate, active_state, balanced_state, detect_contacts, exact_estimate
+from tests.controller.synthetic import (
+    Estimate,
+    active_state,
+    balanced_state,
+    detect_contacts,
+    exact_estimate,
+)
 
 
 def estimate_with_unexplained_tension(model: HandModel, external: float) -> Estimate:
     """Return the estimate of a hand at rest. All its tendons have the unexplained tension ``external`` [N]."""
-    return exact_estimate(model, balanced_state(model, 0.5))._replace(external=np.full(model.tendon_count, external))
+    return exact_estimate(model, balanced_state(model, 0.5))._replace(
+        external=np.full(model.tendon_count, external)
+    )
 
 
 def test_a_lasting_tension_blocks_and_a_short_one_does_not(model: HandModel) -> None:
@@ -47,16 +55,22 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
 
 
 @pytest.fixture(scope="module", params=["jamia", "jamia11"])
-def pressed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, PlantRun]:
+def pressed(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, PlantRun]:
     """Return a hand and its run. The index finger moves towards 100 degrees but touches the palm before."""
     move = JogProgram(MoveDigits(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
-    return request.param, run_on_plant(request.param, move, None, tmp_path_factory.mktemp("pressed"), 4.0)
+    return request.param, run_on_plant(
+        request.param, move, None, tmp_path_factory.mktemp("pressed"), 4.0
+    )
 
 
 def test_a_motion_into_a_stop_is_reported_and_presses_gently(pressed: tuple[str, PlantRun]) -> None:
     hand, run = pressed
     assert [where for _, where in run.events_named("blocked")][:1] == ["index"]
-    assert not run.events_named("fault"), "no safety fault: before, the loop wound the rope up to the trip at 140 N"
+    assert not run.events_named("fault"), (
+        "no safety fault: before, the loop wound the rope up to the trip at 140 N"
+    )
     own = model_of(hand).digit_tendons[0]
     at = run.events_named("blocked")[0][0]
     real = np.array(run.real)[np.array(run.t) > at + 0.1][:, own]

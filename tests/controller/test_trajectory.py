@@ -13,7 +13,9 @@ durations = st.floats(0.01, 100.0)
 
 
 @given(start=angles, end=angles, duration=durations)
-def test_minimum_jerk_move_rests_at_both_ends(start: np.ndarray, end: np.ndarray, duration: float) -> None:
+def test_minimum_jerk_move_rests_at_both_ends(
+    start: np.ndarray, end: np.ndarray, duration: float
+) -> None:
     move = MinimumJerk(start, end, duration)
     for t, place in ((0.0, start), (duration, end), (-1.0, start), (duration + 5.0, end)):
         position, velocity, acceleration = move.at(t)
@@ -30,7 +32,9 @@ def test_trajectory_derivatives_match_differences(
     before, now, after = move.at(t - h), move.at(t), move.at(t + h)
     way = np.abs(end - start).max() + 1e-9
     np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * h), atol=1e-6 * way / duration)
-    np.testing.assert_allclose(now[2], (after[1] - before[1]) / (2 * h), atol=1e-5 * way / duration**2)
+    np.testing.assert_allclose(
+        now[2], (after[1] - before[1]) / (2 * h), atol=1e-5 * way / duration**2
+    )
 
 
 @given(start=angles, end=angles, duration=durations)
@@ -44,7 +48,9 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
     steps = np.diff([p for p, _, _ in course], axis=0) * np.sign(end - start)
     assert (steps >= -1e-12).all(), "straight there"
     speed = np.abs([v for _, v, _ in course]).max(axis=0)
-    np.testing.assert_allclose(speed, PEAK_SPEED * np.abs(end - start) / duration, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        speed, PEAK_SPEED * np.abs(end - start) / duration, rtol=1e-6, atol=1e-12
+    )
 
 
 def test_no_admissible_bump_has_less_jerk() -> None:
@@ -71,13 +77,17 @@ def test_duration_keeps_the_peak_speed(distance: float, speed: float) -> None:
         assert fastest == pytest.approx(speed, rel=1e-5)
 
 
-times = st.lists(st.floats(0.05, 2.0), min_size=1, max_size=6).map(lambda steps: (0.0, *np.cumsum(steps).tolist()))
+times = st.lists(st.floats(0.05, 2.0), min_size=1, max_size=6).map(
+    lambda steps: (0.0, *np.cumsum(steps).tolist())
+)
 
 
 @given(data=st.data())
 def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) -> None:
     when = data.draw(times)
-    points = tuple(data.draw(st.lists(st.floats(-0.5, 2.0), min_size=len(when), max_size=len(when))))
+    points = tuple(
+        data.draw(st.lists(st.floats(-0.5, 2.0), min_size=len(when), max_size=len(when)))
+    )
     curve = CurveTrajectory.through(when, points, 2)
     assert curve.duration == when[-1]
     for t, point in zip(when, points, strict=True):

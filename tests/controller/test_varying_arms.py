@@ -30,13 +30,21 @@ SEEDS = range(20) if NIGHTLY else range(2)
 
 
 @kernel("block", "layout", "block", "layout")
-def _update(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> None:
+def _update(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> None:
     structure.update_structure(state_tables(block, at), constant_tables(constants, constants_at))
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
 def _arm(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces, n: int, j: int, q: float
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
+    n: int,
+    j: int,
+    q: float,
 ) -> np.ndarray:
     c = constant_tables(constants, constants_at)
     return np.array([
@@ -70,21 +78,37 @@ def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None
         np.testing.assert_allclose(free, q, atol=1e-9)
         for digit in model.digits:
             here = digit.at(q[digit.joints])
-            block = np.ix_(range(*digit.joints.indices(len(q))), range(*digit.tendons.indices(model.tendon_count)))
+            block = np.ix_(
+                range(*digit.joints.indices(len(q))),
+                range(*digit.tendons.indices(model.tendon_count)),
+            )
             np.testing.assert_allclose(view["moment_arms"].T[block], here.moment_arms.T, atol=1e-8)
             for field in ("excursion_to_joints", "torque_to_tension"):
                 found = view[field] if field == "excursion_to_joints" else view[field].T
-                np.testing.assert_allclose(found[block], here.excursion_to_joints, rtol=1e-4, atol=1e-3)
+                np.testing.assert_allclose(
+                    found[block], here.excursion_to_joints, rtol=1e-4, atol=1e-3
+                )
             square = np.ix_(*[range(*digit.joints.indices(len(q)))] * 2)
-            np.testing.assert_allclose(view["compliance"][square], _joint_compliance(here), rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(
+                view["compliance"][square], _joint_compliance(here), rtol=1e-4, atol=1e-4
+            )
             balance = view["balance"][digit.tendons]
             if model.redundancy.surplus[digit.tendons.start]:
                 assert (balance > 0.0).all()
                 arms = here.reduced_moment_arms
-                np.testing.assert_allclose(arms.T @ balance, 0.0, atol=2e-3 * np.abs(arms).max() * balance.max())
+                np.testing.assert_allclose(
+                    arms.T @ balance, 0.0, atol=2e-3 * np.abs(arms).max() * balance.max()
+                )
 
 
-FIELDS = ("excursion_to_joints", "angle_offset", "moment_arms", "torque_to_tension", "compliance", "balance")
+FIELDS = (
+    "excursion_to_joints",
+    "angle_offset",
+    "moment_arms",
+    "torque_to_tension",
+    "compliance",
+    "balance",
+)
 
 
 def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
@@ -104,14 +128,18 @@ def moves(*angles: tuple[float, float]) -> Task:
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
         for i, (angle, duration) in enumerate(angles)
     ]
-    return Task.model_validate({"schema": 1, "name": "moves", "description": "moves", "phase": tuple(phases)})
+    return Task.model_validate(
+        {"schema": 1, "name": "moves", "description": "moves", "phase": tuple(phases)}
+    )
 
 
 def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
     """Return the RMSE of true against commanded joint angles [deg] while a simulated hand moves."""
     task = TaskProgram(moves((5.0, 0.5), (42.0, 0.7), (15.0, 0.6), (45.0, 0.6), (10.0, 0.6)))
     errors = list[np.ndarray]()
-    with SimulatorSettings(hand, None, seed, homed=True).against(homed_controller(model, task, hand)) as run:
+    with SimulatorSettings(hand, None, seed, homed=True).against(
+        homed_controller(model, task, hand)
+    ) as run:
         run.record = False
         for _, out in run.ticks(10.0):
             assert not [event for event in out.events if event.level == "error"]

@@ -42,7 +42,9 @@ def foreign(run: Bench) -> Frame:
 
 @pytest.mark.parametrize("request_", [QUICK, MOVE])
 @pytest.mark.parametrize("fault", [False, True])
-def test_no_request_raises_the_tension_during_relax(quick: HandModel, request_: str, fault: bool) -> None:
+def test_no_request_raises_the_tension_during_relax(
+    quick: HandModel, request_: str, fault: bool
+) -> None:
     run = acting(quick)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
@@ -51,13 +53,17 @@ def test_no_request_raises_the_tension_during_relax(quick: HandModel, request_: 
     while run.state.mode == Mode.RELAX:
         run.tick(request_)
         assert run.peer.tension.max() < before + 0.5
-    goals = np.array([out.telemetry.tension_goal for _, _, out in run.history[since:] if out.mode == Mode.RELAX])
+    goals = np.array(
+        [out.telemetry.tension_goal for _, _, out in run.history[since:] if out.mode == Mode.RELAX]
+    )
     assert (np.diff(goals, axis=0) <= 1e-9).all()
     assert len(goals) * quick.period < 0.2
     texts = [event.text for event in run.events if event.text.startswith("refused")]
     assert texts == ["refused: the hand is letting go"] * len(texts)
     run.until(Mode.DONE)
-    assert run.state.failure == ("fault H13 0x001" if fault else ""), "a goal that comes too late is no fault"
+    assert run.state.failure == ("fault H13 0x001" if fault else ""), (
+        "a goal that comes too late is no fault"
+    )
 
 
 def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> None:
@@ -74,7 +80,9 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> 
 
 def fastest_setpoint_fall(run: Bench, index: int = 0) -> float:
     """Return how fast the set-point of a tendon falls at most while the hand relaxes [N/s]."""
-    goals = [out.telemetry.tension_goal[index] for _, _, out in run.history if out.mode == Mode.RELAX]
+    goals = [
+        out.telemetry.tension_goal[index] for _, _, out in run.history if out.mode == Mode.RELAX
+    ]
     return float(-np.diff(goals).min() / run.controller.model.period)
 
 
@@ -109,7 +117,11 @@ def test_a_fault_during_relax_makes_the_run_fail(quick: HandModel, asked: str) -
         run.tick(asked, extra=(foreign(run),))
     run.until(Mode.DONE)
     assert run.state.failure == "fault H13 0x001"
-    assert any(event.level == "error" and "fault H13" in event.text for event in run.events if event.name == "mode")
+    assert any(
+        event.level == "error" and "fault H13" in event.text
+        for event in run.events
+        if event.name == "mode"
+    )
 
 
 def test_after_a_fault_during_arming_no_further_drive_is_enabled(quick: HandModel) -> None:
@@ -121,7 +133,12 @@ def test_after_a_fault_during_arming_no_further_drive_is_enabled(quick: HandMode
     since = len(run.history)
     run.until(Mode.DONE)
     enable = b"\xff" * 7 + b"\xfc"
-    assert not [frame for _, _, out in run.history[since - 1 :] for frame in out.frames if frame.data == enable]
+    assert not [
+        frame
+        for _, _, out in run.history[since - 1 :]
+        for frame in out.frames
+        if frame.data == enable
+    ]
     assert run.state.failure == "fault H13 0x001"
 
 
@@ -146,5 +163,7 @@ def test_a_hand_refuses_goals_before_active_mode(quick: HandModel) -> None:
     for _ in range(60):
         out = run.tick()
     run.tick(QUICK)
-    assert "refused: the hand is not ready yet" in [event.text for event in run.history[-1][2].events]
+    assert "refused: the hand is not ready yet" in [
+        event.text for event in run.history[-1][2].events
+    ]
     assert out.mode < Mode.ACTIVE

@@ -39,7 +39,9 @@ def without(*tendons: str) -> Hand:
         del content["sensor_node"]
     else:
         node = content["sensor_node"]
-        content["sensor_node"] = node | {"tendons": [name for name in node["tendons"] if name not in tendons]}
+        content["sensor_node"] = node | {
+            "tendons": [name for name in node["tendons"] if name not in tendons]
+        }
     return hand_from_content(content, "without cells")
 
 
@@ -62,8 +64,20 @@ TASK = Task.model_validate(
                 "angle_deg": {"index": 20.0, "middle": 20.0, "ring": 20.0, "thumb": 4.0},
                 "duration_s": 0.8,
             },
-            {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 50.0, "contact_tension_N": 18.0},
-            {"kind": "hold", "name": "hold", "tension_N": 32.0, "rate_N_per_s": 40.0, "duration_s": 3.0},
+            {
+                "kind": "close",
+                "name": "close",
+                "angle_deg": 85.0,
+                "speed_deg_s": 50.0,
+                "contact_tension_N": 18.0,
+            },
+            {
+                "kind": "hold",
+                "name": "hold",
+                "tension_N": 32.0,
+                "rate_N_per_s": 40.0,
+                "duration_s": 3.0,
+            },
             {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 60.0},
             {"kind": "move", "name": "open", "angle_deg": 0.0, "duration_s": 0.8},
         ),
@@ -89,7 +103,9 @@ class BlindRun:
     def error(self, *phases: str) -> np.ndarray:
         """Return the errors of the estimate in some phases, divided by the standard deviation of the estimate."""
         rows = np.isin(self.phase, phases)
-        return (np.array(self.tension)[rows] - np.array(self.true)[rows]) / np.array(self.sigma)[rows]
+        return (np.array(self.tension)[rows] - np.array(self.true)[rows]) / np.array(self.sigma)[
+            rows
+        ]
 
 
 def run_without_sensors(
@@ -100,7 +116,9 @@ def run_without_sensors(
     Injected faults contain their own times.
     """
     rows = BlindRun()
-    with SimulatorSettings(without(), scene, seed, homed=True).against(homed_controller(model_of(), program)) as run:
+    with SimulatorSettings(without(), scene, seed, homed=True).against(
+        homed_controller(model_of(), program)
+    ) as run:
         run.record = False
         for fault in faults:
             run.peer.inject(fault)
@@ -117,13 +135,19 @@ def run_without_sensors(
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("bare", [(), ("index_tendon", "thumb_tendon")])
-def test_hand_commissions_with_the_tares_of_its_load_cells(bare: tuple[str, ...], seed: int) -> None:
+def test_hand_commissions_with_the_tares_of_its_load_cells(
+    bare: tuple[str, ...], seed: int
+) -> None:
     hand = without(*bare)
     with SimulatorSettings(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
-        run = SimulatedRun.of(make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer)
+        run = SimulatedRun.of(
+            make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer
+        )
         for _, out in run.ticks(30.0):
             assert not [event for event in out.events if event.level == "error"]
-        found = calibration_of_result(model_of(*bare), run.state.progress, "2026-01-01T00:00:00+00:00")
+        found = calibration_of_result(
+            model_of(*bare), run.state.progress, "2026-01-01T00:00:00+00:00"
+        )
         assert not found.tare(hand)[~hand.has_cell].any()
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]
         wrong = (found.zero(hand) - offset) * model_of(*bare).space.spool
@@ -134,7 +158,12 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(bare: tuple[str, ...]
 def test_it_grasps_holds_and_lets_go_and_the_error_is_within_its_sigma(seed: int) -> None:
     rows = run_without_sensors(TaskProgram(TASK), "cylinder", seed)
     assert not [event.text for event in rows.events if event.level == "error"]
-    assert {event.where for event in rows.events if event.name == "contact"} == {"index", "middle", "ring", "thumb"}
+    assert {event.where for event in rows.events if event.name == "contact"} == {
+        "index",
+        "middle",
+        "ring",
+        "thumb",
+    }
     assert rows.height == pytest.approx(0.0, abs=3e-3)
     error = rows.error("home", "preshape", "close", "hold")
     assert np.sqrt(np.mean(error**2)) < 1.0, "the standard deviation is not too small"
@@ -168,11 +197,14 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
     content: dict[str, Any] = hand_content("jamia")
     del content["sensor_node"]
     content["motor"] = [
-        motor | {"protocol": "cia402", "options": PROTOCOL_TRAITS["cia402"].options} for motor in content["motor"]
+        motor | {"protocol": "cia402", "options": PROTOCOL_TRAITS["cia402"].options}
+        for motor in content["motor"]
     ]
     hand = hand_from_content(content, "cia402")
     model = HandModel.of(hand, Gains(), 250.0)
-    with SimulatorSettings(hand, None, 0, homed=True).against(homed_controller(model, TaskProgram(TASK))) as run:
+    with SimulatorSettings(hand, None, 0, homed=True).against(
+        homed_controller(model, TaskProgram(TASK))
+    ) as run:
         assert run.until(lambda out: out.mode == Mode.ACTIVE, 10.0)
 
 

@@ -32,7 +32,8 @@ def blocks(path: Path) -> list[Block]:
     """Return the fenced blocks of a page in order."""
     found = FENCE.finditer(path.read_text(encoding="utf-8"))
     return [
-        Block(match[2], match[3] or "", re.sub(f"^{match[1]}", "", match[4], flags=re.MULTILINE)) for match in found
+        Block(match[2], match[3] or "", re.sub(f"^{match[1]}", "", match[4], flags=re.MULTILINE))
+        for match in found
     ]
 
 
@@ -43,7 +44,9 @@ def is_run(block: Block) -> bool:
 
 def is_file(block: Block) -> bool:
     """Return True for a block with a Python program or a TOML file. Its title is the name of the file."""
-    return block.language in ("python", "toml") and bool(re.fullmatch(r"[\w-]+\.(py|toml)", block.title))
+    return block.language in ("python", "toml") and bool(
+        re.fullmatch(r"[\w-]+\.(py|toml)", block.title)
+    )
 
 
 def stays_open(block: Block) -> bool:
@@ -52,7 +55,9 @@ def stays_open(block: Block) -> bool:
 
 
 def run_blocks(
-    parts: Sequence[Block], prepare: Callable[[Path], None] | None = None, beside: Sequence[str] = ()
+    parts: Sequence[Block],
+    prepare: Callable[[Path], None] | None = None,
+    beside: Sequence[str] = (),
 ) -> None:
     """Execute the commands of a page in an empty folder.
 
@@ -80,7 +85,9 @@ def run_blocks(
                 start_beside(on_the_embedded_bus(block.text), others, words)
                 continue
             script = f"set -e\n{on_the_embedded_bus(block.text)}"
-            ran = subprocess.run(["bash", "-c", script], capture_output=True, timeout=RUN_S, check=False, **words)
+            ran = subprocess.run(
+                ["bash", "-c", script], capture_output=True, timeout=RUN_S, check=False, **words
+            )
             assert ran.returncode == 0, f"{block.text}\n{ran.stdout[-1000:]}\n{ran.stderr[-2000:]}"
             assert "Traceback" not in ran.stderr
     finally:
@@ -91,9 +98,13 @@ def run_blocks(
             shutil.rmtree(made, ignore_errors=True)
 
 
-def start_beside(command: str, others: list["subprocess.Popen[str]"], words: dict[str, Any]) -> None:
+def start_beside(
+    command: str, others: list["subprocess.Popen[str]"], words: dict[str, Any]
+) -> None:
     """Start a command in a process, and wait until it prints its first line."""
-    others.append(subprocess.Popen(["bash", "-c", f"exec {command.strip()}"], stdout=subprocess.PIPE, **words))
+    others.append(
+        subprocess.Popen(["bash", "-c", f"exec {command.strip()}"], stdout=subprocess.PIPE, **words)
+    )
     stdout = others[-1].stdout
     assert stdout
     assert select.select([stdout], [], [], READY_S)[0], command

@@ -11,7 +11,9 @@ import pytest
 
 from tests.docs.command_blocks import ROOT, blocks, is_file, is_run, run_blocks, stays_open
 
-PAGES = sorted([*(ROOT / "docs" / "start").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])
+PAGES = sorted(
+    [*(ROOT / "docs" / "start").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")]
+)
 BLOCKS = {path.relative_to(ROOT / "docs").as_posix(): blocks(path) for path in PAGES}
 RUN = {page: [block for block in parts if is_run(block)] for page, parts in BLOCKS.items()}
 """Blocks of each page that a test executes, or writes to the file that their title names."""

@@ -13,7 +13,10 @@ ROOT = Path(__file__).parents[2]
 MADE = sorted([f"{name}.{kind}" for name in (*DIAGRAMS, *PLOTS) for kind in ("svg", "png")]
               + [f"{name}.png" for name in PICTURES] + ["grasp.gif"]
               + [path.name for path in FIGURES_FOLDER.glob("paper-*")])  # fmt: skip
-TEXTS = [path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))]
+TEXTS = [
+    path.read_text(encoding="utf-8")
+    for path in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md"))
+]
 MOST_BYTES = 700_000
 """Largest size of a figure that is not animated [bytes]."""
 
@@ -25,11 +28,17 @@ def test_a_figure_is_of_this_version(name: str) -> None:
 
 @pytest.mark.parametrize("name", MADE)
 def test_a_figure_is_small_and_used(name: str) -> None:
-    assert (FIGURES_FOLDER / name).stat().st_size < (MAX_FILE_BYTES if name.endswith(".gif") else MOST_BYTES)
+    assert (FIGURES_FOLDER / name).stat().st_size < (
+        MAX_FILE_BYTES if name.endswith(".gif") else MOST_BYTES
+    )
     stem = name.partition(".")[0]
     assert any(re.search(rf"figures/{stem}\.(svg|png|gif)", text) for text in TEXTS)
 
 
 def test_every_figure_in_the_folder_is_used() -> None:
-    unused = [path.name for path in FIGURES_FOLDER.iterdir() if not any(path.stem in text for text in TEXTS)]
+    unused = [
+        path.name
+        for path in FIGURES_FOLDER.iterdir()
+        if not any(path.stem in text for text in TEXTS)
+    ]
     assert unused == []

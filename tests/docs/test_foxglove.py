@@ -38,14 +38,22 @@ def messages() -> dict[str, Any]:
 
 def paths() -> list[tuple[str, str]]:
     """Return the path and the label of each value in the layout."""
-    return [(path["value"], path["label"]) for panel in PANELS.values() for path in panel.get("paths", [])]
+    return [
+        (path["value"], path["label"])
+        for panel in PANELS.values()
+        for path in panel.get("paths", [])
+    ]
 
 
 def topics_of_layout() -> set[str]:
     """Return the topics that the panels show, except those of transforms."""
     scene = PANELS["3D!hand"]
     topics = {PATH.fullmatch(value)[1] for value, _ in paths()}  # type: ignore[index]
-    return topics | {layer["topic"] for layer in scene["layers"].values()} | {PANELS["RosOut!events"]["topicToRender"]}
+    return (
+        topics
+        | {layer["topic"] for layer in scene["layers"].values()}
+        | {PANELS["RosOut!events"]["topicToRender"]}
+    )
 
 
 def test_every_panel_has_its_place() -> None:

@@ -64,14 +64,19 @@ def cases() -> Iterator[Any]:
     for page, parts in RUN.items():
         if any(block.language == "sh" and not stays_open(block) for block in parts):
             live = page in BESIDE or any(map(stays_open, parts))
-            yield pytest.param(page, marks=LIVE if live else [] if page in SHORT else [pytest.mark.nightly])
+            yield pytest.param(
+                page, marks=LIVE if live else [] if page in SHORT else [pytest.mark.nightly]
+            )
 
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("page", list(cases()))
 def test_the_commands_of_a_page_run(page: str) -> None:
     asked, answered = ANSWERED.get(page, ("", ""))
-    parts = [block._replace(text=block.text.replace(asked, answered)) if asked else block for block in RUN[page]]
+    parts = [
+        block._replace(text=block.text.replace(asked, answered)) if asked else block
+        for block in RUN[page]
+    ]
     run_blocks(parts, files_for(page), BESIDE.get(page, ()))
 
 
@@ -90,7 +95,12 @@ def test_the_programs_of_a_page_run(page: str) -> None:
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
 def test_the_commands_of_the_readme_run() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Four uses")[2].partition("\n## ")[0]
+    text = (
+        (ROOT / "README.md")
+        .read_text(encoding="utf-8")
+        .partition("## Four uses")[2]
+        .partition("\n## ")[0]
+    )
     lines = re.findall(r"^handctl [^#\n]+", text, re.MULTILINE)
     simulators = [line.strip() for line in lines if line.startswith("handctl sim")]
     assert len(simulators) == 1
@@ -105,5 +115,9 @@ def test_every_command_has_a_kind() -> None:
     for page, parts in BLOCKS.items():
         for block in parts:
             plain = block.language in ("", "text")
-            assert not plain or not re.search(r"^(handctl|python -m firmware_sim) ", block.text, re.MULTILINE), page
-            assert block.language != "python" or is_file(block) or "handctl.connect" not in block.text, page
+            assert not plain or not re.search(
+                r"^(handctl|python -m firmware_sim) ", block.text, re.MULTILINE
+            ), page
+            assert (
+                block.language != "python" or is_file(block) or "handctl.connect" not in block.text
+            ), page

@@ -17,8 +17,12 @@ LINK = re.compile(r"\]\(([^)\s]+)\)|src=\"([^\"]+)\"")
 
 def anchors(path: Path) -> set[str]:
     """Return the anchors of a document's headings."""
-    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", path.read_text(), flags=re.M | re.S), re.MULTILINE)
-    plain = (re.sub(r"[^\w\s-]", "", heading.replace("`", "")).strip().lower() for heading in headings)
+    headings = re.findall(
+        r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", path.read_text(), flags=re.M | re.S), re.MULTILINE
+    )
+    plain = (
+        re.sub(r"[^\w\s-]", "", heading.replace("`", "")).strip().lower() for heading in headings
+    )
     return {re.sub(r"[\s-]+", "-", text) for text in plain}
 
 
@@ -57,9 +61,14 @@ def test_a_page_has_the_same_title_everywhere() -> None:
     named = titles(yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))["nav"])
     assert len(set(named.values())) == len(named)
     for page, title in named.items():
-        assert re.findall(r"^# (.*)$", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE)[0] == title, page
+        assert (
+            re.findall(r"^# (.*)$", (DOCS / page).read_text(encoding="utf-8"), re.MULTILINE)[0]
+            == title
+        ), page
     for index in DOCS.glob("*/index.md"):
-        rows = re.findall(r"^\|.*\[([^\]]+)\]\(([\w-]+\.md)\)", index.read_text(encoding="utf-8"), re.MULTILINE)
+        rows = re.findall(
+            r"^\|.*\[([^\]]+)\]\(([\w-]+\.md)\)", index.read_text(encoding="utf-8"), re.MULTILINE
+        )
         linked = {f"{index.parent.name}/{page}": title for title, page in rows}
         assert linked == {page: named[page] for page in linked}
         assert set(linked) == {page for page in named if page.startswith(f"{index.parent.name}/")}
@@ -72,5 +81,7 @@ def test_every_page_is_in_the_navigation_once() -> None:
     pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
     assert len(set(listed)) == len(listed)
     assert set(listed) <= pages
-    unlisted = {page for page in pages - set(listed) if not any(fnmatch(f"/{page}", one) for one in waiting)}
+    unlisted = {
+        page for page in pages - set(listed) if not any(fnmatch(f"/{page}", one) for one in waiting)
+    }
     assert unlisted == set()

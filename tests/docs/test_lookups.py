@@ -83,9 +83,17 @@ def test_an_answer_is_found_soon(question: str) -> None:
 
 
 def test_the_page_has_these_numbers() -> None:
-    rows = re.findall(r"^\| (.*\?) \| .* \| (\d+) \| (\d+) \| .* \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
+    rows = re.findall(
+        r"^\| (.*\?) \| .* \| (\d+) \| (\d+) \| .* \|$",
+        PAGE.read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
     right = [(q, str(clicks(page, anchor)), str(words_above(page, anchor, answer)))
              for q, (page, anchor, answer) in QUESTIONS.items()]  # fmt: skip
     assert [row[:2] for row in rows] == [row[:2] for row in right]
-    far = [row for row, found in zip(rows, right, strict=True) if abs(int(row[2]) - int(found[2])) > TOLERANCE_WORDS]
+    far = [
+        row
+        for row, found in zip(rows, right, strict=True)
+        if abs(int(row[2]) - int(found[2])) > TOLERANCE_WORDS
+    ]
     assert far == []

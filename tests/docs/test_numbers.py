@@ -19,11 +19,15 @@ TOLERANCE, ROUNDED = 0.1, 0.051
 
 def test_the_numbers_are_fresh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([*DEMO_COMMAND, "--log", str(tmp_path / "demo.mcap")]) == 0
-    right = " ".join(f"{name} {value}" for name, value in rows_of(json.loads(capsys.readouterr().out)))
+    right = " ".join(
+        f"{name} {value}" for name, value in rows_of(json.loads(capsys.readouterr().out))
+    )
     for page in PAGES:
         places = [match[2] for match in TABLE_PATTERN.finditer(page.read_text(encoding="utf-8"))]
         assert len(places) == 1, page
         written = " ".join(places[0].splitlines()[2:])
         pairs = zip(NUMBER.findall(written), NUMBER.findall(right), strict=True)
-        off = [(a, b) for a, b in pairs if abs(float(a) - float(b)) > TOLERANCE * float(b) + ROUNDED]
+        off = [
+            (a, b) for a, b in pairs if abs(float(a) - float(b)) > TOLERANCE * float(b) + ROUNDED
+        ]
         assert off == [], f"{page.name}: run make figures NAMES=numbers"

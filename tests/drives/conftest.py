@@ -50,7 +50,9 @@ class MotorRig:
             self.state = self.drive.receive(self.state, frame)
         self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
         self.sent += frames
-        self.pending = [reply for frame in frames for reply in self.motor.answer(frame, self.t_ns + 300_000)]
+        self.pending = [
+            reply for frame in frames for reply in self.motor.answer(frame, self.t_ns + 300_000)
+        ]
         self.t_ns += PERIOD_NS
         return self.state
 
@@ -59,7 +61,9 @@ class MotorRig:
         for _ in range(ticks):
             if self.tick(target).phase in phases:
                 return self.state
-        pytest.fail(f"{self.state.phase.name} after {ticks} ticks, expected {[phase.name for phase in phases]}")
+        pytest.fail(
+            f"{self.state.phase.name} after {ticks} ticks, expected {[phase.name for phase in phases]}"
+        )
 
 
 @pytest.fixture

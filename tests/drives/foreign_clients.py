@@ -76,8 +76,12 @@ def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
         motor.send_cmd_pos_vel(target_position=goal, velocity_limit=4.0)
         wait_for(lambda: abs(_motor_states(motor)["pos"] - goal) < 0.01, "at a position")
         motor.write_register(10, 4)
-        motor.send_cmd_force_pos(target_position=goal + 1.0, velocity_limit=4.0, torque_limit_ratio=0.05)
-        wait_for(lambda: abs(_motor_states(motor)["pos"] - goal - 1.0) < 0.01, "back with little torque")
+        motor.send_cmd_force_pos(
+            target_position=goal + 1.0, velocity_limit=4.0, torque_limit_ratio=0.05
+        )
+        wait_for(
+            lambda: abs(_motor_states(motor)["pos"] - goal - 1.0) < 0.01, "back with little torque"
+        )
         motor.disable()
         wait_for(lambda: motor.state.get("status") == "DISABLED", "disabled")
         motor.write_register(10, 1)
@@ -111,7 +115,9 @@ async def _odrive(bus: can.BusABC, node: int) -> None:
     await _for(lambda: abs(seen[-1] - start + 1.0) < 0.05, "held at a position")
     assert (await drive.get_bus_voltage_current())["Bus_Voltage"] == 24.0
     drive._send_message("Estop")
-    await _for(lambda: _complains(drive, "ESTOP_REQUESTED") and drive.axis_state == "IDLE", "stopped")
+    await _for(
+        lambda: _complains(drive, "ESTOP_REQUESTED") and drive.axis_state == "IDLE", "stopped"
+    )
     drive.clear_errors()
     await _for(lambda: not _complains(drive, ""), "cleared")
     drive.stop()
@@ -188,7 +194,9 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
         node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)
         node.nmt.state = "RESET COMMUNICATION"
-        wait_for(lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up")  # wait_for_bootup may miss a quick message
+        wait_for(
+            lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up"
+        )  # wait_for_bootup may miss a quick message
         assert node.sdo[0x1018][1].raw == node.object_dictionary[0x1018][1].default
         node.setup_402_state_machine()
         node.tpdo[1].trans_type = 1

@@ -18,7 +18,9 @@ Its own limit of 1 ms is less than a process needs on a busy machine.
 WAIT_S = 20.0
 
 
-def use_lerobot_robstride(interface: str, channel: str, patch: pytest.MonkeyPatch, nodes: tuple[int, ...]) -> None:
+def use_lerobot_robstride(
+    interface: str, channel: str, patch: pytest.MonkeyPatch, nodes: tuple[int, ...]
+) -> None:
     """Use LeRobot: connect, enable, turn a motor by a torque, hold a position, disable, and read all motors."""
     patch.setattr(RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, ANSWER_S))
     patch.setattr(RobstrideMotorsBus._recv_status_via_clear_fault, "__defaults__", (None, ANSWER_S))

@@ -73,7 +73,9 @@ async def _drive(controller: Any, transport: Any, node: int) -> None:
     goal = turned[register.POSITION] - TURNS
 
     async def hold() -> Any:
-        return await controller.set_position(position=goal, velocity=0.0, maximum_torque=0.5, query=True)
+        return await controller.set_position(
+            position=goal, velocity=0.0, maximum_torque=0.5, query=True
+        )
 
     held = await _until(hold, lambda seen: abs(seen[register.VELOCITY]) < 0.05, "stands")
     for _ in range(TRIES):
@@ -84,7 +86,9 @@ async def _drive(controller: Any, transport: Any, node: int) -> None:
     assert abs(held[register.POSITION] - goal) < 0.02, "held at a position"
     await controller.set_position(position=math.nan, watchdog_timeout=0.05, query=True)
     await asyncio.sleep(0.2)
-    late = await _until(controller.query, lambda seen: seen[register.MODE] == mode.TIMEOUT, "the watchdog")
+    late = await _until(
+        controller.query, lambda seen: seen[register.MODE] == mode.TIMEOUT, "the watchdog"
+    )
     assert late[register.MODE] == mode.TIMEOUT
     assert (await hold()).values[register.MODE] == mode.TIMEOUT, "only the stop command leaves it"
     await controller.set_stop(query=True)

@@ -78,5 +78,11 @@ class ScriptedMotor:
         position, velocity, torque = (
             format(code, f"0{bits}b") for code, bits in zip(self.codes, (16, 12, 12), strict=True)
         )
-        bits = format(self.nibble, "04b") + format(self.node_id & 0xF, "04b") + position + velocity + torque
+        bits = (
+            format(self.nibble, "04b")
+            + format(self.node_id & 0xF, "04b")
+            + position
+            + velocity
+            + torque
+        )
         return int(bits, 2).to_bytes(6, "big") + bytes(self.temperatures)

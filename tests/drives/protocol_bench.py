@@ -19,7 +19,8 @@ from handctl.hand.load import load_hand
 PERIOD_NS = 2_000_000
 FIRST_NODE = 0x10
 OPTIONS = {
-    name: "[motor.options]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in traits.options.items())
+    name: "[motor.options]\n"
+    + "".join(f"{key} = {json.dumps(value)}\n" for key, value in traits.options.items())
     if traits.options
     else ""
     for name, traits in PROTOCOL_TRAITS.items()
@@ -42,7 +43,9 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
         text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", text)
         options = OPTIONS[protocol] + extra
         if PROTOCOL_TRAITS[protocol].can_fd and "data_bitrate" not in head:
-            head = head.replace("bitrate = 1000000\n", "bitrate = 1000000\ndata_bitrate = 5000000\n")
+            head = head.replace(
+                "bitrate = 1000000\n", "bitrate = 1000000\ndata_bitrate = 5000000\n"
+            )
         motors[i] = text.rstrip() + "\n" + options + "\n" if options else text
     path = folder / "hand.toml"
     path.write_text("[[motor]]".join([head, *motors]))
@@ -64,7 +67,9 @@ def on_two_buses(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
 class Bench:
     """All drives and the sensor node of a hand, run together tick by tick against the simulator."""
 
-    def __init__(self, path: Path, wire: Sequence[str] | None = None, period_ns: int = PERIOD_NS) -> None:
+    def __init__(
+        self, path: Path, wire: Sequence[str] | None = None, period_ns: int = PERIOD_NS
+    ) -> None:
         """Start the simulator and the drives of a hand file."""
         self.hand = load_hand(str(path))
         self.period_ns = period_ns
@@ -74,7 +79,9 @@ class Bench:
         self.drives: list[Drive] = [make_drive(motor, buses.index(motor.bus)) for motor in motors]
         self.states: list[DriveState] = [drive.initial() for drive in self.drives]
         node = self.hand.sensor_node
-        self.node = SensorNode.of(node, buses.index(node.bus), self.hand.tendon_names, self.hand.joints)
+        self.node = SensorNode.of(
+            node, buses.index(node.bus), self.hand.tendon_names, self.hand.joints
+        )
         self.incoming: list[Frame] = []
         self.sent: list[Frame] = []
         self.k = 0
@@ -82,13 +89,19 @@ class Bench:
     def tick(self, target: DriveTarget, torque: float = 0.0, extra: Sequence[Frame] = ()) -> None:
         """Receive the frames of the last tick, advance all drives by a tick, and let the simulator reply."""
         for frame in self.incoming:
-            self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
+            self.states = [
+                d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)
+            ]
         outgoing = [self.node.sync(self.k), *extra]
         for i, drive in enumerate(self.drives):
-            self.states[i], frames = drive.advance(self.states[i], self.k * self.period_ns, target, torque)
+            self.states[i], frames = drive.advance(
+                self.states[i], self.k * self.period_ns, target, torque
+            )
             outgoing += frames
         self.sent = outgoing
-        self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * self.period_ns, list(outgoing))]
+        self.incoming = [
+            Frame(*reply) for reply in self.rig.step(self.k * self.period_ns, list(outgoing))
+        ]
         self.k += 1
 
     def until(self, target: DriveTarget, phase: DrivePhase, ticks: int = 400) -> None:
@@ -97,7 +110,9 @@ class Bench:
             self.tick(target)
             if all(state.phase == phase for state in self.states):
                 return
-        pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
+        pytest.fail(
+            f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}"
+        )
 
     def clear(self) -> None:
         """Clear the errors of all drives, as a request of the operator does."""
@@ -108,7 +123,9 @@ class Bench:
         self.tick(DriveTarget.POLL, extra=frames)
 
 
-def motor_on_bench(protocol: str, node: int, torque: float, options: dict[str, object], **changes: object) -> Motor:
+def motor_on_bench(
+    protocol: str, node: int, torque: float, options: dict[str, object], **changes: object
+) -> Motor:
     """Return the hand-file section of a motor that is alone on a bus. It has the ranges of a Damiao motor."""
     return Motor.model_validate(
         {

@@ -25,7 +25,9 @@ class Bench:
     def __init__(self) -> None:
         """Start the simulator and the drives of the packaged hand."""
         self.rig = LockstepHand("jamia", seed=3, period_ns=PERIOD_NS)
-        self.drives: list[Drive] = [make_drive(HAND.motor_of(name), 0) for name in HAND.tendon_names]
+        self.drives: list[Drive] = [
+            make_drive(HAND.motor_of(name), 0) for name in HAND.tendon_names
+        ]
         self.states: list[DriveState] = [drive.initial() for drive in self.drives]
         self.node = SensorNode.of(HAND.sensor_node, 0, HAND.tendon_names, HAND.joints)
         self.sensors = Wired((), self.node)
@@ -38,12 +40,18 @@ class Bench:
         self.sensors.receive(frame for frame in self.incoming if frame.can_id in self.node.node_ids)
         self.tensions = self.sensors.tensions
         for frame in self.incoming:
-            self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
+            self.states = [
+                d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)
+            ]
         outgoing = [self.sensors.sync(self.k)]
         for i, drive in enumerate(self.drives):
-            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, target, torque)
+            self.states[i], frames = drive.advance(
+                self.states[i], self.k * PERIOD_NS, target, torque
+            )
             outgoing += frames
-        self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * PERIOD_NS, list(outgoing))]
+        self.incoming = [
+            Frame(*reply) for reply in self.rig.step(self.k * PERIOD_NS, list(outgoing))
+        ]
         self.k += 1
 
     def until(self, target: DriveTarget, phase: DrivePhase, ticks: int = 200) -> None:
@@ -52,7 +60,9 @@ class Bench:
             self.tick(target)
             if all(state.phase == phase for state in self.states):
                 return
-        pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
+        pytest.fail(
+            f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}"
+        )
 
 
 @pytest.fixture
@@ -84,7 +94,9 @@ def test_the_watchdog_fires_on_silence_and_clear_makes_the_drive_ready(bench: Be
     for _ in range(40):  # 80 ms, longer than the watchdog's 50 ms
         bench.tick(DriveTarget.LISTEN)
     bench.until(DriveTarget.ENABLE, DrivePhase.FAULT, ticks=3)
-    assert {state.error_text for state in bench.states} == {"communication lost: the drive's watchdog fired"}
+    assert {state.error_text for state in bench.states} == {
+        "communication lost: the drive's watchdog fired"
+    }
     for i, drive in enumerate(bench.drives):
         bench.states[i], frames = drive.clear(bench.states[i])
         assert len(frames) == 1

@@ -29,7 +29,12 @@ TENDONS = ("a", "b", "c")
 PERIOD_NS = 2_000_000
 ANSWER_NS = 300_000
 """Time from the start of a tick to the arrival of a reply [ns]."""
-KEYS: dict[str, Any] = {"protocol": "cia404", "node_ids": [0x21, 0x22], "channels_per_node": 2, "range_N": 300.0}
+KEYS: dict[str, Any] = {
+    "protocol": "cia404",
+    "node_ids": [0x21, 0x22],
+    "channels_per_node": 2,
+    "range_N": 300.0,
+}
 OWN_KEYS = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
 
 
@@ -108,7 +113,8 @@ def test_channels_go_to_further_tpdos() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "raw"), [("int32", struct.pack("<ii", 1500, -2)), ("real32", struct.pack("<ff", 1.5, -2e-3))]
+    ("value", "raw"),
+    [("int32", struct.pack("<ii", 1500, -2)), ("real32", struct.pack("<ff", 1.5, -2e-3))],
 )
 def test_the_dbc_decodes_the_same_tensions(value: str, raw: bytes) -> None:
     hand = with_amplifiers(process_value=value)
@@ -145,7 +151,9 @@ class Bench:
             self.states[i], frames = amplifier.advance(self.states[i], self.k * PERIOD_NS, target)
             out += frames
         self.sent += out
-        self.answers = [Frame(*one) for one in self.rig.step(self.k * PERIOD_NS, [tuple(one) for one in out])]
+        self.answers = [
+            Frame(*one) for one in self.rig.step(self.k * PERIOD_NS, [tuple(one) for one in out])
+        ]
         for frame in self.answers:
             for i, amplifier in enumerate(self.sensors.amplifiers):
                 self.states[i] = amplifier.receive(self.states[i], frame)
@@ -190,12 +198,20 @@ def test_the_set_up_reads_each_object_back_and_starts_the_amplifier(bench: Bench
 
 def test_a_unit_that_is_right_already_is_not_written(bench: Bench) -> None:
     bench.until(DrivePhase.READY)
-    written = [frame.data[1:4] for frame in bench.sent if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20]
+    written = [
+        frame.data[1:4]
+        for frame in bench.sent
+        if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20
+    ]
     assert bytes.fromhex("316101") in written
     bench.states = [one.initial() for one in bench.sensors.amplifiers]
     bench.sent.clear()
     bench.until(DrivePhase.READY)
-    written = [frame.data[1:4] for frame in bench.sent if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20]
+    written = [
+        frame.data[1:4]
+        for frame in bench.sent
+        if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20
+    ]
     assert bytes.fromhex("316101") not in written
     assert bytes.fromhex("001801") in written
 
@@ -225,7 +241,10 @@ def without_synchronous_type(node: Any) -> None:
 WRONG: dict[str, tuple[Callable[[Any], None], str]] = {
     "unit": (ignores_unit, "object 0x6131:2 reads 0xfd0000 after writing, expected 0x210000"),
     "profile": (is_a_drive, "object 0x1000:0 reads 0x20192, expected 0x194"),
-    "transmission type": (without_synchronous_type, "object 0x1800:2 reads 0xfe after writing, expected 0x1"),
+    "transmission type": (
+        without_synchronous_type,
+        "object 0x1800:2 reads 0xfe after writing, expected 0x1",
+    ),
 }
 
 
@@ -285,7 +304,9 @@ def nodes_of(simulation: SimulatedRun) -> list[Any]:
     return simulation.peer.world.sensor_nodes  # type: ignore[attr-defined]
 
 
-def faults_of(hand: Hand, seed: int, start: Callable[[SimulatedRun], None], ticks: int = 60) -> tuple[set[str], int]:
+def faults_of(
+    hand: Hand, seed: int, start: Callable[[SimulatedRun], None], ticks: int = 60
+) -> tuple[set[str], int]:
     """Return the faults that follow a disturbance of a grasp, and the tick in which the controller first reacts."""
     with homed_run(hand, 500.0, seed) as simulation:
         advance_to(simulation, GRASP_STAGE)
@@ -361,7 +382,11 @@ def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
             for _ in range(500):
                 assert simulation.tick().mode == Mode.ACTIVE
             truth = simulation.peer.truth()["tension"]
-            error = simulation.state.tendon[:1] if simulation.out is None else simulation.out.telemetry.tension - truth
+            error = (
+                simulation.state.tendon[:1]
+                if simulation.out is None
+                else simulation.out.telemetry.tension - truth
+            )
             assert abs(error).max() < 3.0
             assert simulation.state.latched == ()
 
@@ -371,17 +396,38 @@ def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
 MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     "no range": ({"range_N": None}, "sensor_node.range_N: missing"),
     "small range": ({"range_N": 100.0}, "sensor_node.range_N: 100; expected at least"),
-    "few channels": ({"node_ids": [0x21]}, "sensor_node.node_ids: 1 amplifiers of 2 channels for 4 load cells"),
-    "unused amplifier": ({"node_ids": [0x21, 0x22, 0x23]}, "sensor_node.node_ids: 0x23 has no load cell"),
+    "few channels": (
+        {"node_ids": [0x21]},
+        "sensor_node.node_ids: 1 amplifiers of 2 channels for 4 load cells",
+    ),
+    "unused amplifier": (
+        {"node_ids": [0x21, 0x22, 0x23]},
+        "sensor_node.node_ids: 0x23 has no load cell",
+    ),
     "twice": ({"node_ids": [0x21, 0x21]}, "sensor_node.node_ids: 0x21 twice"),
-    "the host's number": ({"node_ids": [0x21, 0x7F]}, "sensor_node.node_ids[1]: 127; expected a whole number from 1"),
+    "the host's number": (
+        {"node_ids": [0x21, 0x7F]},
+        "sensor_node.node_ids[1]: 127; expected a whole number from 1",
+    ),
     "a reply's identifier": ({"node_ids": [0x21, 1]}, ""),
     "another SYNC": ({"sync_id": 0x90}, "sensor_node.sync_id: 0x90; expected 0x080"),
     "joint encoders": ({"joints": ["index_j1"]}, "sensor_node.joints: given; expected no such key"),
-    "a key of the other protocol": ({"base_id": 0x1A0}, "sensor_node.base_id: given; expected no such key"),
-    "too many digits": ({"decimal_digits": 6, "range_N": 4000.0}, "sensor_node.decimal_digits: 4000 N has more"),
-    "a wrong word": ({"process_value": "float"}, 'sensor_node.process_value: "float"; expected "int32" or "real32"'),
-    "a wrong protocol": ({"protocol": "cia405"}, 'sensor_node.protocol: "cia405"; expected "handctl" or "cia404"'),
+    "a key of the other protocol": (
+        {"base_id": 0x1A0},
+        "sensor_node.base_id: given; expected no such key",
+    ),
+    "too many digits": (
+        {"decimal_digits": 6, "range_N": 4000.0},
+        "sensor_node.decimal_digits: 4000 N has more",
+    ),
+    "a wrong word": (
+        {"process_value": "float"},
+        'sensor_node.process_value: "float"; expected "int32" or "real32"',
+    ),
+    "a wrong protocol": (
+        {"protocol": "cia405"},
+        'sensor_node.protocol: "cia405"; expected "handctl" or "cia404"',
+    ),
 }
 
 
@@ -393,7 +439,11 @@ def test_a_mistake_is_one_line(name: str) -> None:
         assert with_amplifiers(**keys).sensor_node.tension_ids == (0x1A1, 0x181)
         return
     content = load_hand("jamia").content
-    node = {key: value for key, value in content["sensor_node"].items() if key not in OWN_KEYS} | KEYS | keys
+    node = (
+        {key: value for key, value in content["sensor_node"].items() if key not in OWN_KEYS}
+        | KEYS
+        | keys
+    )
     node = {key: value for key, value in node.items() if changed.get(key, 0) is not None}
     with pytest.raises(ConfigError) as error:
         hand_from_content({**content, "sensor_node": node}, "hand.toml")
@@ -403,15 +453,22 @@ def test_a_mistake_is_one_line(name: str) -> None:
 
 def test_a_drive_on_an_amplifier_s_identifier_is_a_mistake() -> None:
     content = with_amplifiers().content
-    motors = [{**motor, "node_id": 0x7D, "options": {"reply_id": 0x1A1}} for motor in content["motor"][:1]]
+    motors = [
+        {**motor, "node_id": 0x7D, "options": {"reply_id": 0x1A1}} for motor in content["motor"][:1]
+    ]
     with pytest.raises(ConfigError, match='0x1A1 on bus "main" is taken'):
         hand_from_content({**content, "motor": [*motors, *content["motor"][1:]]}, "hand.toml")
 
 
 def test_keys_of_amplifiers_are_refused_for_the_sensor_node() -> None:
     content = load_hand("jamia").content
-    with pytest.raises(ConfigError, match=r'sensor_node.node_ids: given; expected no such key, it belongs to protocol'):
-        hand_from_content({**content, "sensor_node": {**content["sensor_node"], "node_ids": [0x21]}}, "hand.toml")
+    with pytest.raises(
+        ConfigError,
+        match=r"sensor_node.node_ids: given; expected no such key, it belongs to protocol",
+    ):
+        hand_from_content(
+            {**content, "sensor_node": {**content["sensor_node"], "node_ids": [0x21]}}, "hand.toml"
+        )
 
 
 def test_hands_without_amplifiers_keep_their_content_and_identity() -> None:
@@ -437,4 +494,7 @@ def test_a_scan_finds_amplifiers_with_their_channels(bench: Bench) -> None:
 
     result = scan_bus(BenchBus(bench.rig.world), listen=hear)
     found = [node for node in result.found if node.protocol == "cia404"]
-    assert [(node.node_id, node.options["channels_per_node"]) for node in found] == [(0x21, 2), (0x22, 2)]
+    assert [(node.node_id, node.options["channels_per_node"]) for node in found] == [
+        (0x21, 2),
+        (0x22, 2),
+    ]

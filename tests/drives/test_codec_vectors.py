@@ -20,7 +20,9 @@ STATUS = {
 def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
     """The position of a TPDO is in counts, its torque in thousandths of the rated torque."""
     message = cia402.feedback_message(5, 1, 1.0, 1.0, 0.0)
-    table = SignalTable(message._replace(signals=tuple(signal._replace(scale=1.0) for signal in message.signals)))
+    table = SignalTable(
+        message._replace(signals=tuple(signal._replace(scale=1.0) for signal in message.signals))
+    )
     assert table.unpack(bytes.fromhex("3706 feffffff 18fc")) == [0x7, 0x1, -2, -1000]
     assert table.unpack(bytes.fromhex("3786 00000080 0080")) == [0x7, 0x1, -(2**31), -(2**15)]
     assert cia402.power_state(0x0637) == cia402.OPERATION_ENABLED
@@ -72,9 +74,13 @@ def test_sdo_replies_are_decoded(data: str) -> None:
     assert cia402.decode_sdo_reply(bytes.fromhex(data)) == SDO_REPLIES[data]
 
 
-@pytest.mark.parametrize("specifier", sorted(set(range(256)) - {0x80, 0x60, 0x43, 0x47, 0x4B, 0x4F}))
+@pytest.mark.parametrize(
+    "specifier", sorted(set(range(256)) - {0x80, 0x60, 0x43, 0x47, 0x4B, 0x4F})
+)
 def test_no_other_specifier_is_a_reply(specifier: int) -> None:
-    assert cia402.decode_sdo_reply(bytes([specifier]) + bytes.fromhex("41 60 02 00 00 00 00")) is None
+    assert (
+        cia402.decode_sdo_reply(bytes([specifier]) + bytes.fromhex("41 60 02 00 00 00 00")) is None
+    )
 
 
 def test_error_codes_have_texts() -> None:
@@ -98,7 +104,10 @@ def test_odrive_payloads_match_the_vendors_layout() -> None:
     assert odrive.sdo_request(1, 0x0102, b"\x05").hex(" ") == "01 02 01 00 05"
     assert odrive.sdo_request(0, 0x0102).hex(" ") == "00 02 01 00"
     assert odrive.sdo_request(0, 0xFEDC).hex(" ") == "00 dc fe 00"
-    assert odrive.decode_sdo_reply(bytes.fromhex("00 02 01 ff 05 06 07 08")) == (0x0102, b"\5\6\7\x08")
+    assert odrive.decode_sdo_reply(bytes.fromhex("00 02 01 ff 05 06 07 08")) == (
+        0x0102,
+        b"\5\6\7\x08",
+    )
 
 
 def test_floats_are_finite_both_ways() -> None:
@@ -121,20 +130,26 @@ def test_registers_of_a_damiao_drive() -> None:
     reply = mit.decode_register_reply(bytes((3, 0, mit.READ, mit.TIMEOUT)) + b"\xe8\x03\0\0", 3)
     assert reply is not None
     assert (reply.operation, reply.register, reply.value) == (mit.READ, mit.TIMEOUT, 1000.0)
-    assert mit.decode_register_reply(bytes((3, 1, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None, "of node 0x103"
+    assert mit.decode_register_reply(bytes((3, 1, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None, (
+        "of node 0x103"
+    )
     assert mit.decode_register_reply(bytes((3, 0, 0x77, mit.TIMEOUT)) + bytes(4), 3) is None
     assert mit.decode_register_reply(bytes((4, 0, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None
 
 
 def test_register_requests_have_the_bytes_of_the_manual() -> None:
-    assert mit.register_request(3, mit.READ, mit.TIMEOUT, 9.0) == bytes((3, 0, mit.READ, mit.TIMEOUT)) + bytes(4)
+    assert mit.register_request(3, mit.READ, mit.TIMEOUT, 9.0) == bytes(
+        (3, 0, mit.READ, mit.TIMEOUT)
+    ) + bytes(4)
     assert mit.register_request(0x103, mit.REFRESH) == bytes((3, 1, mit.REFRESH, 0)) + bytes(4)
     written = mit.register_request(3, mit.WRITE, mit.PMAX, 12.5)
     assert written == bytes((3, 0, mit.WRITE, mit.PMAX)) + struct.pack("<f", 12.5)
     assert mit.register_request(3, mit.WRITE)[3:] == bytes(5), "register 0, value 0"
 
 
-def test_the_hotter_of_an_odrive_s_two_temperatures_and_one_of_them_if_the_other_has_no_sensor() -> None:
+def test_the_hotter_of_an_odrive_s_two_temperatures_and_one_of_them_if_the_other_has_no_sensor() -> (
+    None
+):
     assert odrive.decode_hottest(struct.pack("<ff", 31.0, 42.0)) == 42.0
     assert odrive.decode_hottest(struct.pack("<ff", 31.0, math.nan)) == 31.0
     assert odrive.decode_hottest(struct.pack("<ff", math.inf, 42.0)) == 42.0

@@ -70,7 +70,11 @@ def some_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Fr
     if way == 6 and len(data) == 8:
         data[4 * chance.randrange(2) :][:4] = b""
         wrong = struct.pack("<f", chance.choice((math.nan, math.inf, -math.inf, 3.4e38)))
-        data = bytearray(wrong + bytes(data[-4:])) if chance.random() < 0.5 else bytearray(bytes(data[:4]) + wrong)
+        data = (
+            bytearray(wrong + bytes(data[-4:]))
+            if chance.random() < 0.5
+            else bytearray(bytes(data[:4]) + wrong)
+        )
     if way > 7 and len(data) == 8:
         data[1 + chance.randrange(7)] = chance.randrange(256)
     return frame._replace(data=bytes(data))
@@ -84,7 +88,9 @@ def are_states_equal(one: DriveState, other: DriveState, drive: Drive) -> bool:
     if isinstance(drive, Cia402Drive):
         one, other = (
             state._replace(
-                private=state.private._replace(life_sign_ns=max(state.private.life_sign_ns, state.feedback_t_ns))
+                private=state.private._replace(
+                    life_sign_ns=max(state.private.life_sign_ns, state.feedback_t_ns)
+                )
             )
             for state in (one, other)
         )
@@ -109,7 +115,11 @@ def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int
         wired.begin()
         for _ in range(chance.randrange(4)):
             good = chance.random() < 0.7
-            frame = chance.choice(heard)._replace(t_ns=t_ns) if good else some_frame(chance, heard, t_ns)
+            frame = (
+                chance.choice(heard)._replace(t_ns=t_ns)
+                if good
+                else some_frame(chance, heard, t_ns)
+            )
             state = drive.receive(state, frame)
             wired.receive([frame])
             steady += not wired.seen
@@ -158,7 +168,11 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
     assert drive.steady_status(state) != NO_STEADY_STATUS
     due = drive.due_ns(state)
     assert due > t_ns - PERIOD_NS
-    for silent in (drive.initial(), state._replace(phase=DrivePhase.READY), state._replace(phase=DrivePhase.FAULT)):
+    for silent in (
+        drive.initial(),
+        state._replace(phase=DrivePhase.READY),
+        state._replace(phase=DrivePhase.FAULT),
+    ):
         assert drive.steady_status(silent) == NO_STEADY_STATUS
 
 
@@ -169,14 +183,18 @@ def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
     A drive may also read a table of unsolicited or rare messages.
     """
     drive, _, _, _ = enable_drive(name)
-    command_layouts = sorted((message.length, bool(message.flags)) for message in drive.cyclic.commands)
+    command_layouts = sorted(
+        (message.length, bool(message.flags)) for message in drive.cyclic.commands
+    )
     asked = len(drive.cyclic.commands) - 1 if isinstance(drive, OdriveDrive) else 1
     planned = list(drive.exchange)
     for one in command_layouts:
         planned.remove(one)
     assert len(planned) == asked
     assert {message.can_id for message in drive.cyclic.feedback} <= drive.node_ids
-    assert {message.can_id for message in drive.cyclic.commands} - {0x080} <= drive.host_ids | drive.node_ids
+    assert {message.can_id for message in drive.cyclic.commands} - {
+        0x080
+    } <= drive.host_ids | drive.node_ids
 
 
 def test_every_protocol_has_a_case() -> None:

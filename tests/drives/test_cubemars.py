@@ -57,7 +57,9 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench)
     assert world.malformed == 0
 
 
-def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off(bench: Bench) -> None:
+def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off(
+    bench: Bench,
+) -> None:
     bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(100):
         bench.incoming = []
@@ -86,7 +88,11 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
     for _ in range(5):
         bench.tick(DriveTarget.ENABLE, 0.05)
     state = bench.states[0]
-    assert (state.phase, state.error_text, bench.drives[0].cause(state.error)) == (DrivePhase.FAULT, words, cause)
+    assert (state.phase, state.error_text, bench.drives[0].cause(state.error)) == (
+        DrivePhase.FAULT,
+        words,
+        cause,
+    )
     bench.clear()
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
@@ -101,8 +107,15 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
 
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
     """An AK80-9 motor obeys commands up to 18 N m. Only the host limits its torque to the limit of the hand."""
-    protections = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections)
-    for guard in ("watchdog", "no torque limit", "2% of full-scale torque", "ranges cannot be read back"):
+    protections = " ".join(
+        Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections
+    )
+    for guard in (
+        "watchdog",
+        "no torque limit",
+        "2% of full-scale torque",
+        "ranges cannot be read back",
+    ):
         assert guard in protections
 
 
@@ -111,7 +124,11 @@ def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
 
     Some motors send the temperature without this offset.
     """
-    for more, temperature in (({}, 45.0), ({"temperature_offset_C": 0}, 85.0), ({"temperature_offset_C": -40.0}, 45.0)):
+    for more, temperature in (
+        ({}, 45.0),
+        ({"temperature_offset_C": 0}, 85.0),
+        ({"temperature_offset_C": -40.0}, 45.0),
+    ):
         drive = make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more), 0)
         state = drive.receive(drive.initial(), Frame(1, bytes((1, 0x80, 0, 0x80, 8, 0, 85, 0))))
         assert state.temperature == temperature
@@ -120,7 +137,12 @@ def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
 @pytest.mark.parametrize("offset", [True, "cold", 40])
 def test_another_offset_of_temperature_is_refused(offset: object) -> None:
     with pytest.raises(ConfigError, match="temperature_offset_C") as refused:
-        make_drive(motor_on_bench("cubemars", 1, 18.0, {"motor_type": "ak80-9", "temperature_offset_C": offset}), 0)
+        make_drive(
+            motor_on_bench(
+                "cubemars", 1, 18.0, {"motor_type": "ak80-9", "temperature_offset_C": offset}
+            ),
+            0,
+        )
     assert "-40 or 0" in str(refused.value)
 
 
@@ -171,7 +193,11 @@ def test_host_and_simulator_have_the_same_ranges(model: str) -> None:
 
 @pytest.mark.parametrize(
     ("options", "said"),
-    [({}, "ak80-9"), ({"motor_type": "ak1"}, "ak80-9"), ({"motor_type": "ak80-9", "reply_id": 3}, "unknown key")],
+    [
+        ({}, "ak80-9"),
+        ({"motor_type": "ak1"}, "ak80-9"),
+        ({"motor_type": "ak80-9", "reply_id": 3}, "unknown key"),
+    ],
 )
 def test_options_that_make_no_motor_are_refused(options: dict[str, object], said: str) -> None:
     with pytest.raises(ConfigError, match=said):
@@ -198,6 +224,8 @@ def test_tmotorcancontrol_decodes_the_same_values() -> None:
     bench.motors[0].theta = 1.25
     (answer,) = bench.receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
     decoded = manager.parse_MIT_message(answer.data, "AK80-9")
-    assert (decoded.temperature, decoded.error) == (25 + 40, 0), "this client forgets that byte 6 counts from -40 degC"
+    assert (decoded.temperature, decoded.error) == (25 + 40, 0), (
+        "this client forgets that byte 6 counts from -40 degC"
+    )
     assert decoded.position == pytest.approx(1.25, abs=1e-3)
     assert decoded.current == pytest.approx(0.0, abs=2 * STEP_N_M)

@@ -45,7 +45,9 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
 
 def read(wired: Wired, message: Message, i: int) -> dict[str, float]:
     """Return the values that the controller decoded from a frame of drive i."""
-    values = {signal.name: signal.quantity for signal in message.signals if signal.quantity in FIELD}
+    values = {
+        signal.name: signal.quantity for signal in message.signals if signal.quantity in FIELD
+    }
     return {name: float(wired.view(FIELD[quantity])[i]) for name, quantity in values.items()}
 
 
@@ -60,7 +62,11 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
     wired, seen = Wired(bench.drives, bench.node), Counter[str]()
     for i, state in enumerate(bench.states):
         wired.keep(i, state)
-    owners = {one.can_id: (i, one) for i, drive in enumerate(bench.drives) for one in drive.cyclic.feedback}
+    owners = {
+        one.can_id: (i, one)
+        for i, drive in enumerate(bench.drives)
+        for one in drive.cyclic.feedback
+    }
     for k in range(TICKS):
         torque = 0.04 * math.sin(0.3 * k)
         wired.sync(bench.k)
@@ -70,7 +76,9 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
             # A reply to a register request has the identifier of the feedback, but another length.
             if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
                 decoded = dbc.decode_message(frame.can_id, frame.data)
-                for name, value in read(wired, owners[frame.can_id][1], owners[frame.can_id][0]).items():
+                for name, value in read(
+                    wired, owners[frame.can_id][1], owners[frame.can_id][0]
+                ).items():
                     assert decoded[name] == pytest.approx(value, abs=1e-9), (name, frame)
                     seen[name] += 1
             if frame.can_id in bench.node.node_ids:
@@ -82,7 +90,9 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
                 seen["sensors"] += 1
         seen["torques"] += sum(is_torque_command(dbc, frame, bench, torque) for frame in bench.sent)
     assert min(seen[name] for name in ("position", "sensors")) >= TICKS // 4
-    assert seen["torques"] == (0 if hand.motor[0].protocol in ("cubemars", "robstride") else 4 * TICKS)
+    assert seen["torques"] == (
+        0 if hand.motor[0].protocol in ("cubemars", "robstride") else 4 * TICKS
+    )
 
 
 def is_torque_command(dbc: Database, frame: Frame, bench: Bench, torque: float) -> bool:
@@ -118,9 +128,13 @@ def test_the_dbc_tells_who_sends_and_what_is_fd(tmp_path: Path) -> None:
 
 
 def test_each_bus_has_its_own(tmp_path: Path) -> None:
-    hand = load_hand(str(on_two_buses(hand_file(tmp_path, ["mit", "odrive", "cia402", "cubemars"]))))
+    hand = load_hand(
+        str(on_two_buses(hand_file(tmp_path, ["mit", "odrive", "cia402", "cubemars"])))
+    )
     main, second = (database(hand, bus) for bus in (0, 1))
-    assert {"sync", "index_motor_feedback", "middle_motor_encoder_estimates"} <= {one.name for one in main.messages}
+    assert {"sync", "index_motor_feedback", "middle_motor_encoder_estimates"} <= {
+        one.name for one in main.messages
+    }
     assert {one.name for one in second.messages} == {
         "ring_motor_tpdo1", "ring_motor_rpdo1", "thumb_motor_feedback"
     }  # fmt: skip

@@ -25,7 +25,9 @@ RANDOM_IDS = 200
 
 
 @pytest.fixture(params=sorted(PROTOCOL_ENTRIES), scope="module")
-def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+def bench(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Bench]:
     folder: Path = tmp_path_factory.mktemp("hand")
     made = Bench(hand_file(folder, [request.param]))
     made.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
@@ -35,7 +37,9 @@ def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 def extended_ids(bench: Bench, chance: random.Random) -> set[int]:
     """Return 29-bit identifiers: random ones, some of a drive and its host, and each of these with one bit changed."""
-    ours = sorted(one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED)
+    ours = sorted(
+        one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED
+    )
     near = chance.sample(ours, min(len(ours), 4))
     changed = {one ^ 1 << bit for one in near for bit in range(29)}
     return {*near, *changed, *(EXTENDED | chance.getrandbits(29) for _ in range(RANDOM_IDS))}
@@ -60,7 +64,9 @@ def states_of(bench: Bench) -> list[DriveState]:
 
 
 @pytest.mark.parametrize("number", range(3), ids=["silent", "ready", "enabled"])
-def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(bench: Bench, number: int) -> None:
+def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(
+    bench: Bench, number: int
+) -> None:
     drive, before = bench.drives[0], states_of(bench)[number]
     receive, ours, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
     for frame in every_frame(bench, number, t_ns):
@@ -80,7 +86,9 @@ def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: Bench) -> No
     assert wired.receive(others).number("strange") == len(others)
     wired.view("strange")[...] = 0
     assert wired.block.tobytes() == before.tobytes()
-    assert [frame.can_id for frame in wired.receive(frames).foreign] == [bench.node.sync_id] * len(LENGTHS)
+    assert [frame.can_id for frame in wired.receive(frames).foreign] == [bench.node.sync_id] * len(
+        LENGTHS
+    )
 
 
 def test_simulated_drives_survive_every_frame(bench: Bench) -> None:

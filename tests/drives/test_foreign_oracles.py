@@ -43,16 +43,22 @@ def dbc() -> cantools.database.can.Database:
         ("Get_Torques", codec.TORQUES),
     ],
 )
-def test_identifiers_are_the_vendors(dbc: cantools.database.can.Database, name: str, command: int) -> None:
+def test_identifiers_are_the_vendors(
+    dbc: cantools.database.can.Database, name: str, command: int
+) -> None:
     assert dbc.get_message_by_name(f"Axis{NODE}_{name}").frame_id == codec.message_id(NODE, command)
 
 
 def test_payloads_are_the_vendors(dbc: cantools.database.can.Database) -> None:
     limits = dbc.decode_message(f"Axis{NODE}_Set_Limits", codec.encode_floats(12.5, 9.75))
     assert list(limits.values()) == [12.5, 9.75]
-    mode = dbc.decode_message(f"Axis{NODE}_Set_Controller_Mode", codec.encode_integers(1, 1), decode_choices=False)
+    mode = dbc.decode_message(
+        f"Axis{NODE}_Set_Controller_Mode", codec.encode_integers(1, 1), decode_choices=False
+    )
     assert list(mode.values()) == [1, 1]
-    torque = dbc.decode_message(f"Axis{NODE}_Set_Input_Torque", codec.encode_floats(-0.5).ljust(8, b"\0"))
+    torque = dbc.decode_message(
+        f"Axis{NODE}_Set_Input_Torque", codec.encode_floats(-0.5).ljust(8, b"\0")
+    )
     assert next(iter(torque.values())) == -0.5
 
 
@@ -64,21 +70,34 @@ def test_errors_are_the_vendors(dbc: cantools.database.can.Database, bit: int) -
     assert (known["Axis_Error"], known["Axis_State"], known["Procedure_Result"]) == beat
 
 
-def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(dbc: cantools.database.can.Database) -> None:
+def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(
+    dbc: cantools.database.can.Database,
+) -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", NODE)])
     bench.advance(150_000_000)
     frames = bench.take_unsolicited()
     for message in dbc.messages:
         if message.name.startswith(f"Axis{NODE}_Get_"):
             frames += bench.receive(Frame(message.frame_id | REMOTE, b""))
-    assert {frame.can_id & 0x1F for frame in frames} >= {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C}
+    assert {frame.can_id & 0x1F for frame in frames} >= {
+        0x00,
+        0x01,
+        0x03,
+        0x09,
+        0x14,
+        0x15,
+        0x17,
+        0x1C,
+    }
     for frame in frames:
         message = dbc.get_message_by_frame_id(frame.can_id)
         assert message.length == len(frame.data) == 8, message.name
         assert message.decode(frame.data)
 
 
-def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(dbc: cantools.database.can.Database) -> None:
+def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(
+    dbc: cantools.database.can.Database,
+) -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", NODE)])
     orders: list[tuple[str, dict[str, object]]] = [
         ("Set_Controller_Mode", {"Control_Mode": "TORQUE_CONTROL", "Input_Mode": "PASSTHROUGH"}),
@@ -101,7 +120,11 @@ def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
     foreign, ours = canopen.import_od(str(EDS_PATH), NODE), ObjectDictionary(NODE)
     for step in setup.required_steps(NODE, 400, 2000, 50, 50):
         entry = foreign[step.number]
-        variable = entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[step.sub]
+        variable = (
+            entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[step.sub]
+        )
         assert len(variable) == 8 * step.size == 8 * ours.size((step.number, step.sub))
         assert variable.default == ours[step.number, step.sub] or step.number == 0x6076
-        assert variable.writable == (step.check in (setup.ObjectCheck.WRITE, setup.ObjectCheck.WRITE_IF_PRESENT))
+        assert variable.writable == (
+            step.check in (setup.ObjectCheck.WRITE, setup.ObjectCheck.WRITE_IF_PRESENT)
+        )

@@ -28,7 +28,9 @@ GUARDS = {
     "robstride": {0x7005: "run_mode", 0x700B: "limit_torque", 0x7028: "canTimeout"},
 }  # fmt: skip
 """Guarding settings of each protocol, with the name that the refusal to arm gives them."""
-CASES = [(protocol, guard, name) for protocol, guards in GUARDS.items() for guard, name in guards.items()]
+CASES = [
+    (protocol, guard, name) for protocol, guards in GUARDS.items() for guard, name in guards.items()
+]
 
 
 def hold(place: VirtualBench, guard) -> None:
@@ -36,13 +38,17 @@ def hold(place: VirtualBench, guard) -> None:
     node = place.bench.nodes[0]
     if isinstance(node, MitNode):
         write = node.registers.write
-        node.registers.write = lambda register, raw: None if register == guard else write(register, raw)
+        node.registers.write = lambda register, raw: (
+            None if register == guard else write(register, raw)
+        )
     elif isinstance(node, OdriveNode):
         node.endpoints = _Stubborn(node.endpoints, guard)
     elif isinstance(node, MoteusNode):
         node.channel.items = _Stubborn(node.channel.items, guard)
         write_one = node._write
-        node._write = lambda number, kind, raw: 0 if number == guard else write_one(number, kind, raw)
+        node._write = lambda number, kind, raw: (
+            0 if number == guard else write_one(number, kind, raw)
+        )
     elif isinstance(node, RobstrideNode):
         write_parameter = node._write
         node._write = lambda data, t_ns: (
@@ -64,7 +70,9 @@ class _Stubborn(dict):
             super().__setitem__(key, value)
 
 
-@pytest.mark.parametrize(("protocol", "guard", "name"), CASES, ids=[f"{case[0]}-{case[2]}" for case in CASES])
+@pytest.mark.parametrize(
+    ("protocol", "guard", "name"), CASES, ids=[f"{case[0]}-{case[2]}" for case in CASES]
+)
 def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, name):
     place = VirtualBench(protocol)
     if guard == 10:

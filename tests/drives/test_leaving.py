@@ -21,7 +21,13 @@ def run_again(course: SimulatedRun) -> SimulatedRun:
     """Return a second run on the same drives. It starts one second after the end of the first run."""
     for k in range(SILENCE_TICKS):
         course.peer.step((course.k + k) * course.period_ns, [])
-    return SimulatedRun(course.controller, course.peer, course.period_ns, course.controller.initial(), course.k + k + 1)
+    return SimulatedRun(
+        course.controller,
+        course.peer,
+        course.period_ns,
+        course.controller.initial(),
+        course.k + k + 1,
+    )
 
 
 @pytest.mark.parametrize("protocol", sorted(OPTIONS))

@@ -7,7 +7,9 @@ import pytest
 
 from tests.drives.bench_process import drives
 
-pytest.importorskip("lerobot", reason="needs an environment of its own: lerobot_robot_handctl/README.md")
+pytest.importorskip(
+    "lerobot", reason="needs an environment of its own: lerobot_robot_handctl/README.md"
+)
 pytestmark = pytest.mark.realtime
 BUS = "lerobot"
 

@@ -14,14 +14,21 @@ def test_classical_frame_times_match_reference_values(size: int, microseconds: f
     assert frame_time_s(size, False, NOMINAL) * 1e6 == pytest.approx(microseconds)
 
 
-@pytest.mark.parametrize(("size", "microseconds"), [(4, 48.6), (8, 56.6), (16, 72.6), (32, 105.6), (64, 169.6)])
+@pytest.mark.parametrize(
+    ("size", "microseconds"), [(4, 48.6), (8, 56.6), (16, 72.6), (32, 105.6), (64, 169.6)]
+)
 def test_fd_frame_times_match_reference_values(size: int, microseconds: float) -> None:
     assert frame_time_s(size, True, NOMINAL, DATA) * 1e6 == pytest.approx(microseconds, rel=0.001)
 
 
 @pytest.mark.parametrize(
     ("fd", "motors", "tensions", "microseconds"),
-    [(False, 4, [8], 1215), (False, 11, [8, 8, 8], 3375), (True, 4, [12], 517), (True, 11, [32], 1351)],
+    [
+        (False, 4, [8], 1215),
+        (False, 11, [8, 8, 8], 3375),
+        (True, 4, [12], 517),
+        (True, 11, [32], 1351),
+    ],
 )
 def test_tick_time_of_mit_motors_and_load_cells_matches_reference_values(
     fd: bool, motors: int, tensions: list[int], microseconds: float
@@ -30,7 +37,9 @@ def test_tick_time_of_mit_motors_and_load_cells_matches_reference_values(
     assert bus_time_s(frames, NOMINAL, DATA) * 1e6 == pytest.approx(microseconds, rel=0.001)
 
 
-PAYLOADS = st.lists(st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0x0F, 0xF0, 0xFF])), max_size=8).map(bytes)
+PAYLOADS = st.lists(
+    st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0x0F, 0xF0, 0xFF])), max_size=8
+).map(bytes)
 """Random payloads. Bytes that need many stuff bits are frequent."""
 
 
@@ -80,6 +89,10 @@ def test_fd_lengths_round_up(size: int) -> None:
     assert at_once < frame_time_s(size, True, NOMINAL)
 
 
-@pytest.mark.parametrize(("times_us", "rate"), [([1350.0], 500.0), ([1000.0, 1420.0], 400.0), ([600.0], 1000.0)])
-def test_the_highest_rate_leaves_three_tenths_of_every_bus(times_us: list[float], rate: float) -> None:
+@pytest.mark.parametrize(
+    ("times_us", "rate"), [([1350.0], 500.0), ([1000.0, 1420.0], 400.0), ([600.0], 1000.0)]
+)
+def test_the_highest_rate_leaves_three_tenths_of_every_bus(
+    times_us: list[float], rate: float
+) -> None:
     assert highest_rate(time * 1e-6 for time in times_us) == rate

@@ -48,9 +48,15 @@ class Settings(ctypes.Structure):
     ]
 
 
-SEND = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_uint16, ctypes.POINTER(ctypes.c_uint8), ctypes.c_uint8)
+SEND = ctypes.CFUNCTYPE(
+    None, ctypes.c_void_p, ctypes.c_uint16, ctypes.POINTER(ctypes.c_uint8), ctypes.c_uint8
+)
 TRANSFER = ctypes.CFUNCTYPE(
-    None, ctypes.c_void_p, ctypes.c_uint8, ctypes.POINTER(ctypes.c_uint8), ctypes.POINTER(ctypes.c_uint8)
+    None,
+    ctypes.c_void_p,
+    ctypes.c_uint8,
+    ctypes.POINTER(ctypes.c_uint8),
+    ctypes.POINTER(ctypes.c_uint8),
 )
 
 
@@ -138,12 +144,17 @@ class Bench:
         self.settings.nN_per_count[:] = [NN_PER_COUNT] * CHANNELS_MAX
         self.node = Node()
         assert self.init()
-        self.set_up = [bool(library.ads131m04_setup(ctypes.byref(self.adc), chip)) for chip in range(self.adc.chips)]
+        self.set_up = [
+            bool(library.ads131m04_setup(ctypes.byref(self.adc), chip))
+            for chip in range(self.adc.chips)
+        ]
 
     def init(self) -> bool:
         """Initialize the firmware with the settings, and return whether it accepted them."""
         return bool(
-            self.library.node_init(ctypes.byref(self.node), ctypes.byref(self.settings), ctypes.byref(self.board))
+            self.library.node_init(
+                ctypes.byref(self.node), ctypes.byref(self.settings), ctypes.byref(self.board)
+            )
         )
 
     def _transfer(self, context: int, chip: int, out: Any, into: Any) -> None:
@@ -166,7 +177,9 @@ class Bench:
 
     def codes(self, counter: int = 0) -> list[int]:
         """Send a SYNC, and return the tension codes of all channels in the replies."""
-        words = [int.from_bytes(data, "little") for _, data in self.receive(SYNC_ID, bytes((counter,)))]
+        words = [
+            int.from_bytes(data, "little") for _, data in self.receive(SYNC_ID, bytes((counter,)))
+        ]
         return [words[i // 5] >> (4 + 12 * (i % 5)) & 0xFFF for i in range(self.settings.channels)]
 
 
@@ -174,11 +187,27 @@ class Bench:
 def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
     path = tmp_path_factory.mktemp("node") / "node.so"
     assert COMPILER
-    words = [COMPILER, "-std=c11", "-Wall", "-Wextra", "-Werror", "-O1", "-fPIC", "-shared", "-o", str(path)]
+    words = [
+        COMPILER,
+        "-std=c11",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        "-O1",
+        "-fPIC",
+        "-shared",
+        "-o",
+        str(path),
+    ]
     subprocess.run([*words, *map(str, sorted(SOURCES.glob("*.c")))], check=True)
     loaded = ctypes.CDLL(str(path))
     loaded.node_init.restype = loaded.ads131m04_setup.restype = ctypes.c_bool
-    loaded.node_receive.argtypes = [ctypes.c_void_p, ctypes.c_uint16, ctypes.c_char_p, ctypes.c_uint8]
+    loaded.node_receive.argtypes = [
+        ctypes.c_void_p,
+        ctypes.c_uint16,
+        ctypes.c_char_p,
+        ctypes.c_uint8,
+    ]
     return loaded
 
 
@@ -206,12 +235,19 @@ def test_frames_are_those_of_the_simulated_node_and_of_the_dbc(library: Any, see
             group = tensions[5 * g : 5 * g + 5]
             signals = database.decode_message(can_id, data, allow_truncated=True)
             assert signals.pop("counter") == counter & 0xF
-            assert list(signals.values()) == pytest.approx(group, abs=0.0625 / 2 + NN_PER_COUNT / 1e9)
-            ours = [(int.from_bytes(data, "little") >> 4 + 12 * i) & 0xFFF for i in range(len(group))]
+            assert list(signals.values()) == pytest.approx(
+                group, abs=0.0625 / 2 + NN_PER_COUNT / 1e9
+            )
+            ours = [
+                (int.from_bytes(data, "little") >> 4 + 12 * i) & 0xFFF for i in range(len(group))
+            ]
             assert len(data) == len(pack(counter, ours))
             assert data == pack(counter, ours)
             # The firmware may round a tension halfway between two codes up or down.
-            assert all(abs(code - tension_code(tension)) <= 1 for code, tension in zip(ours, group, strict=True))
+            assert all(
+                abs(code - tension_code(tension)) <= 1
+                for code, tension in zip(ours, group, strict=True)
+            )
 
 
 def test_a_cell_mounted_in_reverse_reads_positive(library: Any) -> None:
@@ -263,7 +299,9 @@ def test_a_flipped_bit_is_no_tension(library: Any, seed: int) -> None:
     bench = Bench(library, 4)
     bench.weigh([chance.uniform(0.0, 200.0) for _ in range(4)])
     at, bit = chance.randrange(17), chance.randrange(8)
-    bench.chips[0].damage = lambda data: bytes(b ^ (1 << bit if i == at else 0) for i, b in enumerate(data))
+    bench.chips[0].damage = lambda data: bytes(
+        b ^ (1 << bit if i == at else 0) for i, b in enumerate(data)
+    )
     assert bench.codes() == [BROKEN] * 4
 
 
@@ -300,7 +338,13 @@ def test_a_conversion_that_does_not_end_is_at_the_rail_from_the_third_sync(libra
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("channels", 0), ("channels", 16), ("sync_id", 0x800), ("base_id", 0x7FE), ("sync_id", BASE_ID + 2)],
+    [
+        ("channels", 0),
+        ("channels", 16),
+        ("sync_id", 0x800),
+        ("base_id", 0x7FE),
+        ("sync_id", BASE_ID + 2),
+    ],
 )
 def test_settings_that_cannot_work_are_refused(library: Any, name: str, value: int) -> None:
     bench = Bench(library, CHANNELS_MAX)

@@ -21,8 +21,13 @@ from tests.drives.conftest import Section, drive_of
 TMAX = 0.8
 RANGES = codec.MotorRanges(12.5, 50.0, TMAX)
 TORQUES = st.floats(-TMAX, TMAX)
-COMMAND, FEEDBACK = SignalTable(codec.command_message(1, RANGES)), SignalTable(codec.feedback_message(0x11, RANGES))
-ENABLED = DriveState(phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True))
+COMMAND, FEEDBACK = (
+    SignalTable(codec.command_message(1, RANGES)),
+    SignalTable(codec.feedback_message(0x11, RANGES)),
+)
+ENABLED = DriveState(
+    phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True)
+)
 
 
 @pytest.mark.parametrize(
@@ -49,7 +54,9 @@ def test_golden_commands(torque: float, payload: str) -> None:
     ],
 )
 def test_feedback_is_decoded_to_known_values(payload: str, values: tuple[float, ...]) -> None:
-    assert codec.decode_feedback(bytes.fromhex(payload), FEEDBACK) == pytest.approx(values, abs=1e-12)
+    assert codec.decode_feedback(bytes.fromhex(payload), FEEDBACK) == pytest.approx(
+        values, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -100,7 +107,11 @@ def test_more_torque_is_never_a_smaller_code(one: float, other: float) -> None:
     assert COMMAND.pack(less) <= COMMAND.pack(more)
 
 
-@given(st.one_of(st.floats(max_value=-TMAX, exclude_max=True), st.floats(min_value=TMAX, exclude_min=True)))
+@given(
+    st.one_of(
+        st.floats(max_value=-TMAX, exclude_max=True), st.floats(min_value=TMAX, exclude_min=True)
+    )
+)
 def test_torque_out_of_range_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match="index_motor: torque"):
         drive_of().advance(ENABLED, 1, DriveTarget.ENABLE, torque)
@@ -124,7 +135,9 @@ def test_direction_turns_every_sign(torque: float, direction: int) -> None:
 
 
 @given(st.integers(0, 15), st.integers(0, 0xFFFF), st.integers(0, 0xFFF), st.integers(0, 0xFFF))
-def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: int, velocity: int, torque: int) -> None:
+def test_feedback_of_the_simulated_firmware_reads_back(
+    nibble: int, position: int, velocity: int, torque: int
+) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
     ranges = firmware.FrameRanges(*RANGES)
@@ -157,7 +170,12 @@ STATES = st.builds(
     private=st.builds(
         MitProgress,
         cursor=st.builds(
-            ReadbackCursor, st.integers(0, 4), st.booleans(), st.booleans(), st.integers(-1, 9), st.integers(0, 10)
+            ReadbackCursor,
+            st.integers(0, 4),
+            st.booleans(),
+            st.booleans(),
+            st.integers(-1, 9),
+            st.integers(0, 10),
         ),
         configured=st.booleans(),
         enabled_by_other=st.booleans(),
@@ -208,7 +226,10 @@ def test_options_set_reply_identifier_and_can_fd() -> None:
     ("options", "text"),
     [
         ({"speed": 1}, "motor[index_motor].options.speed: unknown key; expected reply_id or fd"),
-        ({"reply_id": 0}, "motor[index_motor].options.reply_id: 0; expected an identifier from 1 to 0x7fe"),
+        (
+            {"reply_id": 0},
+            "motor[index_motor].options.reply_id: 0; expected an identifier from 1 to 0x7fe",
+        ),
         ({"reply_id": 0x7FF}, "motor[index_motor].options.reply_id: 2047; expected"),
         ({"reply_id": True}, "motor[index_motor].options.reply_id: True; expected"),
         ({"fd": 1}, "motor[index_motor].options.fd: 1; expected true or false"),
@@ -222,7 +243,9 @@ def test_wrong_options_are_refused(options: dict[str, object], text: str) -> Non
 
 def test_the_registry_knows_mit_and_says_what_it_knows() -> None:
     assert isinstance(make_drive(Section(), 0), MitDrive)
-    with pytest.raises(ConfigError, match=r"motor\[index_motor\].protocol: 'mlt'; expected one of .*mit"):
+    with pytest.raises(
+        ConfigError, match=r"motor\[index_motor\].protocol: 'mlt'; expected one of .*mit"
+    ):
         make_drive(Section(protocol="mlt"), 0)
 
 

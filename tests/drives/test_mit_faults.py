@@ -76,7 +76,11 @@ def test_a_motor_enabled_by_another_host_does_not_count_as_disabled(rig: MotorRi
 
 @pytest.mark.parametrize(
     ("nibble", "text"),
-    [(0x8, "over-voltage"), (0xD, "communication lost: the drive's watchdog fired"), (0xE, "overload")],
+    [
+        (0x8, "over-voltage"),
+        (0xD, "communication lost: the drive's watchdog fired"),
+        (0xE, "overload"),
+    ],
 )
 def test_an_error_of_the_motor_is_reported_and_stays(rig: MotorRig, nibble: int, text: str) -> None:
     rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
@@ -90,7 +94,9 @@ def test_an_error_of_the_motor_is_reported_and_stays(rig: MotorRig, nibble: int,
 
 
 @pytest.mark.parametrize("nibble", [2, 3, 4, 7, 15])
-def test_an_unknown_state_is_a_fault_and_never_counts_as_disabled(rig: MotorRig, nibble: int) -> None:
+def test_an_unknown_state_is_a_fault_and_never_counts_as_disabled(
+    rig: MotorRig, nibble: int
+) -> None:
     rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     rig.motor.nibble = nibble
     state = rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
@@ -98,7 +104,9 @@ def test_an_unknown_state_is_a_fault_and_never_counts_as_disabled(rig: MotorRig,
     for _ in range(20):
         assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
         assert rig.sent[-1].data == DISABLE
-        assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [DrivePhase.ENABLED]
+        assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [
+            DrivePhase.ENABLED
+        ]
 
 
 def test_clear_ignores_earlier_replies_and_starts_again(rig: MotorRig) -> None:
@@ -177,7 +185,9 @@ def test_a_fault_is_not_forgotten_because_the_motor_is_enabled_again(rig: MotorR
     assert len(rig.motor.torques) == torques
 
 
-def test_a_motor_at_fault_that_turns_out_to_be_enabled_does_not_count_as_disabled(rig: MotorRig) -> None:
+def test_a_motor_at_fault_that_turns_out_to_be_enabled_does_not_count_as_disabled(
+    rig: MotorRig,
+) -> None:
     rig.motor.registers[23] = 7
     rig.motor.stuck.add(23)
     rig.until(DriveTarget.POLL, DrivePhase.FAULT)
@@ -185,4 +195,6 @@ def test_a_motor_at_fault_that_turns_out_to_be_enabled_does_not_count_as_disable
     rig.tick(DriveTarget.DISABLE)
     rig.motor.nibble = 1
     rig.tick(DriveTarget.DISABLE)
-    assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [DrivePhase.ENABLED]
+    assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [
+        DrivePhase.ENABLED
+    ]

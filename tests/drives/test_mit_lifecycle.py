@@ -6,7 +6,12 @@ import pytest
 
 from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
-from handctl.drives.mit.progress import DROPPED_OUT_ERROR, SETTING_MISMATCH_ERROR, SILENCE_TIMEOUT_NS, MitProgress
+from handctl.drives.mit.progress import (
+    DROPPED_OUT_ERROR,
+    SETTING_MISMATCH_ERROR,
+    SILENCE_TIMEOUT_NS,
+    MitProgress,
+)
 from tests.drives.conftest import MotorRig, drive_of
 
 ENABLE = b"\xff" * 7 + b"\xfc"
@@ -47,8 +52,12 @@ def test_a_wrong_register_is_written_once_and_read_back(rig: MotorRig, register:
     assert rig.motor.registers[register] == pytest.approx(right, rel=1e-6)
 
 
-@pytest.mark.parametrize(("register", "name"), [(10, "CTRL_MODE"), (21, "PMAX"), (23, "TMAX"), (9, "TIMEOUT")])
-def test_a_register_that_does_not_keep_its_value_is_named(rig: MotorRig, register: int, name: str) -> None:
+@pytest.mark.parametrize(
+    ("register", "name"), [(10, "CTRL_MODE"), (21, "PMAX"), (23, "TMAX"), (9, "TIMEOUT")]
+)
+def test_a_register_that_does_not_keep_its_value_is_named(
+    rig: MotorRig, register: int, name: str
+) -> None:
     rig.motor.registers[register] = 7
     rig.motor.stuck.add(register)
     state = rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
@@ -79,7 +88,9 @@ def test_values_are_unknown_until_the_ranges_are(rig: MotorRig) -> None:
     assert rig.state.torque == pytest.approx(0.8)
 
 
-def test_a_motor_that_is_enabled_at_the_start_is_disabled_before_anything_else(rig: MotorRig) -> None:
+def test_a_motor_that_is_enabled_at_the_start_is_disabled_before_anything_else(
+    rig: MotorRig,
+) -> None:
     rig.motor.nibble = 1
     rig.until(DriveTarget.POLL, DrivePhase.READY)
     assert [frame.data for frame in rig.sent[:2]] == [bytes([1, 0, 0xCC, 0, 0, 0, 0, 0]), DISABLE]
@@ -173,7 +184,9 @@ def test_after_the_disable_command_a_motor_gets_no_torque_before_it_confirms(rig
     rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
 
 
-def test_disabling_a_motor_that_is_not_configured_does_not_make_it_ready_to_arm(rig: MotorRig) -> None:
+def test_disabling_a_motor_that_is_not_configured_does_not_make_it_ready_to_arm(
+    rig: MotorRig,
+) -> None:
     rig.motor.registers[23] = 10.0
     rig.until(DriveTarget.DISABLE, DrivePhase.CONFIGURING, DrivePhase.READY)
     rig.tick(DriveTarget.ENABLE)
@@ -184,7 +197,9 @@ def test_disabling_a_motor_that_is_not_configured_does_not_make_it_ready_to_arm(
 
 def test_a_motor_whose_number_looks_like_a_state_is_read_near_the_end_of_its_range() -> None:
     drive = drive_of(node_id=0x11)
-    state = DriveState(phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True))
+    state = DriveState(
+        phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True)
+    )
     seen = drive.receive(state, Frame(0x21, bytes([0x11, 0x00, 0x33, 0x80, 0x08, 0, 30, 30])))
     assert seen.feedback_count == 1
     assert seen.position == pytest.approx(-12.5 + 25 * 0x33 / 65535)

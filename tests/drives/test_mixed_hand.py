@@ -72,7 +72,9 @@ def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
             bench.tick(DriveTarget.ENABLE, 0.05)
         motors = bench.rig.world.plant.motors
         for drive, state, start in zip(bench.drives, bench.states, before, strict=True):
-            assert motors[drive.name].servo.torque == pytest.approx(0.05, abs=0.002), "in the hand's sign, at the spool"
+            assert motors[drive.name].servo.torque == pytest.approx(0.05, abs=0.002), (
+                "in the hand's sign, at the spool"
+            )
             assert state.position > start
         bench.rig.close()
 
@@ -91,7 +93,9 @@ def test_a_zero_of_a_motor_is_an_angle_at_its_shaft(protocol: str, tmp_path: Pat
         bench.tick(DriveTarget.POLL)
     world = bench.rig.world
     for drive, state in zip(bench.drives, bench.states, strict=True):
-        truth = world.plant.motors[drive.name].theta + (world.encoder_offset[drive.name] - 0.7) / gear
+        truth = (
+            world.plant.motors[drive.name].theta + (world.encoder_offset[drive.name] - 0.7) / gear
+        )
         assert state.position == pytest.approx(truth, abs=0.01), drive.name
     bench.rig.close()
 
@@ -114,7 +118,9 @@ def test_identifiers_of_different_protocols_may_not_meet(tmp_path: Path) -> None
         ("cia402", "colour = 1", "colour"),
     ],
 )
-def test_wrong_options_are_refused_by_their_path(tmp_path: Path, protocol: str, option: str, wrong: str) -> None:
+def test_wrong_options_are_refused_by_their_path(
+    tmp_path: Path, protocol: str, option: str, wrong: str
+) -> None:
     path = hand_file(tmp_path, [protocol])
     text = path.read_text()
     if f"\n{wrong} = " in text:
@@ -132,7 +138,9 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"bus\[main\].data_bitrate"):
         bus_loads(load_hand(str(path)))
-    path.write_text(text.replace("bitrate = 1000000", "bitrate = 1000000\ndata_bitrate = 5_000_000"))
+    path.write_text(
+        text.replace("bitrate = 1000000", "bitrate = 1000000\ndata_bitrate = 5_000_000")
+    )
     busy = bus_loads(load_hand(str(path)))[0].tick_s
     sensors = bus_time_s([(1, False, 1), (7, False, 1)], 1e6)
     assert busy - sensors == pytest.approx(8 * 56.6e-6, rel=0.001)
@@ -142,14 +150,24 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
     ("protocol", "extra", "microseconds"),
     [("mit", "", 1215), ("cia402", "", 1110), ("odrive", "encoder_period_ms = 2\n", 1055)],
 )
-def test_the_load_is_that_of_the_table(tmp_path: Path, protocol: str, extra: str, microseconds: float) -> None:
+def test_the_load_is_that_of_the_table(
+    tmp_path: Path, protocol: str, extra: str, microseconds: float
+) -> None:
     """The load counts the frames of the motors and one frame with 8 bytes of tensions.
 
     With CiA 402, it counts an empty SYNC too.
     """
     bench = Bench(hand_file(tmp_path, [protocol], extra))
-    frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [(8, False, 1.0)]
-    frames += [(0, False, 1.0)] if protocol == "cia402" else [(8, False, 4.0)] if protocol == "odrive" else []
+    frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [
+        (8, False, 1.0)
+    ]
+    frames += (
+        [(0, False, 1.0)]
+        if protocol == "cia402"
+        else [(8, False, 4.0)]
+        if protocol == "odrive"
+        else []
+    )
     assert bus_time_s(frames, 1e6) * 1e6 == pytest.approx(microseconds, rel=0.02)
 
 
@@ -158,25 +176,38 @@ def test_the_numbers_that_the_page_recommends_for_odrives_are_free_beside_canope
 
     Its identifiers overlapped with those of RPDO1 of CANopen nodes 1 to 31.
     """
-    page = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "adding-a-drive.md").read_text(
+        encoding="utf-8"
+    )
     text = re.search(r"With the node\s+numbers (.*?), these\s+identifiers", page, re.DOTALL)
     assert text
     pairs = re.findall(r"0x(\w\w) to\s+0x(\w\w)", text[1])
-    assert [(int(first, 16), int(last, 16)) for first, last in pairs] == [(a[0], a[-1]) for a in FREE_NUMBERS]
+    assert [(int(first, 16), int(last, 16)) for first, last in pairs] == [
+        (a[0], a[-1]) for a in FREE_NUMBERS
+    ]
     options = {"rated_torque_N_m": 0.4, "counts_per_turn": 65536}
     others = [("sensor", make_sensors(load_hand("jamia11")))]
-    canopen = [make_drive(motor_on_bench("cia402", node, 0.8, options), 0) for node in range(1, 0x7F)]
+    canopen = [
+        make_drive(motor_on_bench("cia402", node, 0.8, options), 0) for node in range(1, 0x7F)
+    ]
     for node in (number for numbers in FREE_NUMBERS for number in numbers):
         drive = make_drive(motor_on_bench("odrive", node, 0.8, {}), 0)
         check_identifiers([*others, ("odrive", drive)])
         for other in canopen:
             check_identifiers([("odrive", drive), ("cia402", other)])
     with pytest.raises(ConfigError, match="has two meanings"):
-        check_identifiers([("odrive", make_drive(motor_on_bench("odrive", 0x10, 0.8, {}), 0)), ("cia402", canopen[0])])
+        check_identifiers(
+            [
+                ("odrive", make_drive(motor_on_bench("odrive", 0x10, 0.8, {}), 0)),
+                ("cia402", canopen[0]),
+            ]
+        )
 
 
 @pytest.mark.parametrize(("cubemars", "mit", "reply"), [(5, 5, 0x15), (5, 0x21, 5), (5, 1, 0x80)])
-def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(cubemars: int, mit: int, reply: int) -> None:
+def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(
+    cubemars: int, mit: int, reply: int
+) -> None:
     """A CubeMars motor replies with its node number as identifier.
 
     Here another motor or SYNC already has this identifier.

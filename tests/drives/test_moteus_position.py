@@ -61,7 +61,9 @@ def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
     assert message is not None
     assert drive.cyclic.moves_target
     table = SignalTable(message._replace(limit=math.inf))
-    can_id, data = table.pack_frame(1.7, -4.0, 0.25 * GAINS_PER_RAD[0], 0.5 * GAINS_PER_RAD[1], 0.2, 0.4)
+    can_id, data = table.pack_frame(
+        1.7, -4.0, 0.25 * GAINS_PER_RAD[0], 0.5 * GAINS_PER_RAD[1], 0.2, 0.4
+    )
     position, velocity, torque, kp, kd, limit = moteus_command(data)
     assert position == pytest.approx(0.3 + direction * 1.7, rel=1e-6)
     assert velocity == pytest.approx(direction * -4.0, rel=1e-6)
@@ -71,7 +73,9 @@ def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
     assert struct.unpack_from("<f", data, 36)[0] == pytest.approx(0.05)
     assert data[40:] == codec.QUERY_SUBFRAMES
     assert can_id == drive.command.message.can_id
-    assert len(data) == drive.command.message.length, "the load of the bus is that of torque commands"
+    assert len(data) == drive.command.message.length, (
+        "the load of the bus is that of torque commands"
+    )
 
 
 GAINS_PER_RAD = tuple(gain / math.tau for gain in GAINS.values())
@@ -132,7 +136,9 @@ def test_a_restart_is_found_by_two_reads() -> None:
     """At least one of two consecutive items has another value after a restart."""
     items = position_configuration(codec.PositionGains(*GAINS.values()))
     for one, two in zip(items, items[1:] + items[:1], strict=True):
-        assert not all(setting.is_right(FACTORY_CONFIGURATION[setting.name]) for setting in (one, two))
+        assert not all(
+            setting.is_right(FACTORY_CONFIGURATION[setting.name]) for setting in (one, two)
+        )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -153,7 +159,9 @@ BAD = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("row", "value"), [*BAD, *((row, bad) for row, _ in BAD[:6] for bad in (math.nan, math.inf))])
+@pytest.mark.parametrize(
+    ("row", "value"), [*BAD, *((row, bad) for row, _ in BAD[:6] for bad in (math.nan, math.inf))]
+)
 def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, value: float) -> None:
     with moving(loop_hand(protocol="moteus")) as run:
         for _ in range(10):

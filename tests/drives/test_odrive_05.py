@@ -35,12 +35,16 @@ def test_odrive_05_with_watchdog_passes_conformance():
 def test_odrive_05_without_watchdog_fails_the_watchdog_check():
     rig = rig_on(VirtualBench("odrive", **OLD), "odrive", 0.1, OLD)
     failed = [
-        check.name for check in run_checks(DeviceUnderTest(rig, 0.1, 0.05)) if check.verdict is CheckVerdict.FAILED
+        check.name
+        for check in run_checks(DeviceUnderTest(rig, 0.1, 0.05))
+        if check.verdict is CheckVerdict.FAILED
     ]
     assert failed == ["disables itself when the host falls silent, and stays off"]
 
 
-@pytest.mark.parametrize(("error", "words"), [(1 << 25, "emergency stop"), (1 << 13, "motor failed")])
+@pytest.mark.parametrize(
+    ("error", "words"), [(1 << 25, "emergency stop"), (1 << 13, "motor failed")]
+)
 def test_errors_have_texts(error, words):
     place = VirtualBench("odrive", **OLD)
     rig = rig_on(place, "odrive", 0.1, OLD)

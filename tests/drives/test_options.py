@@ -19,12 +19,27 @@ CIA402 = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
 @pytest.mark.parametrize(
     ("protocol", "options", "key", "right"),
     [
-        ("cia402", CIA402 | {"counts_per_turn": 0.4}, "counts_per_turn", "a whole number from 1 to 16777216"),
+        (
+            "cia402",
+            CIA402 | {"counts_per_turn": 0.4},
+            "counts_per_turn",
+            "a whole number from 1 to 16777216",
+        ),
         ("cia402", CIA402 | {"heartbeat_ms": 0.3}, "heartbeat_ms", "a whole number from 1 to 1000"),
-        ("cia402", CIA402 | {"heartbeat_ms": True}, "heartbeat_ms", "a whole number from 1 to 1000"),
+        (
+            "cia402",
+            CIA402 | {"heartbeat_ms": True},
+            "heartbeat_ms",
+            "a whole number from 1 to 1000",
+        ),
         ("cia402", CIA402 | {"rated_torque_N_m": 4e-4}, "rated_torque_N_m", "at least one mN_m"),
         ("odrive", {"heartbeat_ms": 1e-7}, "heartbeat_ms", "a whole number from 1 to 1000"),
-        ("odrive", {"encoder_period_ms": 2.5}, "encoder_period_ms", "a whole number from 1 to 1000"),
+        (
+            "odrive",
+            {"encoder_period_ms": 2.5},
+            "encoder_period_ms",
+            "a whole number from 1 to 1000",
+        ),
         ("odrive", {"gear_ratio": 0.0}, "gear_ratio", "a number above 0, at most 1000"),
     ],
 )
@@ -40,7 +55,9 @@ def test_a_number_that_rounds_to_nothing_is_refused(
 @pytest.mark.parametrize("heartbeat", [1, 50.0, 1000])
 def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
     for protocol, options in (("cia402", CIA402), ("odrive", {})):
-        drive = make_drive(motor_on_bench(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0)
+        drive = make_drive(
+            motor_on_bench(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0
+        )
         assert drive.background_frames[0][2] > 999.0 / heartbeat, "at least as often as configured"
 
 
@@ -50,15 +67,23 @@ def test_position_step_is_reported() -> None:
     An encoder of 1000 counts is coarser than 16 bits over the range.
     """
     coarse = CIA402 | {"counts_per_turn": 1000, "gear_ratio": 2.0}
-    assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(math.pi / 1000)
-    assert make_drive(motor_on_bench("mit", 1, 0.01, {}), 0).position_step == pytest.approx(25.0 / 65535)
+    assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(
+        math.pi / 1000
+    )
+    assert make_drive(motor_on_bench("mit", 1, 0.01, {}), 0).position_step == pytest.approx(
+        25.0 / 65535
+    )
     assert make_drive(motor_on_bench("odrive", 1, 0.01, {}), 0).position_step == 0.0
 
 
 @pytest.mark.parametrize(("counts", "step"), [(1000, math.tau / 1000), (1 << 20, 25.0 / 65535)])
-def test_the_filter_counts_with_the_drive_s_encoder(tmp_path: Path, counts: int, step: float) -> None:
+def test_the_filter_counts_with_the_drive_s_encoder(
+    tmp_path: Path, counts: int, step: float
+) -> None:
     path = hand_file(tmp_path, ["cia402"])
-    path.write_text(path.read_text().replace("counts_per_turn = 65536", f"counts_per_turn = {counts}"))
+    path.write_text(
+        path.read_text().replace("counts_per_turn = 65536", f"counts_per_turn = {counts}")
+    )
     hand = load_hand(path)
     space = tendon_space(hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names))
     np.testing.assert_allclose(space.encoder_step, step * space.spool)

@@ -53,7 +53,9 @@ def error_of_first_drive(bench: Bench, phase: DrivePhase, target: DriveTarget, t
     raise AssertionError(bench.states[0])
 
 
-def lose_first_frames(node: OdriveNode, command: int, start: bytes = b"", times: int = 1) -> list[WireFrame]:
+def lose_first_frames(
+    node: OdriveNode, command: int, start: bytes = b"", times: int = 1
+) -> list[WireFrame]:
     """Drop the first frames of a command to the first ODrive. Return a list that collects the dropped frames.
 
     Only frames whose data begin with ``start`` are dropped.
@@ -72,7 +74,9 @@ def lose_first_frames(node: OdriveNode, command: int, start: bytes = b"", times:
 
 
 @pytest.mark.parametrize("moment", ["ready", "ordered"])
-def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench, moment: str) -> None:
+def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
+    odrive: Bench, moment: str
+) -> None:
     """An ODrive restarts in position control and without its watchdog. Only its idle state shows the restart."""
     node = first_odrive(odrive)
     odrive.until(DriveTarget.POLL, DrivePhase.READY)
@@ -93,7 +97,9 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench,
 
 
 @pytest.mark.parametrize("command", [codec.SET_MODE, codec.SET_LIMITS])
-def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: Bench, command: int) -> None:
+def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
+    odrive: Bench, command: int
+) -> None:
     """An ODrive does not confirm its mode and limits.
 
     In position control, the first torque command would be a position jump.
@@ -128,7 +134,9 @@ def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, loss
 def test_an_odrive_that_ignores_commands_is_a_fault(odrive: Bench) -> None:
     odrive.until(DriveTarget.POLL, DrivePhase.READY)
     first_odrive(odrive)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]
-    assert "after 5 enable commands" in error_of_first_drive(odrive, DrivePhase.FAULT, DriveTarget.ENABLE, 600)
+    assert "after 5 enable commands" in error_of_first_drive(
+        odrive, DrivePhase.FAULT, DriveTarget.ENABLE, 600
+    )
 
 
 @pytest.mark.parametrize(
@@ -147,11 +155,15 @@ def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> Non
 
 
 @pytest.mark.parametrize("target", [DriveTarget.ENABLE, DriveTarget.POLL])
-def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(odrive: Bench, target: DriveTarget) -> None:
+def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(
+    odrive: Bench, target: DriveTarget
+) -> None:
     """An ODrive that is calibrated by USB makes a torque without a command, and reports no error."""
     odrive.until(target, DrivePhase.ENABLED if target == DriveTarget.ENABLE else DrivePhase.READY)
     first_odrive(odrive).state = 3
-    assert "in axis state 3" in error_of_first_drive(odrive, DrivePhase.FAULT, target, 60).replace("went to", "in")
+    assert "in axis state 3" in error_of_first_drive(odrive, DrivePhase.FAULT, target, 60).replace(
+        "went to", "in"
+    )
     odrive.tick(target)
     assert first_odrive(odrive).state == 1
 
@@ -189,11 +201,15 @@ def test_another_protocol_version_is_refused(odrive: Bench) -> None:
     drive, state = odrive.drives[0], odrive.states[0]
     assert isinstance(drive, OdriveDrive)
     state = drive.receive(state, Frame(drive.node_id << 5, bytes((1, 0, 0, 0, 0, 5, 6, 0))))
-    assert (state.phase, state.error_text) == (DrivePhase.FAULT, "has CANSimple version 1, expected 2")
+    assert (state.phase, state.error_text) == (
+        DrivePhase.FAULT,
+        "has CANSimple version 1, expected 2",
+    )
 
 
 @pytest.mark.parametrize(
-    ("code", "words"), [(0x8130, "watchdog"), (0x4310, "motor over-temperature"), (0xFF01, "0xff01")]
+    ("code", "words"),
+    [(0x8130, "watchdog"), (0x4310, "motor over-temperature"), (0xFF01, "0xff01")],
 )
 def test_a_cia402_drive_says_what_its_fault_is(cia402: Bench, code: int, words: str) -> None:
     cia402.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
@@ -240,14 +256,18 @@ def strict(bench: Bench) -> Bench:
     return bench
 
 
-def test_drives_that_refuse_a_sync_counter_are_reported_and_get_an_empty_sync(tmp_path: Path) -> None:
+def test_drives_that_refuse_a_sync_counter_are_reported_and_get_an_empty_sync(
+    tmp_path: Path,
+) -> None:
     path = hand_file(tmp_path, ["cia402"])
     bench = strict(Bench(path))
     for _ in range(200):
         bench.tick(DriveTarget.POLL)
     assert "accept SYNC with a counter" in bench.states[0].error_text
     text = path.read_text().replace("sync_id = 0x080", "sync_id = 0x0FF")
-    path.write_text(text.replace("counts_per_turn = 65536", "counts_per_turn = 65536\nsync = true", 1))
+    path.write_text(
+        text.replace("counts_per_turn = 65536", "counts_per_turn = 65536\nsync = true", 1)
+    )
     bench = strict(Bench(path))
     bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     bench.tick(DriveTarget.ENABLE)

@@ -13,7 +13,11 @@ from tests.drives.protocol_bench import hand_file
 @pytest.mark.parametrize(
     "protocols",
     [
-        *[pytest.param([name], id=name, marks=pytest.mark.nightly) for name in PROTOCOL_TRAITS if name != "mit"],
+        *[
+            pytest.param([name], id=name, marks=pytest.mark.nightly)
+            for name in PROTOCOL_TRAITS
+            if name != "mit"
+        ],
         pytest.param(["mit", "odrive", "cubemars", "cia402"], id="unlike drives in one hand"),
         pytest.param(
             ["moteus", "robstride", "mit", "cia402"],
@@ -22,7 +26,9 @@ from tests.drives.protocol_bench import hand_file
         ),
     ],
 )
-def test_a_hand_grasps(protocols: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_hand_grasps(
+    protocols: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path, log = hand_file(tmp_path, protocols), tmp_path / "run.mcap"
     assert main(["demo", "--lockstep", "--hand", str(path), "--log", str(log), "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

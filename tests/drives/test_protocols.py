@@ -120,7 +120,9 @@ def test_any_bytes_on_any_identifier_are_survived(bench: Bench, phase: DrivePhas
     chance, drive, known = random.Random(7), bench.drives[0], bench.states[0]
     for can_id in range(0x800):
         for length in range(65) if can_id in drive.node_ids else (0, 8, 64):
-            frame = Frame(can_id, chance.randbytes(length), FDF if length > 8 else 0, 0, bench.k * 2_000_000)
+            frame = Frame(
+                can_id, chance.randbytes(length), FDF if length > 8 else 0, 0, bench.k * 2_000_000
+            )
             after = drive.receive(known, frame)
             if can_id not in drive.node_ids:
                 assert after is known

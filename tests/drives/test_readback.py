@@ -41,7 +41,9 @@ def test_wrong_setting_is_written_and_read_again(writes: int) -> None:
 
 
 def test_a_setting_that_is_read_again_while_enabled() -> None:
-    check, problem = readback.next_recheck(readback.first_recheck(1, 0), "limit", 1, readback.RECHECK_PERIOD_NS)
+    check, problem = readback.next_recheck(
+        readback.first_recheck(1, 0), "limit", 1, readback.RECHECK_PERIOD_NS
+    )
     assert (check.waiting, check.tries, problem) == (True, 1, "")
     good, problem = readback.on_recheck_reply(check, 2, True, "limit", "reads 4", "4")
     assert (good.step, good.waiting, good.tries, problem) == (1, False, 0, "")

@@ -26,10 +26,13 @@ SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
 
 def enabled(node_id: int) -> tuple[MitDrive, object]:
     """Return an enabled MIT drive and its state."""
-    drive = MitDrive("m", 0, node_id, node_id + 0x100, codec.MotorRanges(12.5, 50.0, 0.8), 1, 0.0, 1000)
+    drive = MitDrive(
+        "m", 0, node_id, node_id + 0x100, codec.MotorRanges(12.5, 50.0, 0.8), 1, 0.0, 1000
+    )
     check = readback.first_recheck(node_id, 0)
     state = drive.initial()._replace(
-        phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True, check=check)
+        phase=DrivePhase.ENABLED,
+        private=MitProgress(configured=True, enable_sent=True, check=check),
     )
     return drive, state
 

@@ -9,14 +9,19 @@ import pytest
 
 from tests.drives.bench_process import drives
 
-robstride = pytest.importorskip("robstride", reason="not in the group extra: pip install robstride==0.1.0")
+robstride = pytest.importorskip(
+    "robstride", reason="not in the group extra: pip install robstride==0.1.0"
+)
 pytestmark = pytest.mark.realtime
 BUS = "robstride"
 WAIT_S = 20.0
 
 
 def test_robstride() -> None:
-    with drives(f"local:{BUS}", "robstride", "--ids", "5"), can.Bus(interface="local", channel=BUS) as bus:
+    with (
+        drives(f"local:{BUS}", "robstride", "--ids", "5"),
+        can.Bus(interface="local", channel=BUS) as bus,
+    ):
         client = robstride.Client(bus, recv_timeout=WAIT_S)
         assert client.read_param(5, "run_mode") == robstride.RunMode.Operation
         assert client.read_param(5, "limit_torque") == 5.5

@@ -35,7 +35,9 @@ def first(bench: Bench) -> RobstrideMitNode:
 
 
 def drive_of(**options: object) -> RobstrideMitDrive:
-    drive = make_drive(motor_on_bench("robstride_mit", 5, 0.8, {"motor_type": "rs05", **options}), 0)
+    drive = make_drive(
+        motor_on_bench("robstride_mit", 5, 0.8, {"motor_type": "rs05", **options}), 0
+    )
     assert isinstance(drive, RobstrideMitDrive)
     return drive
 
@@ -90,7 +92,10 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: Bench) -> None:
     It is therefore sent only while the motor is disabled.
     """
     seen = []
-    for target, phase in ((DriveTarget.ENABLE, DrivePhase.ENABLED), (DriveTarget.DISABLE, DrivePhase.READY)):
+    for target, phase in (
+        (DriveTarget.ENABLE, DrivePhase.ENABLED),
+        (DriveTarget.DISABLE, DrivePhase.READY),
+    ):
         for _ in range(100):
             before = [state.phase for state in bench.states]
             bench.tick(target)

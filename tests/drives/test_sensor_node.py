@@ -49,7 +49,9 @@ def node() -> SensorNode:
     return SensorNode.of(Section(), 0, TENDONS, JOINTS)
 
 
-def encode_frames(first_id: int, prefix: str, counter: int, values: Sequence[float], t_ns: int = 0) -> list[Frame]:
+def encode_frames(
+    first_id: int, prefix: str, counter: int, values: Sequence[float], t_ns: int = 0
+) -> list[Frame]:
     """Return frames of the sensor node as the DBC file encodes them. Each is only as long as its channels need."""
     frames = []
     for group in range(math.ceil(len(values) / 5)):
@@ -84,7 +86,9 @@ def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
     nibbles = [counter & 0xF for counter in sync_counters(decimation)]
     n = len(nibbles)
     for age in range(1, 200):
-        same = [k >= age and nibbles[k] == nibbles[k - age] for k in range(n)]  # the first ticks have no older frame
+        same = [
+            k >= age and nibbles[k] == nibbles[k - age] for k in range(n)
+        ]  # the first ticks have no older frame
         assert sum(same) <= (0 if age < 8 else 0.4 * n), age
         worst = max(sum(same[k : k + 100]) for k in range(n - 100))
         assert worst < 60, age
@@ -97,19 +101,29 @@ def node_state(node: SensorNode, k: int) -> Wired:
     return wired
 
 
-@given(st.lists(RAW, min_size=1, max_size=CHANNELS), st.lists(RAW, max_size=CHANNELS), st.integers(0, 2**40))
+@given(
+    st.lists(RAW, min_size=1, max_size=CHANNELS),
+    st.lists(RAW, max_size=CHANNELS),
+    st.integers(0, 2**40),
+)
 def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int], k: int) -> None:
-    node = SensorNode.of(Section(tendons=TENDONS[: len(tensions)], joints=JOINTS[: len(joints)]), 0, TENDONS, JOINTS)
+    node = SensorNode.of(
+        Section(tendons=TENDONS[: len(tensions)], joints=JOINTS[: len(joints)]), 0, TENDONS, JOINTS
+    )
     wired, sync = node_state(node, k), node.sync(k)
     assert DBC.decode_message(sync.can_id, sync.data) == {"counter": sync.data[0]}
     nibble = sync.data[0] % 16
-    frames = encode_frames(0x1A0, "tension", nibble, tensions) + encode_frames(0x1B0, "joint", nibble, joints)
+    frames = encode_frames(0x1A0, "tension", nibble, tensions) + encode_frames(
+        0x1B0, "joint", nibble, joints
+    )
     wired.receive(frames)
     decoded: dict[str, Any] = {}
     for frame in frames:
         decoded.update(DBC.decode_message(frame.can_id, frame.data, allow_truncated=True))  # type: ignore[arg-type]
     assert wired.tensions == {i: decoded[f"tension_{i}"] for i in range(len(tensions))}
-    assert wired.joints == pytest.approx({i: decoded[f"joint_{i}"] for i in range(len(joints))}, abs=1e-12)
+    assert wired.joints == pytest.approx(
+        {i: decoded[f"joint_{i}"] for i in range(len(joints))}, abs=1e-12
+    )
     assert (wired.number("stale"), wired.misread) == (0, False)
 
 
@@ -140,19 +154,33 @@ def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
 
 
 @pytest.mark.parametrize(("base", "prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
-def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(node: SensorNode, base: int, prefix: str) -> None:
+def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
+    node: SensorNode, base: int, prefix: str
+) -> None:
     """A stale frame behind a fresh one was delayed and overtaken, or another node sends it again."""
-    (fresh, *_), (stale, *_) = (encode_frames(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2))
-    for frames, stale_now in (([stale], 1), ([stale, fresh], 1), ([fresh, stale], 2), ([fresh, stale, stale], 2)):
+    (fresh, *_), (stale, *_) = (
+        encode_frames(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2)
+    )
+    for frames, stale_now in (
+        ([stale], 1),
+        ([stale, fresh], 1),
+        ([fresh, stale], 2),
+        ([fresh, stale, stale], 2),
+    ):
         wired = node_state(node, tick_of(node, 3)).receive(frames)
-        assert (wired.number("stale_now"), wired.number("stale")) == (stale_now, frames.count(stale))
+        assert (wired.number("stale_now"), wired.number("stale")) == (
+            stale_now,
+            frames.count(stale),
+        )
         assert len(wired.tensions or wired.joints) == (5 if fresh in frames else 0)
     wired.sync(tick_of(node, 4))
     assert (wired.number("stale_now"), wired.number("stale")) == (0, 2)
 
 
 def test_a_stale_frame_changes_no_value(node: SensorNode) -> None:
-    wired = node_state(node, tick_of(node, 3)).receive(encode_frames(0x1A0, "tension", 3, [160] * CHANNELS, t_ns=5))
+    wired = node_state(node, tick_of(node, 3)).receive(
+        encode_frames(0x1A0, "tension", 3, [160] * CHANNELS, t_ns=5)
+    )
     wired.receive(encode_frames(0x1A0, "tension", 4, [200] * CHANNELS, t_ns=6))
     assert set(wired.tensions.values()) == {4.0}
     assert set(wired.view("group_ns")[:3].tolist()) == {5}
@@ -169,7 +197,9 @@ def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None
 
 
 def test_times_are_in_the_order_of_the_hand() -> None:
-    node = SensorNode.of(Section(tendons=("t2", "t0", "t1", "t5", "t4", "t3")), 0, TENDONS[:7], JOINTS)
+    node = SensorNode.of(
+        Section(tendons=("t2", "t0", "t1", "t5", "t4", "t3")), 0, TENDONS[:7], JOINTS
+    )
     wired = node_state(node, tick_of(node, 0))
     groups = [node.group_of_tendon(i) for i in range(7)]
     assert groups == [0, 0, 0, 1, 0, 0, -1]
@@ -220,7 +250,9 @@ def test_a_frame_of_a_wrong_length_is_counted_and_not_read(node: SensorNode, siz
 
 
 def test_the_exchange_is_what_the_frames_take(node: SensorNode) -> None:
-    frames = encode_frames(0x1A0, "tension", 0, [0] * CHANNELS) + encode_frames(0x1B0, "joint", 0, [0] * CHANNELS)
+    frames = encode_frames(0x1A0, "tension", 0, [0] * CHANNELS) + encode_frames(
+        0x1B0, "joint", 0, [0] * CHANNELS
+    )
     assert [size for size, _ in node.exchange] == [1, *(len(frame.data) for frame in frames)]
     assert sum(rate for _, rate in node.exchange) == 1 + 3 + 3 / 4
 
@@ -265,7 +297,9 @@ def test_stale_and_unreadable_values_are_counted_separately(node: SensorNode) ->
     assert (wired.misread, wired.number("stale")) == (True, 1)
     (fresh, *_) = encode_frames(0x1A0, "tension", 1, [1.0] * CHANNELS)
     wired.receive([fresh])
-    assert (wired.misread, wired.number("stale")) == (True, 1), "neither is forgotten with the next good frame"
+    assert (wired.misread, wired.number("stale")) == (True, 1), (
+        "neither is forgotten with the next good frame"
+    )
 
 
 def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
@@ -279,10 +313,14 @@ def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
 
 def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
     """Load cells may be read in any order and in different ticks. Joint encoders are not waited for."""
-    wired, bare = (Wired((), one) for one in (node, replace(node, frame_of=(*node.frame_of[:-1], -1))))
+    wired, bare = (
+        Wired((), one) for one in (node, replace(node, frame_of=(*node.frame_of[:-1], -1)))
+    )
     for hand in (wired, bare):
         hand.view("position")[...] = 0.0
-    for k, (base, done) in enumerate([(0x1B0, False), (0x1A0, False), (0x1A0, False), (0x1A1, False), (0x1A2, True)]):
+    for k, (base, done) in enumerate(
+        [(0x1B0, False), (0x1A0, False), (0x1A0, False), (0x1A1, False), (0x1A2, True)]
+    ):
         size = node.lengths[node.ids.index(base)]
         for hand in (wired, bare):
             sync = hand.sync(k)

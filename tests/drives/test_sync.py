@@ -46,10 +46,14 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     hand = load_hand(str(path))
     assert senders(hand) == ["thumb_motor"], "the last drive of the bus without the sensor node"
     model = HandModel.of(hand, Gains(), 250.0)
-    with SimulatorSettings(str(path), None, 0, homed=True).against(homed_controller(model, LiveProgram())) as run:
+    with SimulatorSettings(str(path), None, 0, homed=True).against(
+        homed_controller(model, LiveProgram())
+    ) as run:
         assert run.until(lambda out: out.mode == Mode.ACTIVE, 5.0)
         sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC]
-        assert sent == [(0, 1), (1, 0)], "once on each bus: with the counter for the sensor node, else empty"
+        assert sent == [(0, 1), (1, 0)], (
+            "once on each bus: with the counter for the sensor node, else empty"
+        )
 
 
 def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
@@ -62,10 +66,16 @@ def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
     ("old", "new", "expected"),
     [
         ("sync_id = 128", "sync_id = 255", ["middle_motor", "thumb_motor"]),
-        ("counts_per_turn = 65536", "counts_per_turn = 65536\nsync = true", ["index_motor", "thumb_motor"]),
+        (
+            "counts_per_turn = 65536",
+            "counts_per_turn = 65536\nsync = true",
+            ["index_motor", "thumb_motor"],
+        ),
     ],
 )
-def test_one_drive_of_a_bus_sends_sync(old: str, new: str, expected: list[str], tmp_path: Path) -> None:
+def test_one_drive_of_a_bus_sends_sync(
+    old: str, new: str, expected: list[str], tmp_path: Path
+) -> None:
     """If the sensor node's SYNC has another identifier, a drive sends SYNC.
 
     A drive with the option ``sync`` remains the sender.

@@ -83,7 +83,9 @@ def test_lockstep_matches_the_timed_wire(tmp_path: Path) -> None:
     for k in range(1, 5):
         clock.wait(k)
     assert not any(frame.can_id & ERROR for frame in bus.drain())
-    assert {"error_warning", "error_passive", "bus_off"} <= {kind for kind, _, _ in bus.take_events()}
+    assert {"error_warning", "error_passive", "bus_off"} <= {
+        kind for kind, _, _ in bus.take_events()
+    }
     assert ("bus_off", "lockstep:0", 1) in bus.take_events()
     bench.rig.close()
 
@@ -102,8 +104,12 @@ def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
     assert len(heard[0]) > 400
 
 
-@pytest.mark.parametrize(("adapter", "ticks"), [("none", 1), ("usb-hs", 1), ("spi", 1), ("usb-fs", 2), ("ftdi", 8)])
-def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(adapter: str, ticks: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("adapter", "ticks"), [("none", 1), ("usb-hs", 1), ("spi", 1), ("usb-fs", 2), ("ftdi", 8)]
+)
+def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
+    adapter: str, ticks: int, tmp_path: Path
+) -> None:
     """Drives behind each USB adapter become ready at 250 Hz.
 
     The latency of the adapter causes ticks without feedback.

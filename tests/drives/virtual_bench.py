@@ -31,7 +31,9 @@ class VirtualBench:
     def __init__(self, protocol, fault="", inertia=None, delay=0, **options):
         """Put one simulated drive on the bench, with a fault and a delay in ticks."""
         spec = drive_spec(protocol, NODE, inertia=inertia)
-        self.bench = SimulatedDriveBench([replace(spec, options=options or spec.options)], fault=fault)
+        self.bench = SimulatedDriveBench(
+            [replace(spec, options=options or spec.options)], fault=fault
+        )
         self.waiting, self.top, self.origin_ns = [], 0.0, 0
         self.late = [[] for _ in range(delay)]  # frames still on their way, one list per tick
 
@@ -59,7 +61,9 @@ class VirtualBench:
         """Return the frames that the drive sent ``delay`` ticks ago."""
         self.late.append(self.waiting + self.bench.take_unsolicited())
         self.waiting = []
-        return [Frame(*frame)._replace(t_ns=frame.t_ns - self.origin_ns) for frame in self.late.pop(0)]
+        return [
+            Frame(*frame)._replace(t_ns=frame.t_ns - self.origin_ns) for frame in self.late.pop(0)
+        ]
 
     def pass_time(self, for_s):
         """Advance the time of the drive by ``for_s`` seconds without a host."""

@@ -32,12 +32,18 @@ class Wired:
         """Build the state block and the tables with which compiled code reads and writes frames."""
         self.drives, self.sensors = drives, sensors
         n = len(sensors.frame_of)
-        joints = 1 + max((j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0)
+        joints = 1 + max(
+            (j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0
+        )
         axes = {"tendon": n, "joint": joints, "digit": 1, "coordinate": 1, "node": n + 1}
-        self.layout = STATE.layout({**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1})
+        self.layout = STATE.layout(
+            {**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1}
+        )
         self.tables = wire.WireTables(drives, sensors)
         self.block = self.layout.initial.copy()
-        self.owners = {(drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids}
+        self.owners = {
+            (drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids
+        }
         self.states: list[DriveState] = [drive.initial() for drive in drives]
         self.seen: list[Frame] = []
         self.foreign: list[Frame] = []
@@ -60,7 +66,10 @@ class Wired:
     def sync(self, k: int) -> Frame:
         """Return the request to the sensors as the end of a tick sends it, and begin the next tick."""
         frame = self.sensors.sync(k)
-        self.view("sync_asked")[...], self.view("syncs")[...] = self.sensors.counter(k) & 0xF, self.number("syncs") + 1
+        self.view("sync_asked")[...], self.view("syncs")[...] = (
+            self.sensors.counter(k) & 0xF,
+            self.number("syncs") + 1,
+        )
         self.begin()
         return frame
 
@@ -99,7 +108,9 @@ class Wired:
                 sent += Frames.of_rows(out[:count])
             if first >= len(self.drives):
                 return sent
-            state, frames = self.drives[first].advance(self.drive(first), t_ns, target, torque[first])
+            state, frames = self.drives[first].advance(
+                self.drive(first), t_ns, target, torque[first]
+            )
             self.keep(first, state)
             sent += frames
             first += 1
@@ -113,7 +124,10 @@ class Wired:
         table[s.POSITION : s.POSITION + 4, i] = known[1:5]
         whole[s.FEEDBACKS, i], whole[s.FEEDBACK_NS, i] = known.feedback_count, known.feedback_t_ns
         whole[s.PHASE, i] = known.phase
-        whole[s.STATUS_EXPECTED, i], whole[s.DUE_NS, i] = drive.steady_status(known), drive.due_ns(known)
+        whole[s.STATUS_EXPECTED, i], whole[s.DUE_NS, i] = (
+            drive.steady_status(known),
+            drive.due_ns(known),
+        )
         self.states[i] = known
 
     def drive(self, i: int) -> DriveState:

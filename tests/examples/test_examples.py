@@ -26,7 +26,9 @@ SCALE = 1.0
 @contextmanager
 def serving(*words):
     """Run a simulator that an example needs. The block begins when the simulator is ready."""
-    process = subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    process = subprocess.Popen(
+        [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
     try:
         assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
         assert process.stdout.readline().startswith("firmware_sim: ready")
@@ -55,7 +57,9 @@ def grasp_log(tmp_path_factory):
 def example(name, *words, stdin=""):
     """Run an example program and return its output."""
     command = [sys.executable, str(EXAMPLES / name), *words]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=280, input=stdin, check=False)
+    ran = subprocess.run(
+        command, capture_output=True, text=True, timeout=280, input=stdin, check=False
+    )
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert "Traceback" not in ran.stderr
     return ran.stdout
@@ -79,7 +83,9 @@ def hand(slower, *words, name="jamia"):
     """Run the simulated hand of the examples in slowed time. Yield the command-line options of its controller."""
     scale = scaled(SCALE * slower)
     write_homed(Path("c.toml"), load_hand(name))
-    with serving("-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED, *words, *scale):
+    with serving(
+        "-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED, *words, *scale
+    ):
         yield ("--calibration", "c.toml", *scale)
 
 
@@ -133,12 +139,18 @@ def test_single_motor():
 @REALTIME
 def test_notebook(slower, monkeypatch):
     notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
-    assert not any(cell.get("outputs") for cell in notebook.cells), "the notebook is stored without outputs"
+    assert not any(cell.get("outputs") for cell in notebook.cells), (
+        "the notebook is stored without outputs"
+    )
     with hand(slower, "--scene", "cylinder") as options:
         monkeypatch.setenv("HANDCTL_OPTIONS", " ".join(options))
-        NotebookClient(notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": "."}}).execute()
+        NotebookClient(
+            notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": "."}}
+        ).execute()
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
-    texts = [output["data"]["text/plain"] for output in outputs if output.output_type == "execute_result"]
+    texts = [
+        output["data"]["text/plain"] for output in outputs if output.output_type == "execute_result"
+    ]
     assert "index_tendon" in texts[0]
     assert texts[-1].strip("'").endswith(".mcap")
     assert any("image/png" in output.get("data", ()) for output in outputs)
@@ -153,7 +165,11 @@ def test_push():
 def test_read_log(grasp_log):
     out = example("read_log.py", str(grasp_log))
     assert "index touches" in out
-    tensions = {line.split()[0]: numbers(line) for line in out.splitlines() if line.startswith(("hold", "home"))}
+    tensions = {
+        line.split()[0]: numbers(line)
+        for line in out.splitlines()
+        if line.startswith(("hold", "home"))
+    }
     assert min(tensions["hold"]) > 25.0 > 15.0 > max(tensions["home"])
 
 

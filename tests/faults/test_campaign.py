@@ -113,7 +113,9 @@ def alarms_of_run(phase, *texts):
 
     @contextlib.contextmanager
     def started(hand, rate_hz, seed, perturb):
-        simulation = SimulatedRun(None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure=""))
+        simulation = SimulatedRun(
+            None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure="")
+        )
 
         def tick():
             simulation.k += 1
@@ -131,7 +133,10 @@ def alarms_of_run(phase, *texts):
 def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
     assert alarms_of_run("hold") == []
     assert alarms_of_run("hold", "B01 lost: index_motor (1): WARN") == []
-    assert alarms_of_run("hold", "N07 noise: index_motor (1): HOLD") == ["N07 noise: index_motor (1): HOLD"] * 9
+    assert (
+        alarms_of_run("hold", "N07 noise: index_motor (1): HOLD")
+        == ["N07 noise: index_motor (1): HOLD"] * 9
+    )
     assert alarms_of_run("ready") == ["seed 5 did not reach a grasp: ready"]
 
 
@@ -148,7 +153,9 @@ def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed:
 
 @pytest.mark.parametrize("hand", packaged_hands())
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
-def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(hand: str, protocol: str) -> None:
+def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(
+    hand: str, protocol: str
+) -> None:
     """Eleven moteus, ODrive or RobStride drives on a single bus allow 100 Hz only. They get a second bus."""
     replaced = hand_with_protocol(hand, protocol)
     assert default_rate(replaced) >= MIN_CONTROL_RATE_HZ
@@ -160,7 +167,10 @@ def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_
 @pytest.mark.timeout(120)
 def test_at_100_hz_noise_prevents_no_grasp():
     """With load cells of triple noise, one of eleven taut tendons would look slack in every fifth tick."""
-    assert campaign.run_fault_free(hand_with_protocol("jamia11", "odrive"), 100.0, 8.0, seed=80111) == []
+    assert (
+        campaign.run_fault_free(hand_with_protocol("jamia11", "odrive"), 100.0, 8.0, seed=80111)
+        == []
+    )
 
 
 def test_a_missing_reaction_counts_as_late(tmp_path):
@@ -208,7 +218,9 @@ def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
         advance_to(simulation, ARMING_STAGE)
         advance_to(simulation, FREE_STAGE)
         free = [out for _, out in simulation.recorded if out.phase == "free"]
-        assert len(free) * simulation.period_ns == pytest.approx(FAULT_DELAY_S * 1e9, abs=2 * simulation.period_ns)
+        assert len(free) * simulation.period_ns == pytest.approx(
+            FAULT_DELAY_S * 1e9, abs=2 * simulation.period_ns
+        )
         speed = free[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0
 
@@ -246,7 +258,9 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
     with homed_run(hand_with_protocol("jamia11", "cia402"), 200.0, 0) as simulation:
         advance_to(simulation, ARMING_STAGE)
         advance_to(simulation, FREE_STAGE)
-        result = run_scenario(simulation, FaultScenario(row, "slow node=index_m1 size=2", FREE_STAGE), "cia402")
+        result = run_scenario(
+            simulation, FaultScenario(row, "slow node=index_m1 size=2", FREE_STAGE), "cia402"
+        )
     assert result.ok, result.problem
     assert result.tension < 30.0
 
@@ -286,7 +300,9 @@ def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated(
     with homed_run(hand, 400.0, 0) as simulation:
         advance_to(simulation, GRASP_STAGE)
         result = run_scenario(
-            simulation, FaultScenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP_STAGE), "odrive"
+            simulation,
+            FaultScenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP_STAGE),
+            "odrive",
         )
     assert result.ok, result.problem
     assert result.safe_ticks <= 400.0 * RELAXED_S + row.ticks + 5
@@ -295,7 +311,9 @@ def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated(
 def test_instances_are_the_first_and_the_last():
     hand = hand_with_protocol("jamia", "mit")
     texts = [
-        one.fault for one in scenarios_of_hand(hand, "mit", 2.0) if one.row.id == "B17" and one.stage == GRASP_STAGE
+        one.fault
+        for one in scenarios_of_hand(hand, "mit", 2.0)
+        if one.row.id == "B17" and one.stage == GRASP_STAGE
     ]
     assert {text.rpartition("=")[2] for text in texts} == {"index_motor", "thumb_motor"}
     assert len(fault_pairs(hand, "mit", 2.0)) == 66
@@ -313,10 +331,13 @@ def test_every_row_is_in_the_matrix_or_tested_elsewhere():
 def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
     hand = hand_with_protocol("jamia11", "mit")
     samples = [
-        campaign.campaign_scenarios(hand, "mit", 200.0, quick=True, seed=seed) for seed in range(campaign.QUICK_EVERY)
+        campaign.campaign_scenarios(hand, "mit", 200.0, quick=True, seed=seed)
+        for seed in range(campaign.QUICK_EVERY)
     ]
     whole = campaign.campaign_scenarios(hand, "mit", 200.0, quick=False)
-    assert sorted(one.name for sample in samples for one in sample) == sorted(one.name for one in whole)
+    assert sorted(one.name for sample in samples for one in sample) == sorted(
+        one.name for one in whole
+    )
 
 
 @pytest.mark.nightly
@@ -329,12 +350,16 @@ def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
         hand, [protocol], default_rate, jobs=2, quick=True, fault_free_s=4.0, seed=seed,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
     )  # fmt: skip
-    assert [(result.scenario, result.problem) for result in report.all_results if not result.ok] == []
+    assert [
+        (result.scenario, result.problem) for result in report.all_results if not result.ok
+    ] == []
     assert report.alarms == {protocol: []}
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif("HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)")
+@pytest.mark.skipif(
+    "HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)"
+)
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
@@ -344,5 +369,7 @@ def test_every_scenario_of_the_matrix_is_detected_in_time(hand: str, protocol: s
         hand, [protocol], default_rate, jobs=2, quick=False, fault_free_s=600.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: wrong.append(result),
     )  # fmt: skip
-    assert [(result.scenario, result.problem) for result in report.all_results if not result.ok] == []
+    assert [
+        (result.scenario, result.problem) for result in report.all_results if not result.ok
+    ] == []
     assert report.alarms == {protocol: []}

@@ -24,7 +24,9 @@ from handctl.session.simulate import SimulatedRun
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20) if NIGHTLY else range(3)
 COMBINATIONS = [(hand, protocol) for hand in ("jamia", "jamia11") for protocol in GUARDED_PROTOCOLS]
-SAMPLED = [(*one, seed) for i, one in enumerate(COMBINATIONS) for seed in SEEDS if NIGHTLY or seed == i % 5]
+SAMPLED = [
+    (*one, seed) for i, one in enumerate(COMBINATIONS) for seed in SEEDS if NIGHTLY or seed == i % 5
+]
 FAULTS = (
     "swap node={a} with={b}", "cross node={a} with={b}", "late node={a} size=50", "late node={b} size=20",
     "disobey node={a} size=1.6", "disobey node={b} size=0.4", "drift cell={t} size=-40", "drift cell={t} size=40",
@@ -51,9 +53,15 @@ class Instant(NamedTuple):
 def observe_instant(simulation: SimulatedRun) -> Instant:
     peer: Any = simulation.peer
     spool = simulation.controller.model.space.spool
-    motors = [peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor]
+    motors = [
+        peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor
+    ]
     torque = np.array([motor.command for motor in motors])
-    return Instant(torque / spool, np.array(peer.truth()["tension"]), np.array([m.omega for m in motors]) * spool)
+    return Instant(
+        torque / spool,
+        np.array(peer.truth()["tension"]),
+        np.array([m.omega for m in motors]) * spool,
+    )
 
 
 def tension_bound(simulation: SimulatedRun, decided: Instant, force: np.ndarray) -> np.ndarray:
@@ -65,13 +73,17 @@ def tension_bound(simulation: SimulatedRun, decided: Instant, force: np.ndarray)
     """
     space = simulation.controller.model.space
     largest = np.maximum(force, 0.0)
-    gained = np.abs(decided.speed) + largest / space.motor_mass * WINDOW_S * (decided.tension < 10.0)
+    gained = np.abs(decided.speed) + largest / space.motor_mass * WINDOW_S * (
+        decided.tension < 10.0
+    )
     stretch = (largest - decided.tension) ** 2 + space.stiffness * space.motor_mass * gained**2
     return np.maximum(largest + np.sqrt(stretch), decided.tension) + MARGIN_N
 
 
 @pytest.mark.parametrize(("hand_name", "protocol", "seed"), SAMPLED)
-def test_relaxing_raises_no_command_and_no_tension(hand_name: str, protocol: str, seed: int) -> None:
+def test_relaxing_raises_no_command_and_no_tension(
+    hand_name: str, protocol: str, seed: int
+) -> None:
     chance = random.Random(f"{hand_name} {protocol} {seed}")
     hand = hand_with_protocol(hand_name, protocol)
     rate = RATE_HZ[hand_name]
@@ -105,7 +117,9 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
         recent.append(observe_instant(simulation))
         commanded.append(simulation.state.view("asked").copy())
     decided = recent[-2]
-    before = np.nanmax([*(one.force for one in recent[-window:]), *commanded[-window - 1 : -1]], axis=0)
+    before = np.nanmax(
+        [*(one.force for one in recent[-window:]), *commanded[-window - 1 : -1]], axis=0
+    )
     last = simulation.state.view("asked").copy()
     peak = decided.tension
     force = before
@@ -126,14 +140,20 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
     # command.
     assert (force <= np.maximum(before, 0.0) + ROUNDED_N).all(), f"{fault}: {force} after {before}"
     bound = tension_bound(simulation, decided, before)
-    assert (peak <= bound).all(), f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"
+    assert (peak <= bound).all(), (
+        f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"
+    )
     assert simulation.state.mode == Mode.DONE
     assert not math.isnan(float(peak.max()))
 
 
-@pytest.mark.parametrize("fault", ["cross node=index_motor with=middle_motor", "late node=index_motor size=25"])
+@pytest.mark.parametrize(
+    "fault", ["cross node=index_motor with=middle_motor", "late node=index_motor size=25"]
+)
 @pytest.mark.parametrize("seed", range(20) if NIGHTLY else [0])
-def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_digit(fault: str, seed: int) -> None:
+def test_relaxing_after_a_doubtful_load_cell_begins_at_the_tension_of_a_moving_digit(
+    fault: str, seed: int
+) -> None:
     """Regression: relaxing began at the last command of an unstable loop, 160 N. A slack tendon then reached 317 N."""
     hand = hand_with_protocol("jamia", "odrive")
     with homed_run(hand, 400.0, seed, task=hidden.task()) as simulation:

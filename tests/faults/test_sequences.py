@@ -24,7 +24,13 @@ from handctl.campaign.sequences import (
     violations_in_tick,
     violations_on_replay,
 )
-from handctl.campaign.stage import RUN_STAGES, advance_to, hand_with_protocol, homed_run, run_in_branches
+from handctl.campaign.stage import (
+    RUN_STAGES,
+    advance_to,
+    hand_with_protocol,
+    homed_run,
+    run_in_branches,
+)
 from handctl.core.types import Mode
 from handctl.safety.judge import LatchedFault
 from handctl.session.plan import default_rate
@@ -62,7 +68,9 @@ def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path)
 
 
 def test_sequence_violates_no_rule():
-    results = run_sequences(hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NOBODY)
+    results = run_sequences(
+        hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NOBODY
+    )
     assert [(one.scenario, one.problem) for one in results if not one.ok] == []
     assert sum(one.effects for one in results) >= 5
 
@@ -76,7 +84,9 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
     sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))
     for explains in (sequences.RUNAWAY_FAULT, "nobody"):
         monkeypatch.setattr(sequences, "RUNAWAY_FAULT", explains)
-        run_in_branches(arming, [sequence], 1, run_sequence, results.append, lambda simulation, result: None)
+        run_in_branches(
+            arming, [sequence], 1, run_sequence, results.append, lambda simulation, result: None
+        )
     assert (results[0].ok, results[1].ok) == (True, False)
     assert results[1].problem.endswith("N in a tendon, at most 140 N expected")
     assert results[0].tension == results[1].tension
@@ -88,14 +98,18 @@ def test_violated_rule_of_a_tick_is_found(arming):
     before.decide(latched=(LatchedFault("T03", "index_tendon"),))
     after = before.copy()
     after.view("setpoint")[...] += 1.0
-    assert violations_in_tick(before, after, cleared=False) == ["a setpoint rises while the hand relaxes"]
+    assert violations_in_tick(before, after, cleared=False) == [
+        "a setpoint rises while the hand relaxes"
+    ]
     gone = before.copy()
     gone.decide(latched=())
     assert violations_in_tick(before, gone, cleared=False) == ["no longer latched: T03"]
     assert violations_in_tick(before, gone, cleared=True) == []
     back = before.copy()
     back.mode = Mode.ACTIVE
-    assert violations_in_tick(before, back, cleared=False) == ["the mode goes back: RELAX to ACTIVE"]
+    assert violations_in_tick(before, back, cleared=False) == [
+        "the mode goes back: RELAX to ACTIVE"
+    ]
 
 
 def test_violated_rule_at_the_end_is_found(arming):
@@ -122,12 +136,16 @@ def test_a_tick_with_another_result_is_found(arming):
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif("HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)")
+@pytest.mark.skipif(
+    "HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)"
+)
 @pytest.mark.timeout(7200)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
 def test_random_sequences_violate_no_rule(hand, protocol):
     """Each hand runs 334 random sequences of faults with each drive protocol."""
     described = hand_with_protocol(hand, protocol)
-    results = run_sequences(described, protocol, default_rate(described), range(334), jobs=2, **NOBODY)
+    results = run_sequences(
+        described, protocol, default_rate(described), range(334), jobs=2, **NOBODY
+    )
     assert [(one.scenario, one.problem) for one in results if not one.ok] == []

@@ -51,7 +51,9 @@ def test_a_free_shaft_turns_by_its_inertia() -> None:
     bench.receive(Frame(0x0E, struct.pack("<f", 0.1)))
     bench.advance(200 * MS)
     spec = drive_spec("odrive", 0, inertia=1e-3)
-    expected = (0.1 - spec.coulomb) / spec.viscous * (1.0 - math.exp(-0.2 * spec.viscous / spec.inertia))
+    expected = (
+        (0.1 - spec.coulomb) / spec.viscous * (1.0 - math.exp(-0.2 * spec.viscous / spec.inertia))
+    )
     assert bench.motors[0].omega == pytest.approx(expected, rel=0.03)
     bench.receive(Frame(0x07, struct.pack("<I", 1)))
     bench.advance(20_000 * MS)
@@ -90,7 +92,9 @@ def speed_at(
 
 @pytest.mark.parametrize("kind", sorted(mit_bench.MOTOR_TYPE_RANGES))
 @pytest.mark.parametrize("inertia", [None, 2e-5], ids=["free shaft", "light shaft"])
-def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(kind: str, inertia: float | None) -> None:
+def test_a_damiao_motor_turns_no_faster_than_its_no_load_speed(
+    kind: str, inertia: float | None
+) -> None:
     """Regression: 1 N m drove a DM4310 motor to 76 rad/s, although its no-load speed is 21 rad/s."""
     shaft = mit_bench.shaft_of_mit_motor(kind)
     for sign in (1.0, -1.0):
@@ -120,7 +124,12 @@ def test_the_torque_falls_with_the_speed() -> None:
     bench = SimulatedDriveBench([drive_spec("mit", 2, inertia=100.0)])
     motor, rating = bench.motors[0], mit_bench.MOTOR_RATINGS["dm4310"]
     motor.servo.torque = 7.0
-    for fraction, expected in ((0.0, 7.0), (0.75, 0.25 * rating.stall_torque), (1.0, 0.0), (1.5, 0.0)):
+    for fraction, expected in (
+        (0.0, 7.0),
+        (0.75, 0.25 * rating.stall_torque),
+        (1.0, 0.0),
+        (1.5, 0.0),
+    ):
         motor.omega = fraction * rating.top_speed
         bench.advance(bench.t_ns + 20 * MS)
         assert motor.torque == pytest.approx(expected, abs=0.15)
@@ -141,7 +150,11 @@ IDLE = (0x07, struct.pack("<I", 1))
 def test_the_velocity_limit_of_an_odrive_acts_in_torque_control(inertia: float) -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
     send_to_odrive(
-        bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 0.05))
+        bench,
+        TORQUE_MODE,
+        (0x0F, struct.pack("<ff", 2.0, 20.0)),
+        CLOSED_LOOP,
+        (0x0E, struct.pack("<f", 0.05)),
     )
     bench.advance(10_000 * MS)
     assert 1.5 * math.tau < bench.motors[0].omega <= 2.0 * math.tau
@@ -156,7 +169,12 @@ def test_the_velocity_limit_of_an_odrive_acts_in_torque_control(inertia: float) 
 
 def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3)])
-    send_to_odrive(bench, (0x0F, struct.pack("<ff", 2.0, 20.0)), CLOSED_LOOP, (0x0C, struct.pack("<fhh", 20.0, 0, 0)))
+    send_to_odrive(
+        bench,
+        (0x0F, struct.pack("<ff", 2.0, 20.0)),
+        CLOSED_LOOP,
+        (0x0C, struct.pack("<fhh", 20.0, 0, 0)),
+    )
     fastest = 0.0
     for _ in range(100):
         bench.advance(bench.t_ns + 50 * MS)
@@ -166,7 +184,9 @@ def test_the_velocity_limit_of_an_odrive_acts_in_position_control() -> None:
 
 def test_a_trajectory_of_an_odrive_has_a_velocity_limit_of_its_own() -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3)])
-    send_to_odrive(bench, (0x0B, struct.pack("<II", 3, 5)), (0x11, struct.pack("<f", 1.0)), CLOSED_LOOP)
+    send_to_odrive(
+        bench, (0x0B, struct.pack("<II", 3, 5)), (0x11, struct.pack("<f", 1.0)), CLOSED_LOOP
+    )
     send_to_odrive(bench, (0x0C, struct.pack("<fhh", 10.0, 0, 0)))
     fastest = 0.0
     for _ in range(300):
@@ -179,7 +199,11 @@ def test_a_trajectory_of_an_odrive_has_a_velocity_limit_of_its_own() -> None:
 def test_the_current_limit_of_an_odrive_acts() -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=1.0)])
     send_to_odrive(
-        bench, TORQUE_MODE, (0x0F, struct.pack("<ff", 50.0, 4.0)), CLOSED_LOOP, (0x0E, struct.pack("<f", 1.0))
+        bench,
+        TORQUE_MODE,
+        (0x0F, struct.pack("<ff", 50.0, 4.0)),
+        CLOSED_LOOP,
+        (0x0E, struct.pack("<f", 1.0)),
     )
     bench.advance(10 * MS)
     assert bench.motors[0].torque == pytest.approx(4.0 * odrive_bench.TORQUE_CONSTANT, rel=0.01)
@@ -201,7 +225,13 @@ def position_of(bench: SimulatedDriveBench) -> float:
 @pytest.mark.parametrize("firmware", ["0.6", "0.5"])
 def test_an_odrive_obeys_set_absolute_position(firmware: str) -> None:
     bench = SimulatedDriveBench([drive_spec("odrive", 3, firmware=firmware)])
-    send_to_odrive(bench, (0x19, struct.pack("<f", 7.25) if firmware == "0.6" else struct.pack("<i", 7 * 8192 + 2048)))
+    send_to_odrive(
+        bench,
+        (
+            0x19,
+            struct.pack("<f", 7.25) if firmware == "0.6" else struct.pack("<i", 7 * 8192 + 2048),
+        ),
+    )
     assert position_of(bench) == pytest.approx(7.25)
     send_to_odrive(bench, CLOSED_LOOP, (0x0C, struct.pack("<fhh", 7.5, 0, 0)))
     bench.advance(2000 * MS)
@@ -239,7 +269,9 @@ def test_an_odrive_keeps_what_reboot_saves() -> None:
 
     send_to_odrive(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\0"))
     assert endpoint(202) == struct.pack("<f", 0.0), "a reboot does not save values"
-    send_to_odrive(bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\1"), (0x16, b"\0"))
+    send_to_odrive(
+        bench, (0x04, struct.pack("<BHBf", 1, 202, 0, 0.25)), (0x16, b"\1"), (0x16, b"\0")
+    )
     assert endpoint(202) == struct.pack("<f", 0.25)
     send_to_odrive(bench, (0x16, b"\2"))
     assert endpoint(202) == struct.pack("<f", 0.0), "the saved values are erased"
@@ -258,7 +290,9 @@ def test_the_help_names_the_endpoints_and_the_eds_file(capsys: pytest.CaptureFix
     ("behaviour", "polled", "idle"),
     [("commands", 0xD, 0x0), ("frames", 0x1, 0x0), ("always", 0xD, 0xD)],
 )
-def test_the_watchdog_of_a_damiao_motor_is_selectable(behaviour: str, polled: int, idle: int) -> None:
+def test_the_watchdog_of_a_damiao_motor_is_selectable(
+    behaviour: str, polled: int, idle: int
+) -> None:
     """The vendor's text is "no CAN commands within the interval".
 
     It does not say whether register requests count, and whether a disabled motor has a watchdog.
@@ -294,7 +328,9 @@ def test_no_frame_ends_a_drive(protocol: str, fault: str) -> None:
     for number in identifiers:
         for flags in (0, REMOTE, EXTENDED, EXTENDED | REMOTE):
             for data in payloads:
-                bench.receive(Frame(number & (0x1FFFFFFF if flags & EXTENDED else 0x7FF) | flags, data))
+                bench.receive(
+                    Frame(number & (0x1FFFFFFF if flags & EXTENDED else 0x7FF) | flags, data)
+                )
         bench.advance(bench.t_ns + 2 * MS)
         bench.take_unsolicited()
 
@@ -422,7 +458,10 @@ def test_frames_for_no_node_are_counted() -> None:
         ("mit --ids 1 --firmware 0.5 --bus local:x", "--firmware: only for drive odrive"),
         ("mit --ids 1 --uncalibrated --bus local:x", "--uncalibrated: only for drive odrive"),
         ("odrive --ids 1 --watchdog always --bus local:x", "--watchdog: only for drive mit"),
-        ("odrive --ids 1 --clear-answers never --bus local:x", "--clear-answers: only for drive mit"),
+        (
+            "odrive --ids 1 --clear-answers never --bus local:x",
+            "--clear-answers: only for drive mit",
+        ),
         ("cia402 --ids 1 --fd --bus local:x", "only for drive mit"),
         ("mit --ids 1 --motor-type ak80-9 --fd --bus local:x", "Damiao"),
         ("odrive --ids 1 --motor-type dm4310 --bus local:x", "only for drive mit"),
@@ -433,7 +472,9 @@ def test_frames_for_no_node_are_counted() -> None:
         ("mit --ids 1 --bus nothing", "local:NAME"),
     ],
 )
-def test_wrong_arguments_are_refused_in_one_line(words: str, expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_arguments_are_refused_in_one_line(
+    words: str, expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["drive", *words.split()]) == 2
     text = capsys.readouterr().err
     assert expected in text

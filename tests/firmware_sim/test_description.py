@@ -10,7 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.bus.frame import BRS, ESI, EXTENDED, FDF, RECORD_SIZE, Frame, pack_record, unpack_record
+from firmware_sim.bus.frame import (
+    BRS,
+    ESI,
+    EXTENDED,
+    FDF,
+    RECORD_SIZE,
+    Frame,
+    pack_record,
+    unpack_record,
+)
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.plant.perturb import PERTURBATION_KEYS, perturbed_hand
 from firmware_sim.rig import LockstepHand
@@ -30,13 +39,24 @@ def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:
 def test_every_number_comes_from_the_file(name: str) -> None:
     raw = tomllib.loads(described(name).to_toml())
     hand = load_hand(name)
-    assert [tendon.arms for tendon in hand.tendons] == [tendon["moment_arm_m"] for tendon in raw["tendon"]]
+    assert [tendon.arms for tendon in hand.tendons] == [
+        tendon["moment_arm_m"] for tendon in raw["tendon"]
+    ]
     for tendon, entry in zip(hand.tendons, raw["tendon"], strict=True):
-        assert (tendon.stiffness, tendon.friction) == (entry["stiffness_N_per_m"], entry["friction_coefficient"])
-        assert (tendon.damping, tendon.wrap) == (entry["damping_N_s_per_m"], entry["wrap_angle_rad"])
+        assert (tendon.stiffness, tendon.friction) == (
+            entry["stiffness_N_per_m"],
+            entry["friction_coefficient"],
+        )
+        assert (tendon.damping, tendon.wrap) == (
+            entry["damping_N_s_per_m"],
+            entry["wrap_angle_rad"],
+        )
     for motor, entry in zip(hand.motors, raw["motor"], strict=True):
         assert (motor.node_id, motor.spool_radius) == (entry["node_id"], entry["spool_radius_m"])
-        assert (motor.torque_max, motor.torque_peak) == (entry["torque_max_N_m"], entry["torque_peak_N_m"])
+        assert (motor.torque_max, motor.torque_peak) == (
+            entry["torque_max_N_m"],
+            entry["torque_peak_N_m"],
+        )
     for digit, entry in zip(hand.digits, raw["digit"], strict=True):
         assert list(digit.mass) == entry["link_mass_kg"]
         assert list(digit.spring) == entry["spring_stiffness_N_m_per_rad"]
@@ -55,7 +75,9 @@ def test_every_number_comes_from_the_file(name: str) -> None:
         ('bus = "main"', 'bus = "side"', "side"),
     ],
 )
-def test_incomplete_hands_are_refused_in_one_line(old: str, new: str, expected: str, tmp_path: Path) -> None:
+def test_incomplete_hands_are_refused_in_one_line(
+    old: str, new: str, expected: str, tmp_path: Path
+) -> None:
     with pytest.raises(SimulatorError, match=expected) as caught:
         LockstepHand(write_edited_jamia(tmp_path, old, new))
     assert "\n" not in str(caught.value)
@@ -63,10 +85,14 @@ def test_incomplete_hands_are_refused_in_one_line(old: str, new: str, expected: 
 
 def test_motors_on_two_buses(tmp_path: Path) -> None:
     """The first motor is on a second bus. It replies there and ignores frames on the first bus."""
-    first = write_edited_jamia(tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]')
+    first = write_edited_jamia(
+        tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1000000\n\n[sensor_node]'
+    )
     text = Path(first).read_text()
     head, _, tail = text.partition('name = "index_motor"')
-    Path(first).write_text(head + 'name = "index_motor"' + tail.replace('bus = "main"', 'bus = "side"', 1))
+    Path(first).write_text(
+        head + 'name = "index_motor"' + tail.replace('bus = "main"', 'bus = "side"', 1)
+    )
     rig = LockstepHand(first)
     zero = bytes.fromhex("7fff7ff0000007ff")
     answers = rig.step(0, [(1, zero, 0, 0, 0), (1, zero, 0, 1, 0), (2, zero, 0, 0, 0)])
@@ -75,7 +101,11 @@ def test_motors_on_two_buses(tmp_path: Path) -> None:
 
 def changed_fields(before: Any, after: Any) -> set[str]:
     """Return the names of the fields that differ between two objects."""
-    return {field.name for field in fields(before) if getattr(before, field.name) != getattr(after, field.name)}
+    return {
+        field.name
+        for field in fields(before)
+        if getattr(before, field.name) != getattr(after, field.name)
+    }
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,14 @@ def state(plant: Plant) -> list[str]:
     motors = [(m.theta, m.omega, m.torque, m.velocity, m.heat) for m in plant.motors.values()]
     tendons = [(tendon.tension, tendon.speed, tendon.slope) for tendon, _ in plant.tendons]
     engine = plant.engine
-    numbers = [*sum(motors, ()), *sum(tendons, ()), *engine.q, *engine.dq, *engine.applied, *plant.tensions()]
+    numbers = [
+        *sum(motors, ()),
+        *sum(tendons, ()),
+        *engine.q,
+        *engine.dq,
+        *engine.applied,
+        *plant.tensions(),
+    ]
     return [float(number).hex() for number in numbers]
 
 
@@ -63,7 +70,11 @@ def test_compiled_and_python_worlds_send_equal_frames() -> None:
         SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=4, compiled=compiled)
         for compiled in (True, False)
     ]
-    faults = "runaway node=ring_motor size=0.3 at=20ms", "noise cell=index_tendon", "noise encoder=thumb_motor"
+    faults = (
+        "runaway node=ring_motor size=0.3 at=20ms",
+        "noise cell=index_tendon",
+        "noise encoder=thumb_motor",
+    )
     outcomes = []
     for world in worlds:
         for fault in faults:
@@ -78,10 +89,14 @@ def test_compiled_and_python_worlds_send_equal_frames() -> None:
     assert outcomes[0] == outcomes[1]
 
 
-@pytest.mark.parametrize("module", ["server", "rig", "programs.hand", "programs.drive", "programs.bus"])
+@pytest.mark.parametrize(
+    "module", ["server", "rig", "programs.hand", "programs.drive", "programs.bus"]
+)
 def test_real_time_programs_do_not_import_the_compiler(module: str) -> None:
     code = f"import sys, firmware_sim.{module}; print('numba' in sys.modules)"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert result.stdout.strip() == "False"
 
 
@@ -93,14 +108,18 @@ def test_the_engine_has_native_addresses() -> None:
 
 def test_the_world_steps_in_blocks_between_events() -> None:
     """One long advance ends as many short ones. Motion and the times of watchdogs are equal."""
-    far, near = (SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2))
+    far, near = (
+        SimulatedWorld(load_hand("jamia"), load_scene("cylinder"), seed=1) for _ in range(2)
+    )
     far.advance(250_250_000)
     for k in range(1, 251):
         near.advance(k * 1_000_000)
     near.advance(250_250_000)
     assert far.t_ns == near.t_ns == 250_000_000
     assert state(far.plant) == state(near.plant)
-    assert [node.wake_ns for bus in far.nodes for node in bus] == [node.wake_ns for bus in near.nodes for node in bus]
+    assert [node.wake_ns for bus in far.nodes for node in bus] == [
+        node.wake_ns for bus in near.nodes for node in bus
+    ]
 
 
 def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
@@ -121,7 +140,9 @@ def test_a_divided_step_ends_where_the_whole_step_ends() -> None:
     assert divided.tensions() == pytest.approx(whole.tensions(), abs=0.2)
     assert divided.engine.q == pytest.approx(whole.engine.q, abs=0.01)
     set_step = [(motor.step, motor.lag, motor.velocity_lag) for motor in whole.motors.values()]
-    assert [(motor.step, motor.lag, motor.velocity_lag) for motor in divided.motors.values()] == set_step
+    assert [
+        (motor.step, motor.lag, motor.velocity_lag) for motor in divided.motors.values()
+    ] == set_step
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
@@ -133,7 +154,11 @@ def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: s
     for rate_hz in (300.0, 333.0, 450.0, 640.0):
         world = SimulatedWorld(load_hand(hand), load_scene(None), seed=2)
         motor = next(iter(world.plant.motors.values()))
-        motor.omega, motor.viscous, motor.coulomb = -3.0, 0.0, 0.0  # the spool unwinds a slack tendon
+        motor.omega, motor.viscous, motor.coulomb = (
+            -3.0,
+            0.0,
+            0.0,
+        )  # the spool unwinds a slack tendon
         period_ns, angles = round(1e9 / rate_hz), []
         for k in range(40):
             world.reach(k * period_ns)
@@ -163,7 +188,9 @@ def test_a_motor_fault_acts_in_every_step() -> None:
     rig = LockstepHand("jamia", homed=True)
     rig.inject("off node=index_motor")
     seen: list[float] = []
-    rig.world.plant.motors["ring_motor"].power_stage_fault = lambda command: seen.append(command) or 0.25
+    rig.world.plant.motors["ring_motor"].power_stage_fault = lambda command: (
+        seen.append(command) or 0.25
+    )
     rig.step(0, [])
     assert len(seen) == 4
     assert rig.world.plant.motors["ring_motor"].torque > 0.2

@@ -40,10 +40,18 @@ def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
     head, *motors = text.split("[[motor]]")
     for i, motor in enumerate(motors):
         protocol = protocols[i % len(protocols)]
-        motor = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", motor.replace('"mit"', f'"{protocol}"'))
-        motors[i] = (motor if buses == 1 or i < 2 else motor.replace('"main"', '"second"')) + OPTIONS[protocol] + "\n"
+        motor = re.sub(
+            r"node_id = \d+", f"node_id = {FIRST_NODE + i}", motor.replace('"mit"', f'"{protocol}"')
+        )
+        motors[i] = (
+            (motor if buses == 1 or i < 2 else motor.replace('"main"', '"second"'))
+            + OPTIONS[protocol]
+            + "\n"
+        )
     if buses == 2:
-        head = head.replace("[sensor_node]", '[[bus]]\nname = "second"\nbitrate = 1_000_000\n\n[sensor_node]')
+        head = head.replace(
+            "[sensor_node]", '[[bus]]\nname = "second"\nbitrate = 1_000_000\n\n[sensor_node]'
+        )
     path = folder / "hand.toml"
     path.write_text("[[motor]]".join([head, *motors]))
     return str(path)
@@ -55,16 +63,36 @@ def start(protocol: str, node: int) -> list[tuple[int, bytes]]:
         return [(0x7FF, struct.pack("<HBBI", node, 0x55, 9, 4000)), (node, b"\xff" * 7 + b"\xfc")]
     if protocol == "odrive":
         endpoints = [struct.pack("<BHBB", 1, 201, 0, 1), struct.pack("<BHBf", 1, 202, 0, 0.2)]
-        modes = [(node << 5 | 0x0B, struct.pack("<II", 1, 1)), (node << 5 | 0x07, struct.pack("<I", 8))]
+        modes = [
+            (node << 5 | 0x0B, struct.pack("<II", 1, 1)),
+            (node << 5 | 0x07, struct.pack("<I", 8)),
+        ]
         return [*[(node << 5 | 0x04, data) for data in endpoints], *modes]
     written = [(0x1400, 1, 4, 0x80000200 + node), (0x1600, 0, 1, 0), (0x1600, 1, 4, 0x60400010)]
     written += [(0x1600, 2, 4, 0x60710010), (0x1600, 0, 1, 2), (0x1400, 1, 4, 0x200 + node)]
     written += [(0x1800, 1, 4, 0x80000180 + node), (0x1A00, 0, 1, 0), (0x1A00, 1, 4, 0x60410010)]
-    written += [(0x1A00, 2, 4, 0x60640020), (0x1A00, 3, 4, 0x60770010), (0x1A00, 0, 1, 3), (0x1800, 2, 1, 1)]
-    written += [(0x1800, 1, 4, 0x180 + node), (0x1016, 1, 4, 0x7F0064), (0x1017, 0, 2, 30), (0x6060, 0, 1, 10)]
+    written += [
+        (0x1A00, 2, 4, 0x60640020),
+        (0x1A00, 3, 4, 0x60770010),
+        (0x1A00, 0, 1, 3),
+        (0x1800, 2, 1, 1),
+    ]
+    written += [
+        (0x1800, 1, 4, 0x180 + node),
+        (0x1016, 1, 4, 0x7F0064),
+        (0x1017, 0, 2, 30),
+        (0x6060, 0, 1, 10),
+    ]
     sizes = {1: 0x2F, 2: 0x2B, 4: 0x23}
-    sdo = [(0x600 + node, struct.pack("<BHBI", sizes[size], index, sub, value)) for index, sub, size, value in written]
-    return [*sdo, (0x000, bytes((1, node))), *[(0x200 + node, struct.pack("<Hh", word, 0)) for word in (6, 7, 15)]]
+    sdo = [
+        (0x600 + node, struct.pack("<BHBI", sizes[size], index, sub, value))
+        for index, sub, size, value in written
+    ]
+    return [
+        *sdo,
+        (0x000, bytes((1, node))),
+        *[(0x200 + node, struct.pack("<Hh", word, 0)) for word in (6, 7, 15)],
+    ]
 
 
 def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
@@ -74,8 +102,14 @@ def frames_of_tick(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
         code = round((0.8 * fraction + 0.8) * 4095 / 1.6)
         return [(node, (0x7FFF << 48 | 0x7FF << 36 | 0x010 << 12 | code).to_bytes(8, "big"))]
     if protocol == "odrive":
-        return [(node << 5 | 0x0E, struct.pack("<f", 0.4 * fraction)), (node << 5 | 0x09 | REMOTE, b"")]
-    return [(0x200 + node, struct.pack("<Hh", 0x0F, round(1000 * fraction))), *([(0x77F, b"\5")] if k % 5 == 0 else [])]
+        return [
+            (node << 5 | 0x0E, struct.pack("<f", 0.4 * fraction)),
+            (node << 5 | 0x09 | REMOTE, b""),
+        ]
+    return [
+        (0x200 + node, struct.pack("<Hh", 0x0F, round(1000 * fraction))),
+        *([(0x77F, b"\5")] if k % 5 == 0 else []),
+    ]
 
 
 def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
@@ -89,24 +123,52 @@ def disturb_frame(frame: Frame, rng: random.Random) -> list[Frame]:
         [Frame(can_id, data + bytes(12), FDF, bus, t_ns)],
         [Frame(can_id ^ rng.choice((EXTENDED, REMOTE, ERROR, 1, 0x80)), data, flags, bus, t_ns)],
         [Frame(can_id, rng.randbytes(len(data)), flags, bus, t_ns)],
-        [Frame(can_id, (b"\xff" * 7 + rng.choice((b"\xfb", b"\xfd", b"\xff")))[: len(data) or 8], flags, bus, t_ns)],
-        [Frame(can_id, struct.pack("<f", rng.choice((float("nan"), float("inf"), 1e30))), flags, bus, t_ns), frame],
+        [
+            Frame(
+                can_id,
+                (b"\xff" * 7 + rng.choice((b"\xfb", b"\xfd", b"\xff")))[: len(data) or 8],
+                flags,
+                bus,
+                t_ns,
+            )
+        ],
+        [
+            Frame(
+                can_id,
+                struct.pack("<f", rng.choice((float("nan"), float("inf"), 1e30))),
+                flags,
+                bus,
+                t_ns,
+            ),
+            frame,
+        ],
         [Frame(0x080, bytes((rng.randrange(256),)), 0, 0, t_ns), frame],
     ]
     return rng.choice(other) if rng.random() < 0.03 else [frame]
 
 
-def stream(protocols: tuple[str, ...], ticks: int, seed: int, buses: int = 1) -> Iterator[list[Frame]]:
+def stream(
+    protocols: tuple[str, ...], ticks: int, seed: int, buses: int = 1
+) -> Iterator[list[Frame]]:
     """Yield the frames of each tick: first the set-up of the drives, then commands.
 
     Some are disturbed unless the seed is 0.
     """
     rng = random.Random(seed)
-    drives = [(protocols[i % len(protocols)], FIRST_NODE + i, int(buses == 2 and i >= 2)) for i in range(4)]
+    drives = [
+        (protocols[i % len(protocols)], FIRST_NODE + i, int(buses == 2 and i >= 2))
+        for i in range(4)
+    ]
     for k in range(ticks):
         frames = [Frame(0x080, bytes((k & 0xFF,)))]
         for protocol, node, bus in drives:
-            sent = start(protocol, node) if k == 2 else frames_of_tick(protocol, node, k) if k > 2 else []
+            sent = (
+                start(protocol, node)
+                if k == 2
+                else frames_of_tick(protocol, node, k)
+                if k > 2
+                else []
+            )
             frames += [Frame(can_id, data, 0, bus, k) for can_id, data in sent]
         yield [other for frame in frames for other in disturb_frame(frame, rng)] if seed else frames
 
@@ -119,9 +181,13 @@ CASES = [
 
 
 @pytest.mark.parametrize(("protocols", "buses", "seed"), CASES)
-def test_the_kernel_answers_as_the_nodes_do(protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path) -> None:
+def test_the_kernel_answers_as_the_nodes_do(
+    protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path
+) -> None:
     hand = hand_file(tmp_path, protocols, buses)
-    rigs = [LockstepHand(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")]
+    rigs = [
+        LockstepHand(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("kernel", "nodes")
+    ]
     rigs[1].world.faults.in_frames = True  # use the Python nodes for every frame
     count = 0
     for k, frames in enumerate(stream(protocols, 400, seed, buses)):
@@ -153,7 +219,10 @@ def test_cyclic_frames_do_not_reach_the_nodes_one_by_one(protocol: str, tmp_path
 
 
 def test_records_are_frames() -> None:
-    frames = [Frame(0x123, b"abc", FDF, 1, 5), Frame(0x1FFFFFFF | EXTENDED, bytes(range(64)), FDF | BRS, 0, -1)]
+    frames = [
+        Frame(0x123, b"abc", FDF, 1, 5),
+        Frame(0x1FFFFFFF | EXTENDED, bytes(range(64)), FDF | BRS, 0, -1),
+    ]
     records = to_records(frames)
     assert records.dtype == FRAME_DTYPE
     assert FRAME_DTYPE.itemsize == 80
@@ -188,7 +257,9 @@ def test_a_new_identifier_is_valid_from_the_next_frame() -> None:
     rig = LockstepHand("jamia", seed=1)
     rig.step(0, [Frame(2, bytes(8))])
     write = Frame(0x7FF, struct.pack("<HBBI", 2, 0x55, 8, 0x42))
-    answers = rig.step(TICK_NS, [Frame(2, bytes(8)), write, Frame(2, bytes(8)), Frame(0x42, bytes(8))])
+    answers = rig.step(
+        TICK_NS, [Frame(2, bytes(8)), write, Frame(2, bytes(8)), Frame(0x42, bytes(8))]
+    )
     assert [answer.can_id for answer in answers] == [0x12] * 3
     assert rig.world.foreign == 1
 

@@ -6,7 +6,13 @@ import pytest
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.faults.text import DRIVE_KINDS, FAULT_KINDS, TWO_MOTOR_KINDS, instances_of_component, parse_fault
+from firmware_sim.faults.text import (
+    DRIVE_KINDS,
+    FAULT_KINDS,
+    TWO_MOTOR_KINDS,
+    instances_of_component,
+    parse_fault,
+)
 from firmware_sim.rig import LockstepHand
 
 HAND = load_hand("jamia")
@@ -30,7 +36,12 @@ def answers_of_ticks(world, ticks, frames=(REFRESH,)):
 def test_a_fault_is_parsed_from_a_line():
     fault = parse_fault("drop node=3 p=0.05 at=3s for=2s seed=7", HAND, 10)
     assert (fault.kind, fault.component, fault.instance) == ("drop", "node", HAND.motors[2].name)
-    assert (fault.start_ns, fault.duration_ns, fault.p, fault.seed) == (3_000_000_010, 2_000_000_000, 0.05, 7)
+    assert (fault.start_ns, fault.duration_ns, fault.p, fault.seed) == (
+        3_000_000_010,
+        2_000_000_000,
+        0.05,
+        7,
+    )
 
 
 @pytest.mark.parametrize(
@@ -131,7 +142,12 @@ def test_a_delayed_frame_comes_late_and_a_reordered_one_behind_the_next():
     assert [len(a) for a in answers[:3]] == [0, 0, 1]
     run = rig()
     run.inject("reorder node=sensors")
-    counters = [frame.data[0] & 0xF for a in answers_of_ticks(run, 6, ()) for frame in a if frame.can_id == 0x1A0]
+    counters = [
+        frame.data[0] & 0xF
+        for a in answers_of_ticks(run, 6, ())
+        for frame in a
+        if frame.can_id == 0x1A0
+    ]
     assert counters == [1, 0, 3, 2, 5, 4]
 
 
@@ -167,8 +183,15 @@ def test_blocks_of_steps_end_at_every_event():
         for k in range(60):
             for t_ns in range(world.t_ns + step_ns, (k + 1) * 2_000_000 + 1, step_ns):
                 world.advance(t_ns)
-            frames += [*world.receive(REFRESH), *world.receive(Frame(SYNC, bytes((k,)))), *world.take_unsolicited()]
-        state = [{key: value for key, value in fault.items() if key != "state"} for fault in hand_rig.fault_states()]
+            frames += [
+                *world.receive(REFRESH),
+                *world.receive(Frame(SYNC, bytes((k,)))),
+                *world.take_unsolicited(),
+            ]
+        state = [
+            {key: value for key, value in fault.items() if key != "state"}
+            for fault in hand_rig.fault_states()
+        ]
         return frames, state, [motor.theta.hex() for motor in world.plant.motors.values()]
 
     far, near = run(2_000_000), run(500_000)

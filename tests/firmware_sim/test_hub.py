@@ -76,22 +76,32 @@ def read_all(link: socket.socket) -> bytes:
     return data
 
 
-def test_all_but_the_sender_get_every_record_in_order(hub: Hub, client: Callable[[], socket.socket]) -> None:
+def test_all_but_the_sender_get_every_record_in_order(
+    hub: Hub, client: Callable[[], socket.socket]
+) -> None:
     a, b, c = client(), client(), client()
-    batch = record(0x123, b"\x01\x02") + record(1 << 31 | 0x1ABCDE, bytes(range(64)), FD | 1) + record(0x7FF, b"")
+    batch = (
+        record(0x123, b"\x01\x02")
+        + record(1 << 31 | 0x1ABCDE, bytes(range(64)), FD | 1)
+        + record(0x7FF, b"")
+    )
     a.sendall(batch)
     assert settle(hub) == batch
     assert (read_all(a), read_all(b), read_all(c)) == (b"", batch, batch)
 
 
-def test_the_owners_records_reach_every_client(hub: Hub, client: Callable[[], socket.socket]) -> None:
+def test_the_owners_records_reach_every_client(
+    hub: Hub, client: Callable[[], socket.socket]
+) -> None:
     a, b = client(), client()
     hub.send(record(0x11, b"answer"))
     assert read_all(a) == read_all(b) == record(0x11, b"answer")
 
 
 @pytest.mark.parametrize("cut", [1, 71, 73, 100, 143])
-def test_a_record_cut_in_two_arrives_whole(hub: Hub, client: Callable[[], socket.socket], cut: int) -> None:
+def test_a_record_cut_in_two_arrives_whole(
+    hub: Hub, client: Callable[[], socket.socket], cut: int
+) -> None:
     a, b = client(), client()
     batch = record(1, b"one") + record(2, b"two")
     a.sendall(batch[:cut])
@@ -102,7 +112,9 @@ def test_a_record_cut_in_two_arrives_whole(hub: Hub, client: Callable[[], socket
     assert read_all(b) == batch[cut - cut % SIZE :]
 
 
-def test_the_senders_reserved_bytes_do_not_look_like_drops(hub: Hub, client: Callable[[], socket.socket]) -> None:
+def test_the_senders_reserved_bytes_do_not_look_like_drops(
+    hub: Hub, client: Callable[[], socket.socket]
+) -> None:
     a, b = client(), client()
     a.sendall(record(1, b"x", dropped=0x1234))
     settle(hub)
@@ -123,7 +135,11 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     total, batch = 0, 1000
     received: list[tuple[int, int]] = []
     while hub.dropped < 70_000:  # more than a record's counter can hold
-        hub.send(b"".join(record(5, number.to_bytes(4, "little")) for number in range(total, total + batch)))
+        hub.send(
+            b"".join(
+                record(5, number.to_bytes(4, "little")) for number in range(total, total + batch)
+            )
+        )
         total += batch
         received += numbers(read_all(reader))
     assert received == [(number, 0) for number in range(total)]
@@ -132,13 +148,17 @@ def test_a_client_that_never_reads_blocks_nobody_and_its_drops_are_counted(
     hub.serve([])  # completes a partly sent record
     read += read_all(idle)
     rows = numbers(read)
-    assert rows == [(number, 0) for number in range(len(rows))], "the first records are kept, complete and in order"
+    assert rows == [(number, 0) for number in range(len(rows))], (
+        "the first records are kept, complete and in order"
+    )
     assert len(rows) + hub.dropped == total
     hub.send(record(5, total.to_bytes(4, "little")))
     assert numbers(read_all(idle)) == [(total, hub.dropped % 65536)]
 
 
-def test_an_incomplete_record_is_completed_before_the_next(hub: Hub, client: Callable[[], socket.socket]) -> None:
+def test_an_incomplete_record_is_completed_before_the_next(
+    hub: Hub, client: Callable[[], socket.socket]
+) -> None:
     idle = client()
     batch = b"".join(record(number, number.to_bytes(4, "little")) for number in range(2000))
     while not hub.writers():
@@ -158,7 +178,9 @@ def test_an_incomplete_record_is_completed_before_the_next(hub: Hub, client: Cal
     assert data[-SIZE:] == record(0x7FF, b"next", dropped=hub.dropped % 65536)
 
 
-def test_drops_of_a_disconnected_client_still_count(hub: Hub, client: Callable[[], socket.socket]) -> None:
+def test_drops_of_a_disconnected_client_still_count(
+    hub: Hub, client: Callable[[], socket.socket]
+) -> None:
     stays, leaves = client(), client()
     while not hub.dropped:
         hub.send(record(1, b"") * 100)
@@ -172,7 +194,9 @@ def test_drops_of_a_disconnected_client_still_count(hub: Hub, client: Callable[[
     assert read_all(stays) == record(2, b"still here")
 
 
-def test_a_second_hub_is_refused_and_the_first_goes_on(hub: Hub, client: Callable[[], socket.socket]) -> None:
+def test_a_second_hub_is_refused_and_the_first_goes_on(
+    hub: Hub, client: Callable[[], socket.socket]
+) -> None:
     a, b = client(), client()
     with pytest.raises(SimulatorError, match=r"local:test is already served"):
         Hub("test")
@@ -205,7 +229,9 @@ def test_closing_removes_the_socket_but_not_a_successors(hub: Hub) -> None:
     assert not path.exists()
 
 
-def test_the_run_directory_is_closed_to_others(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_the_run_directory_is_closed_to_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     assert stat.S_IMODE(run_dir().stat().st_mode) == 0o700
     monkeypatch.delenv("HANDCTL_RUN_DIR")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "xdg"))

@@ -30,7 +30,13 @@ rate_N_per_s = 10.0
 TABLE = '[support]\ndrop_when = "never"'
 
 
-def scene(folder: Path, x: float = 0.0195, direction: str = "[0, 0, 2]", start: float = 0.1, support: str = "") -> str:
+def scene(
+    folder: Path,
+    x: float = 0.0195,
+    direction: str = "[0, 0, 2]",
+    start: float = 0.1,
+    support: str = "",
+) -> str:
     path = folder / "loaded.toml"
     path.write_text(SCENE.format(x=x, direction=direction, start=start, support=support))
     return str(path)
@@ -46,14 +52,18 @@ def test_a_free_object_gains_the_impulse_of_its_load_and_weight(tmp_path: Path) 
 
 def test_the_truth_file_has_the_load_from_its_start_time(tmp_path: Path) -> None:
     truth = tmp_path / "truth"
-    rig = LockstepHand("jamia", scene=scene(tmp_path, support=TABLE), truth_path=str(truth), homed=True)
+    rig = LockstepHand(
+        "jamia", scene=scene(tmp_path, support=TABLE), truth_path=str(truth), homed=True
+    )
     for k in range(100):
         rig.step(k * 2_000_000, [])
     rig.close()
     record = read_truth(truth)
     expected = 10.0 * np.maximum(0.0, record.t_ns * 1e-9 - 0.1)
     assert record.column("load") == pytest.approx(expected, abs=1e-9)
-    assert {f"normal/{digit}" for digit in ("index", "middle", "ring", "thumb")} <= set(record.header["columns"])
+    assert {f"normal/{digit}" for digit in ("index", "middle", "ring", "thumb")} <= set(
+        record.header["columns"]
+    )
 
 
 def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path) -> None:
@@ -71,7 +81,9 @@ def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path
         assert np.linalg.norm(force) <= normal * math.hypot(1.0, 0.5) * 1.01
     palm = net[:, 0].sum()
     assert palm > 1.0, "the digits press the object against the palm"
-    assert abs(net[:, 1].sum()) <= 0.5 * (palm + 0.2 * 9.81), "friction balances the rest of the force"
+    assert abs(net[:, 1].sum()) <= 0.5 * (palm + 0.2 * 9.81), (
+        "friction balances the rest of the force"
+    )
 
 
 @pytest.mark.parametrize("direction", ["[0, 0, 0]", "[0, 0]", '["x", 0, 0]', "[nan, 0, 1]"])
@@ -82,6 +94,8 @@ def test_wrong_loads_are_refused(direction: str, tmp_path: Path) -> None:
 
 def test_a_load_needs_an_object(tmp_path: Path) -> None:
     path = tmp_path / "empty.toml"
-    path.write_text('name = "empty"\n[load]\ndirection = [0, 0, 1]\nstart_s = 0\nrate_N_per_s = 1\n')
+    path.write_text(
+        'name = "empty"\n[load]\ndirection = [0, 0, 1]\nstart_s = 0\nrate_N_per_s = 1\n'
+    )
     with pytest.raises(SimulatorError, match="a load without an object"):
         load_scene(str(path))

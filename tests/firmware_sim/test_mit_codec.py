@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from firmware_sim.compiled import machine_code
 from firmware_sim.nodes.mit import codec as mit_codec
-from firmware_sim.nodes.mit.codec import FrameRanges, decode_command, encode_feedback, from_code, to_code
+from firmware_sim.nodes.mit.codec import (
+    FrameRanges,
+    decode_command,
+    encode_feedback,
+    from_code,
+    to_code,
+)
 
 RANGES = FrameRanges(12.5, 50.0, 0.8)
 
@@ -43,7 +49,9 @@ def test_each_field_lies_where_the_fact_sheet_says() -> None:
 @given(st.tuples(*[st.integers(0, 4095)] * 4), st.integers(0, 65535))
 def test_a_command_is_read_exactly(codes: tuple[int, int, int, int], position: int) -> None:
     v, kp, kd, torque = codes
-    command = decode_command(bits((position, 16), (v, 12), (kp, 12), (kd, 12), (torque, 12)), RANGES)
+    command = decode_command(
+        bits((position, 16), (v, 12), (kp, 12), (kd, 12), (torque, 12)), RANGES
+    )
     exact = (
         Fraction(position) * 25 / 65535 - Fraction(25, 2),
         Fraction(v) * 100 / 4095 - 50,
@@ -57,7 +65,9 @@ def test_a_command_is_read_exactly(codes: tuple[int, int, int, int], position: i
 def test_feedback_byte_by_byte() -> None:
     data = encode_feedback(0xD, 0x13, (12.5, -50.0, 0.8), RANGES, (25.9, 300.0))
     assert data == bytes([0xD3, 0xFF, 0xFF, 0x00, 0x0F, 0xFF, 25, 255])
-    assert encode_feedback(1, 4, (0.0, 0.0, 0.0), RANGES, (-3.0, 0.0)) == bytes.fromhex("147fff7ff7ff0000")
+    assert encode_feedback(1, 4, (0.0, 0.0, 0.0), RANGES, (-3.0, 0.0)) == bytes.fromhex(
+        "147fff7ff7ff0000"
+    )
 
 
 @given(st.floats(-15.0, 15.0))
@@ -78,7 +88,9 @@ MOTION = st.tuples(*[st.floats(-60.0, 60.0)] * 3)
 
 
 @given(st.integers(0, 255), MOTION, st.floats(-50.0, 300.0), st.integers(0, 2**64 - 1))
-def test_compiled_kernels_equal_python(head: int, motion: tuple[float, ...], degrees: float, word: int) -> None:
+def test_compiled_kernels_equal_python(
+    head: int, motion: tuple[float, ...], degrees: float, word: int
+) -> None:
     """The functions of the module give the same values too.
 
     They are Python functions unless another test has compiled them.
@@ -86,7 +98,11 @@ def test_compiled_kernels_equal_python(head: int, motion: tuple[float, ...], deg
     kernels, signed = machine_code(mit_codec), word - (word >> 63 << 64)
     feedback = (head, *motion, *RANGES, degrees, degrees)
     word_of_python = mit_codec.write_feedback(*feedback)
-    assert kernels.write_feedback(*feedback) == kernels.write_feedback.py_func(*feedback) == word_of_python
+    assert (
+        kernels.write_feedback(*feedback)
+        == kernels.write_feedback.py_func(*feedback)
+        == word_of_python
+    )
     assert kernels.read_command(signed, *RANGES) == kernels.read_command.py_func(signed, *RANGES)
 
 

@@ -24,7 +24,9 @@ class OneDrive:
 
     def __init__(self, inertia: float = 1.0, direction: int = 1) -> None:
         """Switch the drive on in position mode, without torque."""
-        self.bench = SimulatedDriveBench([replace(drive_spec("moteus", NODE, inertia=inertia), direction=direction)])
+        self.bench = SimulatedDriveBench(
+            [replace(drive_spec("moteus", NODE, inertia=inertia), direction=direction)]
+        )
         (node,) = self.bench.nodes
         assert isinstance(node, MoteusNode)
         self.node, self.motor = node, self.bench.motors[0]
@@ -76,7 +78,9 @@ def test_the_target_moves_with_the_velocity_until_the_next_command(
     drive.wait(10)
     drive.command(math.nan, -velocity)
     drive.wait(10)
-    assert drive.register(0x038) == pytest.approx(position, abs=1e-6), "without a position, the target goes on"
+    assert drive.register(0x038) == pytest.approx(position, abs=1e-6), (
+        "without a position, the target goes on"
+    )
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -88,7 +92,9 @@ def test_the_torque_is_that_of_the_scaled_gains(kp: float, kd: float, direction:
     target = 0.05 + 0.005 * 0.4
     exact = KP * kp * (target - drive.register(1)) + KD * kd * (0.4 - drive.register(2)) + 0.02
     assert drive.register(3) == pytest.approx(exact, abs=KP * ENCODER_STEP / TURN + 1e-4)
-    assert direction * drive.motor.torque == pytest.approx(exact, abs=KP * ENCODER_STEP / TURN + 1e-4)
+    assert direction * drive.motor.torque == pytest.approx(
+        exact, abs=KP * ENCODER_STEP / TURN + 1e-4
+    )
 
 
 def test_a_limit_in_effect_is_reported_and_bounds_the_sum() -> None:
@@ -112,7 +118,9 @@ def test_a_stopped_drive_forgets_its_target() -> None:
     drive.command(math.nan)
     drive.wait(20)
     drive.command(math.nan)
-    assert drive.register(0x038) == pytest.approx(drive.register(1), abs=1e-3), "the present position"
+    assert drive.register(0x038) == pytest.approx(drive.register(1), abs=1e-3), (
+        "the present position"
+    )
 
 
 def test_the_watchdog_stops_a_moving_target() -> None:
@@ -123,4 +131,8 @@ def test_the_watchdog_stops_a_moving_target() -> None:
     assert drive.register(0) == 10
     drive.wait(20)
     assert drive.register(0) == 11
-    assert (drive.motor.servo.kp, drive.motor.servo.target_speed, drive.motor.servo.torque) == (0.0, 0.0, 0.0)
+    assert (drive.motor.servo.kp, drive.motor.servo.target_speed, drive.motor.servo.torque) == (
+        0.0,
+        0.0,
+        0.0,
+    )

@@ -18,7 +18,9 @@ MS = 1_000_000
 TURN = math.tau
 
 
-def sample_each_ms(bench: SimulatedDriveBench, for_s: float, value: Callable[[], float]) -> list[float]:
+def sample_each_ms(
+    bench: SimulatedDriveBench, for_s: float, value: Callable[[], float]
+) -> list[float]:
     """Advance a bench for a time, and return a value that is read in each millisecond."""
     values = []
     for _ in range(round(for_s * 1000)):
@@ -98,7 +100,9 @@ def test_the_ramps_of_a_damiao_motor_act_in_position_velocity_mode(sign: int) ->
     assert max(speeds) <= 1.02 * 3.0
     assert min(speeds) > -0.1
     # To 3 rad/s the motor takes 0.75 s and 1.125 rad, and from there to rest 1.5 s and 2.25 rad.
-    assert sample_each_ms(bench, 1.0, lambda: sign * motor.theta)[-1] == pytest.approx(6.0, abs=0.01)
+    assert sample_each_ms(bench, 1.0, lambda: sign * motor.theta)[-1] == pytest.approx(
+        6.0, abs=0.01
+    )
 
 
 def test_the_ramp_of_a_damiao_motor_acts_in_velocity_mode() -> None:
@@ -107,7 +111,9 @@ def test_the_ramp_of_a_damiao_motor_acts_in_velocity_mode() -> None:
     write_register(bench, 5, struct.pack("<f", -10.0))
     motor = bench.motors[0]
     bench.receive(Frame(0x202, struct.pack("<f", 6.0)))
-    assert largest_acceleration(sample_each_ms(bench, 2.0, lambda: motor.omega), 100) == pytest.approx(5.0, rel=0.15)
+    assert largest_acceleration(
+        sample_each_ms(bench, 2.0, lambda: motor.omega), 100
+    ) == pytest.approx(5.0, rel=0.15)
     assert motor.omega == pytest.approx(6.0, rel=0.01)
     bench.receive(Frame(0x202, struct.pack("<f", 0.0)))
     speeds = sample_each_ms(bench, 2.0, lambda: motor.omega)
@@ -172,7 +178,9 @@ def test_a_damiao_motor_changes_its_mode_while_enabled() -> None:
     assert motor.theta == pytest.approx(1.0, abs=0.01)
     write_register(bench, 10, struct.pack("<I", 1))
     bench.receive(Frame(2, bytes.fromhex("7fff7ff000000fff")))
-    assert (motor.servo.torque, motor.servo.limit) == (10.0, 7.0), "MIT mode has a separate torque limit"
+    assert (motor.servo.torque, motor.servo.limit) == (10.0, 7.0), (
+        "MIT mode has a separate torque limit"
+    )
 
 
 def test_the_watchdog_of_a_damiao_motor_ends_a_motion() -> None:
@@ -192,7 +200,12 @@ def odrive(
 ) -> SimulatedDriveBench:
     """Return a bench with an ODrive (node 3) in closed-loop control, after given messages."""
     bench = SimulatedDriveBench([drive_spec("odrive", 3, inertia=inertia)])
-    send(bench, (0x0B, struct.pack("<II", control, input_mode)), *messages, (0x07, struct.pack("<I", 8)))
+    send(
+        bench,
+        (0x0B, struct.pack("<II", control, input_mode)),
+        *messages,
+        (0x07, struct.pack("<I", 8)),
+    )
     return bench
 
 
@@ -293,7 +306,8 @@ def test_an_odrive_ignores_a_change_of_the_mode_in_closed_loop() -> None:
 
 @pytest.mark.parametrize("control", [1, 2, 3])
 @pytest.mark.parametrize(
-    "message", [(0x0C, struct.pack("<fhh", math.nan, 0, 0)), (0x0D, struct.pack("<ff", 0, math.inf))]
+    "message",
+    [(0x0C, struct.pack("<fhh", math.nan, 0, 0)), (0x0D, struct.pack("<ff", 0, math.inf))],
 )
 def test_a_setpoint_that_is_not_finite_disarms(control: int, message: tuple[int, bytes]) -> None:
     bench = odrive(control, 1)
@@ -321,7 +335,9 @@ def test_an_odrive_keeps_its_gains_and_limits_when_they_are_impossible() -> None
 COUNTS = 1 << 16
 
 
-def cia402(mode: int, *objects: tuple[int, int, int, int], **options: object) -> SimulatedDriveBench:
+def cia402(
+    mode: int, *objects: tuple[int, int, int, int], **options: object
+) -> SimulatedDriveBench:
     """Return a bench with an enabled CiA 402 drive (node 33) in a mode.
 
     ``objects`` (index, sub-index, value, size) are written before it is enabled.
@@ -337,7 +353,9 @@ def cia402(mode: int, *objects: tuple[int, int, int, int], **options: object) ->
 
 
 def sdo(bench: SimulatedDriveBench, data: bytes) -> bytes:
-    return [frame.data for frame in bench.receive(Frame(0x600 + 33, data)) if frame.can_id == 0x580 + 33][-1]
+    return [
+        frame.data for frame in bench.receive(Frame(0x600 + 33, data)) if frame.can_id == 0x580 + 33
+    ][-1]
 
 
 def write_object(bench: SimulatedDriveBench, index: int, sub: int, value: int, size: int) -> int:
@@ -476,7 +494,9 @@ def test_a_relative_set_point_and_halt() -> None:
     assert motor.theta / TURN > 0.5
     control(bench, 0x1F)
     bench.advance(bench.t_ns + 3000 * MS)
-    assert motor.theta == pytest.approx(0.0, abs=0.02), "after the halt the motor moves to the target"
+    assert motor.theta == pytest.approx(0.0, abs=0.02), (
+        "after the halt the motor moves to the target"
+    )
 
 
 def test_a_set_point_bit_left_by_homing_is_no_edge() -> None:
@@ -502,7 +522,9 @@ def test_homing_here_sets_the_position() -> None:
     bench = cia402(6, (0x607C, 0, 1234, 4))
     assert not control(bench, 0x0F) & 1 << 12
     word = control(bench, 0x1F)
-    assert word & (1 << 10 | 1 << 12 | 1 << 13) == 1 << 10 | 1 << 12, "target reached and homing attained"
+    assert word & (1 << 10 | 1 << 12 | 1 << 13) == 1 << 10 | 1 << 12, (
+        "target reached and homing attained"
+    )
     assert read_object(bench, 0x6064) == pytest.approx(1234, abs=5)
     assert bench.motors[0].theta == pytest.approx(0.0, abs=1e-3), "the motor did not move"
 

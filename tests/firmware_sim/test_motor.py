@@ -99,7 +99,13 @@ def test_a_moving_target_is_followed_as_a_mass_on_a_spring(speed: float) -> None
     kp, kd, step_s = 0.5, 0.004, 1e-5
     motor = Motor(SMOOTH, step_s)
     servo = motor.servo
-    servo.kp, servo.kd, servo.velocity, servo.target_speed, servo.limit = kp, kd, speed, speed, 100.0
+    servo.kp, servo.kd, servo.velocity, servo.target_speed, servo.limit = (
+        kp,
+        kd,
+        speed,
+        speed,
+        100.0,
+    )
     decay = 0.5 * kd / SPEC.inertia
     omega = math.sqrt(kp / SPEC.inertia - decay**2)
     largest = 0.0
@@ -169,7 +175,9 @@ def test_friction_does_not_add_inertia(torque: float) -> None:
     motor.omega, motor.torque = 2.0, torque
     motor.servo.torque, motor.servo.limit = torque, 1.0
     spin(motor, 0.005)
-    assert (motor.omega - 2.0) / 0.005 == pytest.approx((torque - SPEC.coulomb) / SPEC.inertia, rel=1e-3)
+    assert (motor.omega - 2.0) / 0.005 == pytest.approx(
+        (torque - SPEC.coulomb) / SPEC.inertia, rel=1e-3
+    )
 
 
 def test_friction_stops_a_slow_rotor_without_reversing_it() -> None:

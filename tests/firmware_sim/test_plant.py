@@ -81,7 +81,9 @@ def test_friction_makes_the_far_joints_lag() -> None:
 def test_a_slack_tendon_makes_no_force() -> None:
     plant = free(homed=False)
     before = [motor.theta for motor in plant.motors.values()]
-    assert all(-0.6 <= theta <= -0.2 for theta in before), "a slack of 1 to 3 mm on a spool of 5 mm radius"
+    assert all(-0.6 <= theta <= -0.2 for theta in before), (
+        "a slack of 1 to 3 mm on a spool of 5 mm radius"
+    )
     assert len(set(before)) == 4
     for motor in plant.motors.values():
         motor.omega = 2.0
@@ -131,7 +133,10 @@ def test_joint_stops_limit_the_angles() -> None:
 
 
 def link_frames(plant: Plant) -> Any:
-    return {name: np.array(plant.engine._data.body(name).xpos) for name in ("index_link3", "ring_link2", "thumb_link2")}
+    return {
+        name: np.array(plant.engine._data.body(name).xpos)
+        for name in ("index_link3", "ring_link2", "thumb_link2")
+    }
 
 
 def test_forward_kinematics_of_the_links() -> None:
@@ -169,7 +174,9 @@ def test_eleven_motors_move_joints_one_by_one() -> None:
         plant.step()
     q = plant.engine.q
     stiffness, preload = hand.digits[0].spring[0], hand.digits[0].preload[0]
-    assert q[0] == pytest.approx(min(0.003 * 32.0 / stiffness - preload, math.radians(100)), abs=5e-3)
+    assert q[0] == pytest.approx(
+        min(0.003 * 32.0 / stiffness - preload, math.radians(100)), abs=5e-3
+    )
     assert np.abs(q[1:]).max() < 0.02
 
 
@@ -179,12 +186,16 @@ def test_a_diverging_plant_is_an_error() -> None:
         pull(plant, 0.3, 0.5)
 
 
-def closing(monkeypatch: pytest.MonkeyPatch, step_s: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def closing(
+    monkeypatch: pytest.MonkeyPatch, step_s: float
+) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Return the joint angles every 5 ms while a free hand closes to 12 N in 0.4 s. The time step [s] is given."""
     monkeypatch.setattr("firmware_sim.plant.plant.STEP_S", step_s)
     monkeypatch.setattr(
         "firmware_sim.plant.plant.model_text",
-        lambda hand, scene: model_text(hand, scene).replace(f'timestep="{STEP_S}"', f'timestep="{step_s}"'),
+        lambda hand, scene: model_text(hand, scene).replace(
+            f'timestep="{STEP_S}"', f'timestep="{step_s}"'
+        ),
     )
     plant, rows = free(), []
     for i in range(round(0.8 / step_s)):
@@ -199,7 +210,10 @@ def closing(monkeypatch: pytest.MonkeyPatch, step_s: float) -> np.ndarray[tuple[
 def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first-order integration of tendons, friction and rotors has a small error, which falls with the time step."""
     exact = closing(monkeypatch, 0.05e-3)
-    errors = [np.degrees(np.sqrt(((closing(monkeypatch, step) - exact) ** 2).mean())) for step in (0.5e-3, 0.1e-3)]
+    errors = [
+        np.degrees(np.sqrt(((closing(monkeypatch, step) - exact) ** 2).mean()))
+        for step in (0.5e-3, 0.1e-3)
+    ]
     assert np.degrees(exact[-1].min()) > 12.0, "the digit closed"
     assert errors[0] < 0.2
     assert errors[1] < 0.3 * errors[0]

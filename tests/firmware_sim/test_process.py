@@ -35,7 +35,10 @@ def start(run_folder: Path) -> Iterator[Start]:
 
     def launch(*words: str) -> "subprocess.Popen[str]":
         process = subprocess.Popen(
-            [sys.executable, "-m", "firmware_sim", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-m", "firmware_sim", *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         processes.append(process)
         assert process.stdout
@@ -50,8 +53,19 @@ def start(run_folder: Path) -> Iterator[Start]:
 
 
 def test_ready_is_json_for_a_program(run_folder: Path) -> None:
-    command = [sys.executable, "-m", "firmware_sim", "--hand", "jamia", "--bus", "local:json", "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+    command = [
+        sys.executable,
+        "-m",
+        "firmware_sim",
+        "--hand",
+        "jamia",
+        "--bus",
+        "local:json",
+        "--json",
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    ) as process:
         assert process.stdout
         ready = json.loads(process.stdout.readline())["ready"]
         process.terminate()
@@ -60,7 +74,12 @@ def test_ready_is_json_for_a_program(run_folder: Path) -> None:
 
 
 def record(can_id: int, data: bytes, flags: int = 0) -> bytes:
-    return can_id.to_bytes(4, "little") + bytes((len(data), flags, 0, 0)) + data + bytes(64 - len(data))
+    return (
+        can_id.to_bytes(4, "little")
+        + bytes((len(data), flags, 0, 0))
+        + data
+        + bytes(64 - len(data))
+    )
 
 
 def attach(path: Path) -> socket.socket:
@@ -79,7 +98,9 @@ def ask(link: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signals_end_the_simulator_with_complete_truth(start: Start, run_folder: Path, number: signal.Signals) -> None:
+def test_signals_end_the_simulator_with_complete_truth(
+    start: Start, run_folder: Path, number: signal.Signals
+) -> None:
     process = start("--hand", "jamia", "--bus", "local:t", "--scene", "sphere", "--seed", "4")
     link = attach(run_folder / "t.bus")
     answer = ask(link, 3, ENABLE)
@@ -97,7 +118,9 @@ def test_signals_end_the_simulator_with_complete_truth(start: Start, run_folder:
     assert (truth.header["scene"], truth.header["seed"]) == ("sphere", 4)
     assert truth.header["foreign_frames"] == 0, "the summary of the run is in the header"
     assert len(truth.t_ns) > 50
-    assert set((truth.t_ns[1:] - truth.t_ns[:-1]).tolist()) == {1_000_000} or truth.header["slips"] > 0
+    assert (
+        set((truth.t_ns[1:] - truth.t_ns[:-1]).tolist()) == {1_000_000} or truth.header["slips"] > 0
+    )
     assert abs(int(truth.t_ns[-1]) - before_ns) < 2e9, "the times are of the clock of the machine"
 
 
@@ -194,7 +217,9 @@ def test_impossible_hands_are_refused_by_both_simulators(
         LockstepHand(str(path))
 
 
-def test_the_truth_file_never_overwrites_a_log(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_truth_file_never_overwrites_a_log(
+    run_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     log = run_folder / "run.mcap"
     log.write_bytes(b"a run")
     assert main([*HAND, "--truth", str(log), "--scene", "none"]) == 2

@@ -35,7 +35,9 @@ def tick(rig: LockstepHand, k: int, torque: float) -> list[Frame]:
     return rig.step(k * TICK_NS, [sync(k), *[frame(motor, command(torque)) for motor in MOTORS]])
 
 
-def close(rig: LockstepHand, tension: float, seconds: float, ramp: float = 0.8) -> list[list[Frame]]:
+def close(
+    rig: LockstepHand, tension: float, seconds: float, ramp: float = 0.8
+) -> list[list[Frame]]:
     """Enable all motors, raise them in a ramp to a tension [N] and hold it, without feedback. Return the replies."""
     answers = [rig.step(0, [frame(motor, ENABLE) for motor in MOTORS])]
     for k in range(1, round(seconds * 500)):
@@ -107,7 +109,9 @@ def test_disable_lets_the_finger_open() -> None:
 
 
 @pytest.mark.parametrize("tension", [30.0, 40.0])
-def test_friction_alone_carries_the_cylinder_after_the_table_has_sunk(tension: float, tmp_path: Path) -> None:
+def test_friction_alone_carries_the_cylinder_after_the_table_has_sunk(
+    tension: float, tmp_path: Path
+) -> None:
     path = tmp_path / "grasp.truth"
     rig = LockstepHand("jamia", scene="cylinder", truth_path=str(path))
     close(rig, tension, 8.0)
@@ -121,10 +125,15 @@ def test_friction_alone_carries_the_cylinder_after_the_table_has_sunk(tension: f
     place = np.stack([truth.column(f"object/{axis}") for axis in "xyz"], axis=1)[after] * 1e3
     fall = place[0, 2] - place[-1, 2]
     drift = float(np.linalg.norm(place[-1, :2] - place[0, :2]))
-    print(f"{tension:.0f} N: falls {fall:.3f} mm, creeps {drift:.3f} mm sideways in {after.sum() / 1000:.1f} s")
+    print(
+        f"{tension:.0f} N: falls {fall:.3f} mm, creeps {drift:.3f} mm sideways in {after.sum() / 1000:.1f} s"
+    )
     assert abs(fall) < 0.2
     assert drift < 1.5
-    forces = [truth.column(f"contact_force/{digit}/y")[-1] for digit in ("index", "middle", "ring", "thumb")]
+    forces = [
+        truth.column(f"contact_force/{digit}/y")[-1]
+        for digit in ("index", "middle", "ring", "thumb")
+    ]
     assert min(forces[:3]) > 0.3, "the object pushes fingers towards +y"
     assert forces[3] < -1.0, "the object pushes the thumb towards -y"
 
@@ -152,9 +161,16 @@ def test_content_of_the_truth_file(tmp_path: Path) -> None:
                  "object/x", "object/qw", "slip", "support"):  # fmt: skip
         assert name in names
     assert len(names) == len(truth.header["units"]) == 4 + 11 + 11 + 4 + 4 + 12 + 7 + 1 + 1
-    assert (truth.header["clock"], truth.header["seed"], truth.header["period_ns"]) == ("virtual", 5, 1_000_000)
+    assert (truth.header["clock"], truth.header["seed"], truth.header["period_ns"]) == (
+        "virtual",
+        5,
+        1_000_000,
+    )
     assert truth.header["scene"] == "cylinder:35"
-    assert truth.header["shapes"]["object"] == {"shape": "cylinder", "size_m": [0.035, 0.035, 0.093]}
+    assert truth.header["shapes"]["object"] == {
+        "shape": "cylinder",
+        "size_m": [0.035, 0.035, 0.093],
+    }
     assert truth.header["shapes"]["table"]["shape"] == "box"
     assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
     assert len(truth.t_ns) == 500
@@ -172,7 +188,9 @@ def test_the_load_cell_reads_the_present_true_tension(tmp_path: Path) -> None:
     answers = close(rig, 15.0, 1.0)
     rig.close()
     tension = read_truth(path).column("tension/index_tendon")
-    read = [(int.from_bytes(tick[0].data, "little") >> 4 & 0xFFF) * 0.0625 - 6.0 for tick in answers[1:]]
+    read = [
+        (int.from_bytes(tick[0].data, "little") >> 4 & 0xFFF) * 0.0625 - 6.0 for tick in answers[1:]
+    ]
     error = np.array(read) - tension[2::2][: len(read)]
     # The tolerance is half a count of the load cell, plus its drift in one second.
     assert np.abs(error).max() < 0.03125 + 0.6
@@ -201,7 +219,9 @@ def test_perturbations_change_the_plant_not_the_wire() -> None:
         ({"hand_path": "jamia", "perturb": {"friction": math.nan}}, "finite"),
     ],
 )
-def test_wrong_arguments_are_refused_in_one_line(arguments: dict[str, object], expected: str) -> None:
+def test_wrong_arguments_are_refused_in_one_line(
+    arguments: dict[str, object], expected: str
+) -> None:
     with pytest.raises(SimulatorError, match=expected) as caught:
         LockstepHand(**arguments)  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)

@@ -29,7 +29,11 @@ def test_the_cylinder_is_the_one_of_the_demonstration() -> None:
     assert scene.grasp_object.size == (0.035, 0.035, 0.093)
     assert (scene.grasp_object.mass, scene.grasp_object.friction) == (0.15, 0.5)
     assert scene.grasp_object.position == pytest.approx((0.035 / 2 + 0.002, 0.0, 0.0))
-    assert (scene.support.drop_when, scene.support.drop_force, scene.support.drop_hold) == ("grasped", 1.0, 1.5)
+    assert (scene.support.drop_when, scene.support.drop_force, scene.support.drop_hold) == (
+        "grasped",
+        1.0,
+        1.5,
+    )
 
 
 @pytest.mark.parametrize("millimetres", [30.0, 35.0, 40.0])

@@ -20,7 +20,9 @@ ELEVEN: SensorSpec = LOADED
 SYNC = ELEVEN.sync_id
 
 
-def node(spec: SensorSpec = ELEVEN, tension: float = 20.0, angle: float = 0.5, seed: int = 0) -> SensorNode:
+def node(
+    spec: SensorSpec = ELEVEN, tension: float = 20.0, angle: float = 0.5, seed: int = 0
+) -> SensorNode:
     tendons, joints = len(spec.tendons), len(spec.joints)
     return SensorNode(spec, lambda: np.full(tendons, tension), lambda: np.full(joints, angle), seed)
 
@@ -32,7 +34,9 @@ def channels(data: bytes) -> tuple[int, list[int]]:
     """
     text = "".join(format(byte, "08b")[::-1] for byte in data)
     count = (len(text) - 4) // 12
-    return int(text[:4][::-1], 2), [int(text[4 + 12 * i : 16 + 12 * i][::-1], 2) for i in range(count)]
+    return int(text[:4][::-1], 2), [
+        int(text[4 + 12 * i : 16 + 12 * i][::-1], 2) for i in range(count)
+    ]
 
 
 @given(st.integers(0, 255), st.lists(st.integers(0, 4095), min_size=1, max_size=5))
@@ -51,13 +55,16 @@ def test_a_frame_is_packed_byte_by_byte() -> None:
 
 
 @pytest.mark.parametrize(
-    ("newton", "code"), [(0.0, 96), (110.0, 1856), (-6.0, 0), (-50.0, 0), (249.9, 4094), (500.0, 4095)]
+    ("newton", "code"),
+    [(0.0, 96), (110.0, 1856), (-6.0, 0), (-50.0, 0), (249.9, 4094), (500.0, 4095)],
 )
 def test_tension_codes(newton: float, code: int) -> None:
     assert tension_code(newton) == code
 
 
-@pytest.mark.parametrize(("degrees", "code"), [(0.0, 2048), (90.0, 3072), (-90.0, 1024), (-400.0, 0), (400.0, 4095)])
+@pytest.mark.parametrize(
+    ("degrees", "code"), [(0.0, 2048), (90.0, 3072), (-90.0, 1024), (-400.0, 0), (400.0, 4095)]
+)
 def test_joint_codes(degrees: float, code: int) -> None:
     assert joint_code(math.radians(degrees)) == code
 
@@ -86,7 +93,9 @@ def test_noise_has_the_size_of_the_hand_file_and_is_white() -> None:
     values = []
     for k in range(2000):
         frames = sensors.receive(Frame(SYNC, bytes([k & 255])), k * 1_000_000) or []
-        values.append([code * 0.0625 - 6.0 for frame in frames[:3] for code in channels(frame.data)[1]])
+        values.append(
+            [code * 0.0625 - 6.0 for frame in frames[:3] for code in channels(frame.data)[1]]
+        )
     noise = np.array(values) - 20.0
     assert noise.std() == pytest.approx(ELEVEN.tension_noise, rel=0.03)
     assert abs(noise.mean()) < 0.02
@@ -125,6 +134,9 @@ def test_noise_equals_pythons_generator() -> None:
 
 
 def test_equal_seeds_give_equal_readings() -> None:
-    answers = [[node(seed=seed).receive(Frame(SYNC, bytes([k])), k) for k in range(3)] for seed in (1, 1, 2)]
+    answers = [
+        [node(seed=seed).receive(Frame(SYNC, bytes([k])), k) for k in range(3)]
+        for seed in (1, 1, 2)
+    ]
     assert answers[0] == answers[1]
     assert answers[0] != answers[2]

@@ -55,7 +55,9 @@ class FakePort:
 class Bench:
     def __init__(self) -> None:
         self.clock, self.wire = ManualClock(START), FakePort()
-        self.world = SimulatedWorld(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
+        self.world = SimulatedWorld(
+            load_hand("jamia"), load_scene(None), homed=True, origin_ns=START
+        )
         self.server = BusServer(self.world, [self.wire], self.clock)
 
     def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
@@ -98,7 +100,9 @@ def test_a_frame_samples_the_plant_at_its_exact_time(bench: Bench) -> None:
 
 
 def test_answers_go_out_in_the_same_turn_in_the_order_of_the_requests(bench: Bench) -> None:
-    sent = bench.turn(1, Frame(0x80, b"\x05"), Frame(2, ENABLE), Frame(1, ENABLE), Frame(0x333, b"foreign"))
+    sent = bench.turn(
+        1, Frame(0x80, b"\x05"), Frame(2, ENABLE), Frame(1, ENABLE), Frame(0x333, b"foreign")
+    )
     assert [frame.can_id for frame in sent] == [0x1A0, 0x12, 0x11]
     assert [state(frame) for frame in sent[1:]] == [STATE_ENABLED] * 2
     assert sent[0].data[0] & 0xF == 5
@@ -109,7 +113,9 @@ def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: Bench) -> None:
     for turn in range(1, 9):
         bench.turn(30)
         assert bench.world.t_ns == START + min(turn * MAX_CATCH_UP_NS, 30 * MS)
-    assert bench.server.overruns == sum(30 * MS - turn * MAX_CATCH_UP_NS > OVERRUN_NS for turn in range(8))
+    assert bench.server.overruns == sum(
+        30 * MS - turn * MAX_CATCH_UP_NS > OVERRUN_NS for turn in range(8)
+    )
     assert bench.world.slip_ns == 0
 
 
@@ -127,7 +133,11 @@ def test_a_tick_is_answered_only_when_no_frame_waits() -> None:
     """
     port = HubPort("t", 0)
     clock = ManualClock(START)
-    server = BusServer(SimulatedWorld(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START), [port], clock)
+    server = BusServer(
+        SimulatedWorld(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START),
+        [port],
+        clock,
+    )
     controller = JoinedPort("t", 0)
     server.turn()
     answer = server._answer
@@ -220,18 +230,24 @@ def test_one_stall_gives_no_advice() -> None:
     assert pace.advice is None
 
 
-def test_slips_without_a_host_are_counted_but_not_reported(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_slips_without_a_host_are_counted_but_not_reported(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
     bench.turn(1 + MAX_DELAY_NS // MS + 200)
     assert bench.server.slips == 1
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize(("pace", "rounded"), [(0.37, 0.3), (1.0, 1.0), (0.0299, 0.02), (1e-6, 0.001), (0.3, 0.3)])
+@pytest.mark.parametrize(
+    ("pace", "rounded"), [(0.37, 0.3), (1.0, 1.0), (0.0299, 0.02), (1e-6, 0.001), (0.3, 0.3)]
+)
 def test_a_pace_is_rounded_down_to_one_digit(pace: float, rounded: float) -> None:
     assert rounded_down(pace) == rounded
 
 
-def test_a_late_simulation_skips_time_and_reports_it(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_late_simulation_skips_time_and_reports_it(
+    bench: Bench, capsys: pytest.CaptureFixture[str]
+) -> None:
     bench.turn(1, Frame(1, ENABLE))
     lost_ms = MAX_DELAY_NS // MS + 200
     bench.turn(1 + lost_ms)
@@ -284,7 +300,9 @@ def test_each_bus_gets_its_spec(specs: list[str], buses: list[str], expected: li
         (["a=local:x", "a=local:y"], ["a"], "given twice"),
     ],
 )
-def test_buses_that_do_not_fit_the_hand_are_refused(specs: list[str], buses: list[str], expected: str) -> None:
+def test_buses_that_do_not_fit_the_hand_are_refused(
+    specs: list[str], buses: list[str], expected: str
+) -> None:
     with pytest.raises(SimulatorError, match=expected):
         assign_buses(specs, buses)
 
@@ -292,7 +310,9 @@ def test_buses_that_do_not_fit_the_hand_are_refused(specs: list[str], buses: lis
 @pytest.mark.parametrize(
     "spec", ["", "vcan0", "serial:x", "socketcan:", "local:", "socketcan:no-such-if", "join:nobody"]
 )
-def test_buses_that_cannot_be_opened_are_refused(spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_buses_that_cannot_be_opened_are_refused(
+    spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     with pytest.raises(SimulatorError):
         open_port(spec, 0)
@@ -314,7 +334,9 @@ def test_a_port_joins_a_served_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     guest.close()
 
 
-def test_an_invalid_record_is_counted_and_ignored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_record_is_counted_and_ignored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     port = HubPort("odd", 0)
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)

@@ -73,7 +73,10 @@ def test_classical_and_fd_frames_from_the_kernel(interface: Interface) -> None:
     port = SocketCanPort("vcan7", 2)
     assert interface.bound == ("vcan7",)
     interface.waiting = [CLASSICAL, FD_BYTES]
-    assert port.receive(port.readers()) == [Frame(0x123, b"\x01\x02\x03", 0, 2), FD_FRAME._replace(bus=2)]
+    assert port.receive(port.readers()) == [
+        Frame(0x123, b"\x01\x02\x03", 0, 2),
+        FD_FRAME._replace(bus=2),
+    ]
 
 
 def test_an_fd_frame_is_recognised_by_its_size_without_the_flag(interface: Interface) -> None:

@@ -55,7 +55,14 @@ def test_gravity_turns_and_keeps_its_new_direction() -> None:
 
 
 def test_duration_of_a_push_and_lasting_friction() -> None:
-    stage = {"turn_s": 1.0, "last_s": 3.0, "push_N": [0.0, 1.0, 0.0], "push_at_s": 0.5, "push_s": 1.0, "friction": 0.2}
+    stage = {
+        "turn_s": 1.0,
+        "last_s": 3.0,
+        "push_N": [0.0, 1.0, 0.0],
+        "push_at_s": 0.5,
+        "push_s": 1.0,
+        "friction": 0.2,
+    }
     stages = StageSequence((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT)
     pushes = [stages.at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
     assert pushes == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
@@ -100,9 +107,14 @@ def test_wrong_stages_are_refused(change: dict[str, object], expected: str) -> N
 
 @pytest.mark.parametrize(
     "change",
-    [('"grasped"', '"never"'), ("[[stage]]", "[load]\ndirection=[1,0,0]\nstart_s=0\nrate_N_per_s=1\n[[stage]]")],
+    [
+        ('"grasped"', '"never"'),
+        ("[[stage]]", "[load]\ndirection=[1,0,0]\nstart_s=0\nrate_N_per_s=1\n[[stage]]"),
+    ],
 )
-def test_stages_need_a_table_that_sinks_and_no_load(change: tuple[str, str], tmp_path: Path) -> None:
+def test_stages_need_a_table_that_sinks_and_no_load(
+    change: tuple[str, str], tmp_path: Path
+) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(SCENE.replace(*change))
     with pytest.raises(SimulatorError, match="stage") as caught:

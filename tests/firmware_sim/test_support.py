@@ -6,7 +6,9 @@ from firmware_sim.scene.scene import SinkingTable
 from firmware_sim.scene.support import SupportTable
 
 OPPOSED = [False, False, False, True]
-SUPPORT = SinkingTable(drop_when="grasped", drop_force=1.0, drop_hold=1.5, sink_speed=0.05, sink_depth=0.2)
+SUPPORT = SinkingTable(
+    drop_when="grasped", drop_force=1.0, drop_hold=1.5, sink_speed=0.05, sink_depth=0.2
+)
 
 
 def forces(*digits: float) -> list[float]:
@@ -28,7 +30,9 @@ def test_the_table_sinks_after_a_grasp_of_a_second_and_a_half() -> None:
     assert table.dropped_at is None
     run(table, 2.499, 2.51, 1.1, 1.1, 0, 1.1)
     assert table.dropped_at == pytest.approx(2.5, abs=2e-3)
-    assert run(table, 2.51, 3.5, 0, 0, 0, 0) == pytest.approx(0.05, abs=2e-4), "the table sinks further without contact"
+    assert run(table, 2.51, 3.5, 0, 0, 0, 0) == pytest.approx(0.05, abs=2e-4), (
+        "the table sinks further without contact"
+    )
     assert run(table, 3.5, 9.0, 0, 0, 0, 0) == pytest.approx(0.2)
 
 

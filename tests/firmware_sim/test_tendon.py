@@ -35,13 +35,17 @@ class TendonOnSpool:
         tensions(*self.parts, q, dq, out)
         return out[0]
 
-    def pull(self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]) -> float:
+    def pull(
+        self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]
+    ) -> float:
         """Add the torques of the pulleys to ``torque``, without the compensation of damping, and return the tension."""
         self.motor.theta, self.motor.omega = theta, omega
         self.motor.steps_alone, total = True, [0.0] * 3
         step_drivetrain(*self.parts, q, dq, total, [0.0], False)
         back = self.row.slope * self.row.speed
-        torque[:] = [before + all_ - 0.003 * back for before, all_ in zip(torque, total, strict=True)]
+        torque[:] = [
+            before + all_ - 0.003 * back for before, all_ in zip(torque, total, strict=True)
+        ]
         return self.row.tension
 
 
@@ -62,7 +66,11 @@ def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
     assert elastic(3e-3) == pytest.approx(200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3)))
 
 
-@given(st.floats(-3.0, 3.0), st.floats(-60.0, 60.0), st.lists(st.floats(-0.2, 1.8), min_size=3, max_size=3))
+@given(
+    st.floats(-3.0, 3.0),
+    st.floats(-60.0, 60.0),
+    st.lists(st.floats(-0.2, 1.8), min_size=3, max_size=3),
+)
 def test_a_tendon_never_pushes(theta: float, omega: float, q: list[float]) -> None:
     torque = [0.0] * 3
     tendon = make_tendon()
@@ -95,15 +103,21 @@ def test_capstan_ratio_from_pulley_to_pulley(speed: float, sign: float) -> None:
     tendon = make_tendon()
     tension = tendon.pull(q, [speed, 0.0, 0.0], 1.0, 6.0 * sign, torque)
     angles = math.pi / 2 + np.cumsum(q)
-    assert np.array(torque) / 0.003 / tension == pytest.approx(np.exp(-sign * 0.08 * angles), rel=1e-5)
+    assert np.array(torque) / 0.003 / tension == pytest.approx(
+        np.exp(-sign * 0.08 * angles), rel=1e-5
+    )
     loads = [torque[1] / torque[0], torque[2] / torque[1]]
-    assert loads == pytest.approx([math.exp(-sign * 0.08 * 0.5), math.exp(-sign * 0.08 * 0.6)], rel=1e-5)
+    assert loads == pytest.approx(
+        [math.exp(-sign * 0.08 * 0.5), math.exp(-sign * 0.08 * 0.6)], rel=1e-5
+    )
 
 
 def test_friction_grows_with_speed_as_tanh() -> None:
     q, torque = [0.0, 0.0, 0.0], [0.0] * 3
     tension = make_tendon().pull(q, [0.5e-3 / 0.003, 0.0, 0.0], 0.2, 0.0, torque)
-    assert torque[0] / 0.003 == pytest.approx(tension * math.exp(-0.08 * math.pi / 2 * math.tanh(0.5)), rel=1e-3)
+    assert torque[0] / 0.003 == pytest.approx(
+        tension * math.exp(-0.08 * math.pi / 2 * math.tanh(0.5)), rel=1e-3
+    )
 
 
 @given(st.floats(-0.2, 0.2), st.lists(st.floats(0.0, 1.7), min_size=3, max_size=3))

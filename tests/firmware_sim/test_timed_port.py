@@ -37,7 +37,9 @@ class Lab:
         made = timed_port_maker(words, [DEFAULT_BITRATES], self.clock.now_ns, nodes=hand)
         assert made
         self.port = made("lab", 0)
-        self.world = SimulatedWorld(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
+        self.world = SimulatedWorld(
+            load_hand("jamia"), load_scene(None), homed=True, origin_ns=START
+        )
         self.server = BusServer(self.world, [self.port], self.clock)
         self.host: Bus = open_bus("local:lab", 0, 1_000_000)
         self.settle()
@@ -82,7 +84,9 @@ def test_an_answer_arrives_after_the_wire_time_of_request_and_answer(lab: Lab) -
     assert lab.port.wire.busy_ns == round((us(1) + us(7)) * 1e3)
 
 
-@pytest.mark.parametrize(("adapter", "longest_ms"), [("usb-hs", 0.25), ("usb-fs", 2.0), ("spi", 0.2)])
+@pytest.mark.parametrize(
+    ("adapter", "longest_ms"), [("usb-hs", 0.25), ("usb-fs", 2.0), ("spi", 0.2)]
+)
 def test_an_answer_arrives_later_behind_an_adapter(adapter: str, longest_ms: float) -> None:
     lab = Lab([f"adapter={adapter}"])
     wire_ms = (us(1) + us(7)) * 1e-3
@@ -98,13 +102,17 @@ def test_an_answer_arrives_later_behind_an_adapter(adapter: str, longest_ms: flo
 
 
 def test_answers_with_low_identifiers_overtake_requests_with_high_identifiers(lab: Lab) -> None:
-    lab.host.send([Frame(REGISTERS, bytes((node, 0, 0xCC, 0, 0, 0, 0, 0))) for node in (1, 2, 3, 4)])
+    lab.host.send(
+        [Frame(REGISTERS, bytes((node, 0, 0xCC, 0, 0, 0, 0, 0))) for node in (1, 2, 3, 4)]
+    )
     lab.at(0.0)
     arrivals = {}
     for tenth in range(20):
         for frame in lab.at(tenth * us(8) * 1e-3 + 0.001):
             arrivals[frame.can_id] = tenth
-    assert arrivals == {0x11: 2, 0x12: 4, 0x13: 6, 0x14: 8}, "each answer overtakes the next request"
+    assert arrivals == {0x11: 2, 0x12: 4, 0x13: 6, 0x14: 8}, (
+        "each answer overtakes the next request"
+    )
 
 
 def test_a_full_queue_refuses_at_once(lab: Lab) -> None:
@@ -117,7 +125,9 @@ def test_a_full_queue_refuses_at_once(lab: Lab) -> None:
     lab.host.take_events()
     lab.clock.t_ns += round(3 * us(0) * 1000)
     lab.server.turn()
-    assert lab.host.send(frames) == 3, "three frames have left the queue, which the host sees without reading"
+    assert lab.host.send(frames) == 3, (
+        "three frames have left the queue, which the host sees without reading"
+    )
     for ms in (20.0, 40.0):
         lab.at(ms)
     assert lab.port.wire.frames == 11
@@ -126,7 +136,9 @@ def test_a_full_queue_refuses_at_once(lab: Lab) -> None:
 
 
 def test_a_host_that_has_not_read_yet_learns_of_refusals_later(lab: Lab) -> None:
-    assert lab.host.send([Frame(0x700 + n, b"") for n in range(20)]) == 20, "the hub has accepted all frames"
+    assert lab.host.send([Frame(0x700 + n, b"") for n in range(20)]) == 20, (
+        "the hub has accepted all frames"
+    )
     lab.at(0.0)
     assert ("enobufs", "local:lab", 20 - 8) in lab.host.take_events()
     lab.at(20.0)
@@ -152,7 +164,9 @@ def test_a_disturbed_wire_puts_the_host_into_bus_off_and_is_reported(lab: Lab) -
     lab.at(50.0)
     kinds = {kind for kind, _, _ in lab.host.take_events()}
     assert {"error_warning", "error_passive", "bus_off"} <= kinds
-    assert "bus_off" in {kind for kind, _, _ in lab.host.take_events()}, "the event repeats during bus-off"
+    assert "bus_off" in {kind for kind, _, _ in lab.host.take_events()}, (
+        "the event repeats during bus-off"
+    )
 
 
 def test_a_client_alone_gets_no_acknowledge() -> None:
@@ -189,7 +203,16 @@ def test_a_disconnected_client_loses_its_queue(lab: Lab) -> None:
 
 
 @pytest.mark.parametrize(
-    "word", ["speed=1", "queue=0", "queue=x", "stuffing=none", "error_rate=1.5", "bitrate=nan", "restart_ms=-1"]
+    "word",
+    [
+        "speed=1",
+        "queue=0",
+        "queue=x",
+        "stuffing=none",
+        "error_rate=1.5",
+        "bitrate=nan",
+        "restart_ms=-1",
+    ],
 )
 def test_invalid_wire_words_are_refused(word: str) -> None:
     with pytest.raises(SimulatorError, match=f"--wire {word}"):

@@ -23,7 +23,9 @@ def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) 
     hand = load_hand(str(path))
     specs = [replace(spec, friction=0.0, damping=0.0) for spec in hand.every_tendon]
     names = [motor.name for motor in hand.motors]
-    routing = TendonRouting(specs, hand.joints, names, [motor.spool_radius for motor in hand.motors], compiled=False)
+    routing = TendonRouting(
+        specs, hand.joints, names, [motor.spool_radius for motor in hand.motors], compiled=False
+    )
     for seed in range(3):
         chance = np.random.default_rng(seed)
         motors = [Motor(motor, STEP_S) for motor in hand.motors]
@@ -41,7 +43,9 @@ def test_the_joints_get_the_work_that_the_tendons_do(name: str, tmp_path: Path) 
         for row in routing.tendons:
             ends = [
                 sum(
-                    _taken_up(routing.arms, i, q[routing.joints[i]] + sign * small * dq[routing.joints[i]])
+                    _taken_up(
+                        routing.arms, i, q[routing.joints[i]] + sign * small * dq[routing.joints[i]]
+                    )
                     for i in range(row.first, row.end)
                 )
                 for sign in (-1.0, 1.0)

@@ -63,11 +63,15 @@ def test_a_frame_whose_bits_were_counted_by_hand() -> None:
     """
     zeros = 1 + 11 + 3 + 4 + 15
     assert ACTUAL.frame_ns(Frame(0, b"")) == (zeros + zeros // 5 + 13) * 1000
-    assert ACTUAL.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, "at most six stuff bits"
+    assert ACTUAL.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, (
+        "at most six stuff bits"
+    )
 
 
 def test_an_extended_identifier_takes_twenty_bits_more() -> None:
-    assert WORST.frame_ns(Frame(1 | EXTENDED, bytes(8))) == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
+    assert (
+        WORST.frame_ns(Frame(1 | EXTENDED, bytes(8))) == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
+    )
 
 
 def test_the_lowest_identifier_goes_first_without_interruption() -> None:
@@ -84,7 +88,12 @@ def test_the_lowest_identifier_goes_first_without_interruption() -> None:
 
 @pytest.mark.parametrize(
     ("first", "second"),
-    [(0x100, 0x101), (0x100, 0x100 | REMOTE), (0x100 | REMOTE, 0x100 << 18 | EXTENDED), (5 | EXTENDED, 6 | EXTENDED)],
+    [
+        (0x100, 0x101),
+        (0x100, 0x100 | REMOTE),
+        (0x100 | REMOTE, 0x100 << 18 | EXTENDED),
+        (5 | EXTENDED, 6 | EXTENDED),
+    ],
 )
 def test_arbitration_is_bit_by_bit(first: int, second: int) -> None:
     assert arbitration_number(first) < arbitration_number(second)
@@ -123,7 +132,9 @@ def test_a_sender_alone_repeats_and_turns_passive_but_stays_on_the_bus() -> None
     assert wire.frames == 0
     assert lonely.controller.tx_errors == 128
     assert lonely.controller.state == ErrorState.PASSIVE
-    assert lonely.classes == [0x20, 0x24, 0x24], "missing acknowledge, then with warning, then with passive"
+    assert lonely.classes == [0x20, 0x24, 0x24], (
+        "missing acknowledge, then with warning, then with passive"
+    )
     assert [frame.data[1] for frame in lonely.errors] == [0, 0x08, 0x20]
     assert wire.load(0, 10**9) > 0.9, "a single node repeats its frame"
     other = BusMember(wire)

@@ -54,7 +54,9 @@ def episode(env: Any, seed: int, steps: int) -> bytes:
     seen, _ = env.reset(seed=seed)
     rows = [seen.tobytes()]
     for _ in range(steps):
-        seen, reward, ended, *_ = env.step(rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32))
+        seen, reward, ended, *_ = env.step(
+            rng.uniform(-1.0, 1.0, env.action_space.shape).astype(np.float32)
+        )
         rows += [seen.tobytes(), np.float64(reward).tobytes()]
         if ended:
             break
@@ -80,7 +82,9 @@ def test_equal_seeds_and_actions_give_equal_episodes(name: str) -> None:
     assert len(set(first)) == 20
 
 
-@pytest.mark.parametrize(("hand", "span"), [("jamia", None), ("jamia11", None), ("jamia_bench", None), ("t42", 0.05)])
+@pytest.mark.parametrize(
+    ("hand", "span"), [("jamia", None), ("jamia11", None), ("jamia_bench", None), ("t42", 0.05)]
+)
 def test_the_reference_can_be_tracked(hand: str, span: float | None) -> None:
     """The fingers of the t42 touch each other at 9 degrees, so its reference moves only little."""
     env = make(TRACK, hand=hand, **({} if span is None else {"span": (0.0, span)}))
@@ -215,7 +219,9 @@ def test_a_wrong_action_is_one_line() -> None:
 def test_a_missing_extra_is_one_line_that_names_it() -> None:
     code = "import sys\nsys.modules['gymnasium'] = None\nimport handctl.gym"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert ran.stderr.splitlines()[-1].endswith("handctl.gym needs gymnasium: pip install 'handctl[gym]'")
+    assert ran.stderr.splitlines()[-1].endswith(
+        "handctl.gym needs gymnasium: pip install 'handctl[gym]'"
+    )
 
 
 def test_the_program_of_the_page_grasps(capsys: pytest.CaptureFixture[str]) -> None:
@@ -225,5 +231,7 @@ def test_the_program_of_the_page_grasps(capsys: pytest.CaptureFixture[str]) -> N
 
 
 def test_perturbed_plants_differ_from_the_nominal_one() -> None:
-    episodes = [episode(make(TRACK, perturb=perturb), 0, 5) for perturb in (None, {"friction": 1.5})]
+    episodes = [
+        episode(make(TRACK, perturb=perturb), 0, 5) for perturb in (None, {"friction": 1.5})
+    ]
     assert episodes[0] != episodes[1]

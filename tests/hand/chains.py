@@ -41,13 +41,18 @@ def random_hand(seed: int, *counts: int, chance: np.random.Generator | None = No
         for i, name in enumerate(joints):
             number = len(tendons)
             arms = {joint: float(chance.uniform(0.002, 0.006)) for joint in joints[: i + 1]}
-            tendons.append(content["tendon"][0] | {"name": f"{name}_t", "motor": f"{name}_m", "moment_arm_m": arms})
+            tendons.append(
+                content["tendon"][0]
+                | {"name": f"{name}_t", "motor": f"{name}_m", "moment_arm_m": arms}
+            )
             motors.append(content["motor"][0] | {"name": f"{name}_m", "node_id": number + 1})
     gravity = chance.normal(size=3)
     node = content["sensor_node"] | {"tendons": [one["name"] for one in tendons], "joints": []}
     parts = {"digit": digits, "tendon": tendons, "motor": motors, "sensor_node": node}
     mount = {"gravity_m_s2": (9.81 * gravity / np.linalg.norm(gravity)).tolist()}
-    return hand_from_content(content | parts | {"mount": mount, "name": f"random{seed}"}, f"seed {seed}")
+    return hand_from_content(
+        content | parts | {"mount": mount, "name": f"random{seed}"}, f"seed {seed}"
+    )
 
 
 def random_digit(chance: np.random.Generator, name: str, count: int) -> dict[str, Any]:

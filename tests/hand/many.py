@@ -11,7 +11,10 @@ def fifteen_motors() -> dict[str, Any]:
     It is jamia11 without its thumb and with two more fingers.
     """
     raw = hand_content("jamia11")
-    parts = {name: [one for one in raw[name] if "thumb" not in one["name"]] for name in ("digit", "tendon", "motor")}
+    parts = {
+        name: [one for one in raw[name] if "thumb" not in one["name"]]
+        for name in ("digit", "tendon", "motor")
+    }
     for number, name in enumerate(("little", "outer")):
         for section, ones in parts.items():
             ones += [_renamed(one, name) for one in raw[section] if "index" in one["name"]]

@@ -129,6 +129,8 @@ def assert_same_places(found: dict[str, np.ndarray], expected: dict[str, np.ndar
     """
     assert found.keys() == expected.keys()
     for link, corners in expected.items():
-        distance = np.linalg.norm(corners.reshape(-1, 1, 3) - found[link].reshape(1, -1, 3), axis=-1)
+        distance = np.linalg.norm(
+            corners.reshape(-1, 1, 3) - found[link].reshape(1, -1, 3), axis=-1
+        )
         assert distance.min(axis=1).max() < 1e-6, link
         assert distance.min(axis=0).max() < 1e-6, link

@@ -52,7 +52,9 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(chains, rng):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
             assert agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
             standing = pinocchio.computeGeneralizedGravity(model, data, q)
-            assert np.allclose(dynamics.gravity_torque(digit, q), standing, rtol=0, atol=TOLERANCE * 1e-3)
+            assert np.allclose(
+                dynamics.gravity_torque(digit, q), standing, rtol=0, atol=TOLERANCE * 1e-3
+            )
             upper = np.triu(pinocchio.crba(model, data, q))
             assert agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
             assert agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
@@ -66,7 +68,9 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(chains, rng):
                 hand.mount.gravity_m_s2, digit.mount_position
             )
             assert np.isclose(dynamics.potential_energy(digit, q), energy, rtol=1e-9, atol=1e-15)
-            kinetic = pinocchio.computeKineticEnergy(model, data, q, dq) + 0.5 * np.dot(digit.armature, dq**2)
+            kinetic = pinocchio.computeKineticEnergy(model, data, q, dq) + 0.5 * np.dot(
+                digit.armature, dq**2
+            )
             assert np.isclose(dynamics.kinetic_energy(digit, q, dq), kinetic, rtol=1e-9)
 
 
@@ -108,13 +112,17 @@ def test_the_urdf_describes_the_same_hand(chains, rng):
         for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
             vector[order] = mine
         armature = np.concatenate([digit.armature for digit in digits]) * ddq
-        assert agree(whole_hand(digits, q, dq, ddq) - armature, pinocchio.rnea(model, data, *theirs)[order])
+        assert agree(
+            whole_hand(digits, q, dq, ddq) - armature, pinocchio.rnea(model, data, *theirs)[order]
+        )
         pinocchio.framesForwardKinematics(model, data, theirs[0])
         for digit in digits:
             for transform in link_transforms(digit, q[digit.joints]):
                 place = data.oMf[model.getFrameId(transform.frame)]
                 assert np.allclose(transform.position, place.translation, atol=1e-12)
-                turned = pinocchio.Quaternion(np.array(transform.quaternion_xyzw)).toRotationMatrix()
+                turned = pinocchio.Quaternion(
+                    np.array(transform.quaternion_xyzw)
+                ).toRotationMatrix()
                 assert np.allclose(turned, place.rotation, atol=1e-12)
 
 
@@ -128,8 +136,13 @@ def test_transforms_of_the_log_are_those_of_the_model(chains, rng):
     place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
     for link in link_frames(hand.to_toml()):
         position, turn = place[link.parent]
-        here = np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position + position
-        own = tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        here = (
+            np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position
+            + position
+        )
+        own = (
+            tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        )
         place[link.child] = here, multiply_quaternions(turn, own)
     for digit in digits:
         for transform in link_transforms(digit, q[digit.joints]):
@@ -144,14 +157,19 @@ def test_jacobians_and_levers_are_derivatives(chains, rng):
     for digit in digits:
         steps = h * np.eye(digit.joint_count)
         q = rng.uniform(-2.0, 2.0, digit.joint_count)
-        slope = [(joint_points(digit, q + s)[-1] - joint_points(digit, q - s)[-1]) / (2 * h) for s in steps]
+        slope = [
+            (joint_points(digit, q + s)[-1] - joint_points(digit, q - s)[-1]) / (2 * h)
+            for s in steps
+        ]
         assert np.allclose(tip_jacobian(digit, q), np.transpose(slope), atol=1e-9)
         side = forward_kinematics(digit, q).rotation[:, 1]
         assert np.allclose(joint_lever(digit, q), side @ tip_jacobian(digit, q), atol=1e-14)
         for link in range(digit.joint_count):
             middle = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
             normal = np.array(rigid_body.link_poses(digit.table, digit.parent, q))[link, [1, 4, 7]]
-            lever = rigid_body.tip_levers(digit.table, digit.parent, q, link, 0.5 * digit.lengths[link])
+            lever = rigid_body.tip_levers(
+                digit.table, digit.parent, q, link, 0.5 * digit.lengths[link]
+            )
             assert np.allclose(lever, normal @ middle, atol=1e-14)
 
 
@@ -161,12 +179,16 @@ def tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
 
     A test with this fixture runs once for each random tree and for the packaged one.
     """
-    hand = load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)
+    hand = (
+        load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)
+    )
     return hand, HandTree.of(hand)
 
 
 def test_random_trees_have_digits_on_digits_on_digits():
-    carried = [sum(digit.mount_on is not None for digit in random_tree(seed).digit) for seed in SEEDS]
+    carried = [
+        sum(digit.mount_on is not None for digit in random_tree(seed).digit) for seed in SEEDS
+    ]
     assert max(carried) >= 3
     on_a_carried_one = [
         digit.mount_on is not None and hand.digit_named(digit.mount_on).mount_on is not None
@@ -200,7 +222,10 @@ def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(tree, rng):
         for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
             vector[order] = mine
         armature = whole.table[rigid_body.ARMATURE_ROW] * ddq
-        assert agree(whole.inverse_dynamics(q, dq, ddq) - armature, pinocchio.rnea(model, data, *theirs)[order])
+        assert agree(
+            whole.inverse_dynamics(q, dq, ddq) - armature,
+            pinocchio.rnea(model, data, *theirs)[order],
+        )
         standing = pinocchio.computeGeneralizedGravity(model, data, theirs[0])[order]
         springs = whole.stiffness * (q + whole.preload)
         assert np.allclose(whole.static_torque(q) - springs, standing, rtol=0.0, atol=1e-12)
@@ -216,8 +241,13 @@ def test_logged_transforms_of_a_tree_equal_the_model(tree, rng):
     place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
     for link in link_frames(hand.to_toml()):
         position, turn = place[link.parent]
-        here = np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position + position
-        own = tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        here = (
+            np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position
+            + position
+        )
+        own = (
+            tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        )
         place[link.child] = here, multiply_quaternions(turn, own)
     for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
         assert np.allclose(place[f"{digit.name}_tip"][0], points_of_digit[-1], atol=1e-12)
@@ -231,7 +261,9 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(tree, rng):
             continue
         q = np.zeros(len(hand.joints))
         q[digit.joints] = rng.uniform(-2.0, 2.0, digit.joint_count)
-        assert np.allclose(whole.static_torque(q)[digit.joints], dynamics.static_torque(digit, q[digit.joints]))
+        assert np.allclose(
+            whole.static_torque(q)[digit.joints], dynamics.static_torque(digit, q[digit.joints])
+        )
 
 
 def test_each_number_of_a_table_matters(rng):

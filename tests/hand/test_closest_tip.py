@@ -19,7 +19,11 @@ SEEDS = 20
 def digits(hand: str) -> list[DigitModel]:
     """Return the digits of a hand that are mounted on its palm."""
     description = load_hand(hand)
-    return [DigitModel.of(description, digit.name) for digit in description.digit if digit.mount_on is None]
+    return [
+        DigitModel.of(description, digit.name)
+        for digit in description.digit
+        if digit.mount_on is None
+    ]
 
 
 def tip(digit: DigitModel, theta: np.ndarray) -> np.ndarray:
@@ -50,8 +54,12 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
             target = tip(digit, random.uniform(low, high)) + random.normal(scale=0.03, size=3)
             start = 0.5 * (low + high)
             found = closest_tip(digit, target)
-            oracle = least_squares(lambda theta, d=digit, x=target: tip(d, theta) - x, start, bounds=(low, high))
-            assert found.distance == pytest.approx(np.linalg.norm(tip(digit, found.coordinates) - target), abs=1e-12)
+            oracle = least_squares(
+                lambda theta, d=digit, x=target: tip(d, theta) - x, start, bounds=(low, high)
+            )
+            assert found.distance == pytest.approx(
+                np.linalg.norm(tip(digit, found.coordinates) - target), abs=1e-12
+            )
             assert (found.coordinates >= low).all()
             assert (found.coordinates <= high).all()
             worse += found.distance > np.linalg.norm(oracle.fun) + 1e-5
@@ -64,7 +72,10 @@ def test_a_coupled_digit_meets_the_global_minimum() -> None:
             random = np.random.default_rng(seed)
             target = tip(digit, random.uniform(*digit.reach)) + random.normal(scale=0.01, size=3)
             if digit.coupling.shape[1] == 1:
-                assert closest_tip(digit, target).distance <= inverse_kinematics_coupled(digit, target)[1] + 1e-6
+                assert (
+                    closest_tip(digit, target).distance
+                    <= inverse_kinematics_coupled(digit, target)[1] + 1e-6
+                )
 
 
 def test_a_path_of_points_gives_postures_without_jumps() -> None:
@@ -86,7 +97,9 @@ def test_tips_of_random_chains_are_closest(seed: int) -> None:
     digit = DigitModel.of(description, description.digit_names[0])
     low, high = digit.reach
     theta = random.uniform(low, high)
-    found = closest_tip(digit, tip(digit, theta), theta + random.normal(scale=0.05, size=len(theta)))
+    found = closest_tip(
+        digit, tip(digit, theta), theta + random.normal(scale=0.05, size=len(theta))
+    )
     assert found.distance < 1e-6
     assert ((found.coordinates >= low) & (found.coordinates <= high)).all()
 

@@ -61,7 +61,9 @@ def test_differing_comments_of_one_value_are_joined() -> None:
     place = old.index("knee_N = 200.0", old.index('name = "middle_tendon"'))
     old = old[:place] + "knee_N = 200.0  # measured in May" + old[place + len("knee_N = 200.0") :]
     assert re.search(
-        r"^knee_N = 200.0 .*# the paper's section 5.*; measured in May$", convert_to_schema_2(old, "old"), re.M
+        r"^knee_N = 200.0 .*# the paper's section 5.*; measured in May$",
+        convert_to_schema_2(old, "old"),
+        re.M,
     )
 
 
@@ -73,5 +75,9 @@ def test_config_convert_writes_schema_2(
     assert "234, the same hand dfe326d335b4750c" in capsys.readouterr().out
     assert main(["config", "check", "--hand", "new.toml"]) == 0
     assert main(["config", "convert", "new.toml", "--output", "newer.toml"]) == 2
-    assert "new.toml: schema: schema 2 already; expected a file of schema 1" in capsys.readouterr().err
-    assert main(["config", "convert", str(OLD), "--output", "new.toml"]) == 2, "an existing file is not replaced"
+    assert (
+        "new.toml: schema: schema 2 already; expected a file of schema 1" in capsys.readouterr().err
+    )
+    assert main(["config", "convert", str(OLD), "--output", "new.toml"]) == 2, (
+        "an existing file is not replaced"
+    )

@@ -28,7 +28,9 @@ def edited(refusal):
 
 def set_values(section, index, **values):
     """Return an edit that sets values in one section of a hand's content."""
-    return lambda content: (content[section] if index is None else content[section][index]).update(values)
+    return lambda content: (content[section] if index is None else content[section][index]).update(
+        values
+    )
 
 
 UNITS = [
@@ -39,7 +41,11 @@ UNITS = [
     ),
     ("digit", {"link_mass_kg": [6.384, 3.192, 2.128]}, "digit[index].link_mass_kg[0]: 6.384; "),
     ("digit", {"link_radius_m": 4}, "digit[index].link_radius_m: 4; "),
-    ("tendon", {"moment_arm_m": {"index_j1": 3}}, "tendon[index_tendon].moment_arm_m.index_j1: 3; "),
+    (
+        "tendon",
+        {"moment_arm_m": {"index_j1": 3}},
+        "tendon[index_tendon].moment_arm_m.index_j1: 3; ",
+    ),
     ("tendon", {"knee_width_m": 0.3}, "tendon[index_tendon].knee_width_m: 0.3; "),
     ("tendon", {"wrap_angle_rad": 90}, "tendon[index_tendon].wrap_angle_rad: 90; "),
     ("motor", {"spool_radius_m": 5}, "motor[index_motor].spool_radius_m: 5; "),
@@ -144,7 +150,10 @@ CASES = {
         set_values("sensor_node", None, base_id=0x12),
         "motor[middle_motor].node_id: 0x12",
     ),
-    "sensor frames on the sync": (set_values("sensor_node", None, base_id=0x80), "sensor_node.base_id: 0x80"),
+    "sensor frames on the sync": (
+        set_values("sensor_node", None, base_id=0x80),
+        "sensor_node.base_id: 0x80",
+    ),
     "sync on the drives' register frames": (
         set_values("sensor_node", None, sync_id=0x7FF),
         "sensor_node.sync_id: 0x7FF",
@@ -247,13 +256,22 @@ CASES = {
         set_values("digit", 0, coupling=[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]),
         "digit[index].coupling: its tendons (moment_arm_m) can move only 1 of 2 coordinates",
     ),
-    "unknown motor": (tension(motor="index_moter"), 'tendon[index_tendon].motor: "index_moter" is not in this file'),
-    "unknown joint": (tension(moment_arm_m={"index_j4": 0.003}), "tendon[index_tendon].moment_arm_m.index_j4: "),
+    "unknown motor": (
+        tension(motor="index_moter"),
+        'tendon[index_tendon].motor: "index_moter" is not in this file',
+    ),
+    "unknown joint": (
+        tension(moment_arm_m={"index_j4": 0.003}),
+        "tendon[index_tendon].moment_arm_m.index_j4: ",
+    ),
     "unknown bus": (
         set_values("motor", 0, bus="can0"),
         'motor[index_motor].bus: "can0" is not in this file; expected one of main',
     ),
-    "unknown sensor bus": (set_values("sensor_node", None, bus="x"), 'sensor_node.bus: "x" is not in this file'),
+    "unknown sensor bus": (
+        set_values("sensor_node", None, bus="x"),
+        'sensor_node.bus: "x" is not in this file',
+    ),
     "unknown load cell": (
         set_values("sensor_node", None, tendons=["x"]),
         'sensor_node.tendons[0]: "x" is not in this file',
@@ -291,7 +309,10 @@ CASES = {
         tension(moment_arm_m={"index_j1": 0.003, "ring_j1": 0.003}),
         "tendon[index_tendon].moment_arm_m: moves index and ring; expected joints of one digit, ",
     ),
-    "tendon of no digit": (tension(moment_arm_m={}), "tendon[index_tendon].moment_arm_m: moves no digit"),
+    "tendon of no digit": (
+        tension(moment_arm_m={}),
+        "tendon[index_tendon].moment_arm_m: moves no digit",
+    ),
     "moment arm as a polynomial": (
         tension(moment_arm_m={"index_j1": [0.003, 1e-4]}),
         "tendon[index_tendon].moment_arm_m.index_j1: [0.003, 0.0001]; expected a number from -0.05 to 0.05 m, "
@@ -310,16 +331,28 @@ CASES = {
         "tendon[ring_tendon].moment_arm_m: a tendon of ring after one of thumb; "
         "expected tendons digit by digit, in the order of the digits",
     ),
-    "digit twice": (set_values("digit", 1, name="index"), 'digit[index].name: "index" twice; expected every name once'),
+    "digit twice": (
+        set_values("digit", 1, name="index"),
+        'digit[index].name: "index" twice; expected every name once',
+    ),
     "no digit": (lambda c: c.update(digit=[]), "digit: []; expected at least 1 values"),
-    "a name with a blank": (set_values("digit", 0, name="index finger"), "digit[index finger].name: "),
-    "direction": (set_values("motor", 0, direction=0), "motor[index_motor].direction: 0; expected 1 or -1"),
+    "a name with a blank": (
+        set_values("digit", 0, name="index finger"),
+        "digit[index finger].name: ",
+    ),
+    "direction": (
+        set_values("motor", 0, direction=0),
+        "motor[index_motor].direction: 0; expected 1 or -1",
+    ),
     "schema of tomorrow": (lambda c: c.update(schema=3, novelty=1), "schema: 3; expected 1 or 2"),
     "negative mass": (
         set_values("digit", 0, link_mass_kg=[-6.384e-3, 3.192e-3, 2.128e-3]),
         "digit[index].link_mass_kg[0]: -0.006384; expected a number from 1e-05 to 0.5 kg",
     ),
-    "NaN in options": (set_values("motor", 0, options={"x": math.nan}), "motor[index_motor].options: "),
+    "NaN in options": (
+        set_values("motor", 0, options={"x": math.nan}),
+        "motor[index_motor].options: ",
+    ),
     "list in options": (set_values("motor", 0, options={"x": [1]}), "motor[index_motor].options: "),
 }
 
@@ -338,7 +371,9 @@ def test_a_coupling_has_as_many_coordinates_as_joints_at_most():
         (0.0, 0.0, 1.0),
     )
     content["digit"][0]["coupling"] = np.eye(3, 4).tolist()
-    with pytest.raises(ConfigError, match=r"coupling: rows of \[4\] values; expected rows of equal length, 1 to 3"):
+    with pytest.raises(
+        ConfigError, match=r"coupling: rows of \[4\] values; expected rows of equal length, 1 to 3"
+    ):
         hand_from_content(content, "own.toml")
 
 

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.hand.load import (
+    PACKAGED_HANDS_FOLDER,
+    hand_content,
+    hand_from_content,
+    load_hand,
+    packaged_hands,
+)
 
 CONTENT = {name: hand_content(name) for name in packaged_hands()}
 
@@ -63,7 +69,8 @@ def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
     assert hand_from_content(whole, "x").identity == hand.identity
     assert re.fullmatch(r"[0-9a-f]{64}", hand.identity)
     identities = {
-        hand_from_content(with_value(plain, path, value * 1.0001), "x").identity for path, value in free_values(plain)
+        hand_from_content(with_value(plain, path, value * 1.0001), "x").identity
+        for path, value in free_values(plain)
     }
     assert len(identities | {hand.identity}) == 1 + len(list(free_values(plain)))
 
@@ -111,8 +118,12 @@ def test_links_and_joints_have_names_and_places(hand):
         assert hand.motor_of(tendon.name).name == tendon.motor
     for name in hand.digit_names:
         assert hand.joints[hand.digit_joints[name]] == hand.digit_named(name).joints
-        assert all(tendon.startswith(name) for tendon in hand.tendon_names[hand.digit_tendons[name]])
-    assert [hand.motor_names[i] for i in hand.motor_index] == [tendon.motor for tendon in hand.tendon]
+        assert all(
+            tendon.startswith(name) for tendon in hand.tendon_names[hand.digit_tendons[name]]
+        )
+    assert [hand.motor_names[i] for i in hand.motor_index] == [
+        tendon.motor for tendon in hand.tendon
+    ]
 
 
 def test_a_hand_cannot_be_changed(hand):
@@ -146,8 +157,14 @@ def test_several_buses_may_use_the_same_node_ids():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("jamai", f"jamai: no such hand or file; expected jamia? or one of {PACKAGED}, or the path of a hand file"),
-        ("no/such.toml", f"no/such.toml: no such hand or file; expected one of {PACKAGED}, or the path of a hand file"),
+        (
+            "jamai",
+            f"jamai: no such hand or file; expected jamia? or one of {PACKAGED}, or the path of a hand file",
+        ),
+        (
+            "no/such.toml",
+            f"no/such.toml: no such hand or file; expected one of {PACKAGED}, or the path of a hand file",
+        ),
     ],
 )
 def test_missing_hand_file_is_refused(name, message):

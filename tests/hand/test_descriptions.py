@@ -30,6 +30,8 @@ def test_docstrings_of_fields_belong_to_the_model_and_its_bases() -> None:
 
 @pytest.mark.parametrize(("by_alias", "key"), [(True, "kind"), (False, "law")])
 def test_a_schema_has_the_descriptions_by_key(by_alias: bool, key: str) -> None:
-    properties = Derived.model_json_schema(by_alias=by_alias, schema_generator=DescribedSchema)["properties"]
+    properties = Derived.model_json_schema(by_alias=by_alias, schema_generator=DescribedSchema)[
+        "properties"
+    ]
     assert properties[key]["description"] == "Law."
     assert "description" not in properties["plain"]

@@ -21,7 +21,9 @@ def states(rng, n, samples=SAMPLES):
 
     They are so large that every term of the dynamics matters.
     """
-    return zip(*(scale * rng.normal(size=(samples, n)) for scale in (1.5, 15.0, 400.0)), strict=True)
+    return zip(
+        *(scale * rng.normal(size=(samples, n)) for scale in (1.5, 15.0, 400.0)), strict=True
+    )
 
 
 def agree(mine, reference):
@@ -37,7 +39,9 @@ def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
         turned = pinocchio.SE3(joint_rotation(digit, i), np.zeros(3))
         hinge = pinocchio.JointModelRevoluteUnaligned(np.array(digit.axes[i]))
         parent = model.addJoint(parent, hinge, place * turned, digit.joint_names[i])
-        body = pinocchio.Inertia(digit.masses[i], np.array(digit.coms[i]), np.array(digit.inertias[i]))
+        body = pinocchio.Inertia(
+            digit.masses[i], np.array(digit.coms[i]), np.array(digit.inertias[i])
+        )
         model.appendBodyToJoint(parent, body, pinocchio.SE3.Identity())
         place = pinocchio.SE3(np.eye(3), np.array([digit.lengths[i], 0.0, 0.0]))
     model.gravity.linear = np.array(gravity)
@@ -65,7 +69,9 @@ def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
             assert agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
             standing = pinocchio.rnea(model, data, q, np.zeros_like(q), np.zeros_like(q))
-            assert np.allclose(dynamics.gravity_torque(digit, q), standing, rtol=0, atol=TOLERANCE * 1e-3)
+            assert np.allclose(
+                dynamics.gravity_torque(digit, q), standing, rtol=0, atol=TOLERANCE * 1e-3
+            )
             upper = np.triu(pinocchio.crba(model, data, q))
             assert agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
             assert agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
@@ -111,7 +117,9 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
 
 def whole_hand(digits, q, dq, ddq):
     """Return the inverse dynamics of a hand, with the joint torques of its digits in order."""
-    return np.concatenate([dynamics.inverse_dynamics(d, q[d.joints], dq[d.joints], ddq[d.joints]) for d in digits])
+    return np.concatenate(
+        [dynamics.inverse_dynamics(d, q[d.joints], dq[d.joints], ddq[d.joints]) for d in digits]
+    )
 
 
 def test_one_joint_is_a_pendulum(rng):
@@ -123,12 +131,20 @@ def test_one_joint_is_a_pendulum(rng):
     thumb["coupling"] = None
     tendon = {**content["tendon"][3], "moment_arm_m": {"thumb_j1": 0.003}}
     node = {**content["sensor_node"], "tendons": ["thumb_tendon"], "joints": []}
-    alone = {**content, "digit": [thumb], "tendon": [tendon], "motor": [content["motor"][3]], "sensor_node": node}
+    alone = {
+        **content,
+        "digit": [thumb],
+        "tendon": [tendon],
+        "motor": [content["motor"][3]],
+        "sensor_node": node,
+    }
     digit = DigitModel.of(Hand.model_validate(alone), "thumb").with_gravity((0.0, -9.81, 0.0))
     inertia = digit.inertias[0, 2, 2] + digit.masses[0] * digit.coms[0, 0] ** 2 + digit.armature[0]
     for q, dq, ddq in states(rng, 1, 50):
         weight = digit.masses[0] * digit.coms[0, 0] * 9.81 * np.cos(q)
-        assert np.allclose(dynamics.inverse_dynamics(digit, q, dq, ddq), inertia * ddq + weight, rtol=1e-12)
+        assert np.allclose(
+            dynamics.inverse_dynamics(digit, q, dq, ddq), inertia * ddq + weight, rtol=1e-12
+        )
 
 
 def test_mass_matrix_is_symmetric_and_positive(digits, rng):
@@ -177,7 +193,9 @@ def test_energy_is_conserved(digits):
 
         def rate(state, digit=digit, n=n):
             torque = -np.array(dynamics.spring_torque(digit, state[:n]))
-            return np.concatenate((state[n:], dynamics.forward_dynamics(digit, state[:n], state[n:], torque)))
+            return np.concatenate(
+                (state[n:], dynamics.forward_dynamics(digit, state[:n], state[n:], torque))
+            )
 
         def energy(state, digit=digit, n=n):
             q, dq = state[:n], state[n:]
@@ -202,12 +220,21 @@ def test_sums_are_sums_of_their_parts(digits, rng):
     for digit in digits:
         for q, dq, ddq in states(rng, digit.joint_count, 100):
             rigid = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
-            passive = np.array(digit.spring_stiffness) * (q + digit.spring_preload) + np.array(digit.joint_damping) * dq
+            passive = (
+                np.array(digit.spring_stiffness) * (q + digit.spring_preload)
+                + np.array(digit.joint_damping) * dq
+            )
             assert agree(dynamics.required_torque(digit, q, dq, ddq), rigid + passive)
             assert agree(dynamics.passive_torque(digit, q, dq), passive)
             weight = np.array(dynamics.gravity_torque(digit, q))
-            assert np.allclose(dynamics.static_torque(digit, q), weight + dynamics.spring_torque(digit, q), rtol=1e-12)
-            parts = dynamics.mass_matrix(digit, q) @ ddq + dynamics.bias_torque(digit, q, dq) + weight
+            assert np.allclose(
+                dynamics.static_torque(digit, q),
+                weight + dynamics.spring_torque(digit, q),
+                rtol=1e-12,
+            )
+            parts = (
+                dynamics.mass_matrix(digit, q) @ ddq + dynamics.bias_torque(digit, q, dq) + weight
+            )
             assert agree(rigid, parts)
 
 
@@ -216,7 +243,9 @@ def test_reduced_dynamics_is_the_projection(digits, rng):
         coupling = digit.coupling
         for theta, dtheta, ddtheta in states(rng, coupling.shape[1], 100):
             mass, rest = dynamics.reduced_dynamics(digit, theta, dtheta)
-            full = dynamics.required_torque(digit, coupling @ theta, coupling @ dtheta, coupling @ ddtheta)
+            full = dynamics.required_torque(
+                digit, coupling @ theta, coupling @ dtheta, coupling @ ddtheta
+            )
             assert agree(mass @ ddtheta + rest, coupling.T @ np.array(full))
 
 
@@ -224,13 +253,17 @@ def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
     for digit in digits:
         q, dq, ddq = next(iter(states(rng, digit.joint_count, 1)))
         as_array = dynamics.required_torque(digit, q, dq, ddq)
-        assert as_array == dynamics.required_torque(digit, q.tolist(), tuple(dq.tolist()), ddq.tolist())
+        assert as_array == dynamics.required_torque(
+            digit, q.tolist(), tuple(dq.tolist()), ddq.tolist()
+        )
         assert all(type(value) is float for value in as_array)
 
 
 def test_known_numbers_of_the_paper_s_finger():
     """The torque of the straight finger's weight at joint 1 and its reduced inertia equal values computed by hand."""
-    digit = DigitModel.of(load_hand("jamia"), "index").with_gravity((0.0, 9.81, 0.0))  # gravity along the digit's -y
+    digit = DigitModel.of(load_hand("jamia"), "index").with_gravity(
+        (0.0, 9.81, 0.0)
+    )  # gravity along the digit's -y
     m1, m2, m3 = digit.masses
     weight = 9.81 * (m1 * 0.015 + m2 * 0.0375 + m3 * 0.050)
     assert np.isclose(dynamics.gravity_torque(digit, (0.0, 0.0, 0.0))[0], weight, rtol=1e-12)

@@ -14,7 +14,14 @@ import pytest
 import handctl
 from handctl.cli.main import main
 from handctl.hand.file.json_schema import hand_schema
-from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_path, load_hand, packaged_hands, parse_toml, read_toml
+from handctl.hand.load import (
+    PACKAGED_HANDS_FOLDER,
+    hand_path,
+    load_hand,
+    packaged_hands,
+    parse_toml,
+    read_toml,
+)
 
 PACKAGED = Path(handctl.__file__).parent / "hand" / "hand.schema.json"
 VALIDATOR = jsonschema.Draft7Validator(hand_schema())
@@ -58,7 +65,10 @@ WRONG = {
     "a value in millimetres for all links": (("default", "digit", "link_com_m"), 15),
     "an unknown key of a default": (("default", "tendon", "kneeN"), 200.0),
     "an unknown kind of default": (("default", "motors"), {}),
-    "an unknown key of a tendon within a digit": (("digit_template", "finger", "tendon", "t1", "colour"), 1),
+    "an unknown key of a tendon within a digit": (
+        ("digit_template", "finger", "tendon", "t1", "colour"),
+        1,
+    ),
     "a node number out of range": (("digit", 0, "motor", "m1", "node_id"), 128),
     "a direction": (("default", "motor", "direction"), 0),
     "a fractional watchdog": (("default", "motor", "watchdog_ms"), 2.5),

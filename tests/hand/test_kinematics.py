@@ -9,7 +9,11 @@ import pytest
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.inverse_kinematics import coordinate_limits, inverse_kinematics, inverse_kinematics_coupled
+from handctl.hand.inverse_kinematics import (
+    coordinate_limits,
+    inverse_kinematics,
+    inverse_kinematics_coupled,
+)
 from handctl.hand.kinematics import (
     forward_kinematics,
     from_palm_frame,
@@ -39,12 +43,17 @@ def moved_hand() -> Hand:
     """Return a hand whose digits have general orientations, so that no rotation is the identity or a half turn."""
     content = load_hand("jamia").content
     tilts = ((25.0, -40.0, 70.0), (-160.0, 15.0, 5.0), (90.0, 0.0, 90.0), (10.0, 85.0, -120.0))
-    digits = [{**digit, "mount_rpy_deg": tilt} for digit, tilt in zip(content["digit"], tilts, strict=True)]
+    digits = [
+        {**digit, "mount_rpy_deg": tilt}
+        for digit, tilt in zip(content["digit"], tilts, strict=True)
+    ]
     return Hand.model_validate({**content, "digit": digits})
 
 
 @pytest.mark.parametrize(
-    "hand", [load_hand("jamia"), load_hand("jamia11"), moved_hand()], ids=["jamia", "jamia11", "moved"]
+    "hand",
+    [load_hand("jamia"), load_hand("jamia11"), moved_hand()],
+    ids=["jamia", "jamia11", "moved"],
 )
 def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
     model = pinocchio.buildModelFromXML(urdf_text(hand))
@@ -59,10 +68,14 @@ def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
             for transform in link_transforms(digit, q):
                 place = data.oMf[model.getFrameId(transform.frame)]
                 assert np.allclose(transform.position, place.translation, atol=1e-14)
-                turned = pinocchio.Quaternion(np.array(transform.quaternion_xyzw)).toRotationMatrix()
+                turned = pinocchio.Quaternion(
+                    np.array(transform.quaternion_xyzw)
+                ).toRotationMatrix()
                 assert np.allclose(turned, place.rotation, atol=1e-13)
             world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            theirs = pinocchio.computeFrameJacobian(model, data, configuration, tip, world)[:3, columns]
+            theirs = pinocchio.computeFrameJacobian(model, data, configuration, tip, world)[
+                :3, columns
+            ]
             assert np.allclose(tip_jacobian(digit, q), theirs, atol=1e-14)
 
 
@@ -80,11 +93,17 @@ def test_jacobians_are_derivatives(digits, rng):
     for digit in digits:
         for q in angles(rng, digit, 30):
             steps = h * np.eye(digit.joint_count)
-            slope = [(joint_points(digit, q + s)[-1] - joint_points(digit, q - s)[-1]) / (2 * h) for s in steps]
+            slope = [
+                (joint_points(digit, q + s)[-1] - joint_points(digit, q - s)[-1]) / (2 * h)
+                for s in steps
+            ]
             assert np.allclose(tip_jacobian(digit, q), np.transpose(slope), atol=1e-10)
             for link in range(digit.joint_count):
                 middle = [
-                    sum(sign * joint_points(digit, q + sign * s)[link : link + 2].mean(axis=0) for sign in (1, -1))
+                    sum(
+                        sign * joint_points(digit, q + sign * s)[link : link + 2].mean(axis=0)
+                        for sign in (1, -1)
+                    )
                     / (2 * h)
                     for s in steps
                 ]
@@ -128,7 +147,9 @@ def test_quaternions_of_all_rotations(rng):
         q = quaternion_of_rotation(rotation_of_rpy(roll, pitch, yaw))
         assert math.isclose(sum(part * part for part in q), 1.0, rel_tol=1e-12)
         by_axes = pinocchio.rpy.rpyToMatrix(roll, pitch, yaw)
-        assert np.allclose(pinocchio.Quaternion(np.array(q)).toRotationMatrix(), by_axes, atol=1e-13)
+        assert np.allclose(
+            pinocchio.Quaternion(np.array(q)).toRotationMatrix(), by_axes, atol=1e-13
+        )
 
 
 def test_inverse_finds_the_angles_that_were_given(digits, rng):
@@ -138,7 +159,10 @@ def test_inverse_finds_the_angles_that_were_given(digits, rng):
             solutions = inverse_kinematics(digit, x, y, angle)
             assert len(solutions) == 2
             assert solutions[0][1] > 0.0 > solutions[1][1]
-            gaps = [np.abs(np.remainder(np.subtract(s, q) + np.pi, 2 * np.pi) - np.pi).max() for s in solutions]
+            gaps = [
+                np.abs(np.remainder(np.subtract(s, q) + np.pi, 2 * np.pi) - np.pi).max()
+                for s in solutions
+            ]
             assert min(gaps) < 1e-9
             for solution in solutions:
                 assert np.allclose(planar_tip(digit, solution)[:2], (x, y), atol=1e-15)
@@ -176,7 +200,9 @@ def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
         low, high = coordinate_limits(digit)
         assert (low, high) == (digit.joint_min[0], digit.joint_max[0])
         for theta in [low, high, *rng.uniform(low, high, 50)]:
-            found, gap = inverse_kinematics_coupled(digit, joint_points(digit, digit.coupling[:, 0] * theta)[-1])
+            found, gap = inverse_kinematics_coupled(
+                digit, joint_points(digit, digit.coupling[:, 0] * theta)[-1]
+            )
             assert abs(found - theta) < 1e-7
             assert gap < 1e-9
 
@@ -193,6 +219,12 @@ def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
 
 def test_coordinate_limits_respect_the_tightest_joint():
     content = load_hand("jamia").content
-    digit = {**content["digit"][0], "coupling": [[1.0], [2.0], [-0.5]], "joint_min_deg": [-10.0, -60.0, -20.0]}
-    model = DigitModel.of(Hand.model_validate({**content, "digit": [digit, *content["digit"][1:]]}), "index")
+    digit = {
+        **content["digit"][0],
+        "coupling": [[1.0], [2.0], [-0.5]],
+        "joint_min_deg": [-10.0, -60.0, -20.0],
+    }
+    model = DigitModel.of(
+        Hand.model_validate({**content, "digit": [digit, *content["digit"][1:]]}), "index"
+    )
     assert np.allclose(np.degrees(coordinate_limits(model)), (-10.0, 40.0))

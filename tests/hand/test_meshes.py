@@ -17,7 +17,13 @@ from firmware_sim.scene.scene import load_scene
 from handctl.errors import ConfigError
 from handctl.hand.file.json_schema import hand_schema
 from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.formats.meshes import PALM_LINK, exported_meshes, mesh_mistakes, meshes_of_hand, with_meshes_from
+from handctl.hand.formats.meshes import (
+    PALM_LINK,
+    exported_meshes,
+    mesh_mistakes,
+    meshes_of_hand,
+    with_meshes_from,
+)
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands, parse_toml
@@ -355,4 +361,6 @@ def test_meshes_of_a_copied_file_are_found(
     moved = hand_from_content(with_meshes_from(hand.content, folder), "t42")
     assert list(mesh_mistakes(hand, elsewhere))
     assert not list(mesh_mistakes(moved, elsewhere))
-    assert [mesh.link for mesh in meshes_of_hand(moved)] == [mesh.link for mesh in meshes_of_hand(hand)]
+    assert [mesh.link for mesh in meshes_of_hand(moved)] == [
+        mesh.link for mesh in meshes_of_hand(hand)
+    ]

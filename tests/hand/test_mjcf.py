@@ -23,8 +23,14 @@ def random_angles(hand, rng):
 def test_names_and_limits_are_the_hand_s(hand, model):
     assert [model.joint(i).name for i in range(model.njnt)] == list(hand.joints)
     assert [model.tendon(i).name for i in range(model.ntendon)] == list(hand.tendon_names)
-    assert [model.actuator(i).name for i in range(model.nu)] == [tendon.motor for tendon in hand.tendon]
-    limits = [(low, high) for d in hand.digit for low, high in zip(d.joint_min_deg, d.joint_max_deg, strict=True)]
+    assert [model.actuator(i).name for i in range(model.nu)] == [
+        tendon.motor for tendon in hand.tendon
+    ]
+    limits = [
+        (low, high)
+        for d in hand.digit
+        for low, high in zip(d.joint_min_deg, d.joint_max_deg, strict=True)
+    ]
     assert np.degrees(model.jnt_range) == pytest.approx(np.array(limits))
 
 
@@ -39,10 +45,14 @@ def test_tips_masses_and_torques_are_the_model_s(hand, digits, model, rng):
             own = q[digit.joints]
             tip = joint_points(digit, own)[-1]
             assert data.site(f"{digit.name}_tip").xpos == pytest.approx(tip, abs=1e-12)
-            assert full[digit.joints, digit.joints] == pytest.approx(dynamics.mass_matrix(digit, own), rel=1e-9)
+            assert full[digit.joints, digit.joints] == pytest.approx(
+                dynamics.mass_matrix(digit, own), rel=1e-9
+            )
             spring = -np.array(dynamics.spring_torque(digit, own))
             assert data.qfrc_spring[digit.joints] == pytest.approx(spring, rel=1e-9)
-            assert data.qfrc_bias[digit.joints] == pytest.approx(dynamics.gravity_torque(digit, own), abs=1e-12)
+            assert data.qfrc_bias[digit.joints] == pytest.approx(
+                dynamics.gravity_torque(digit, own), abs=1e-12
+            )
         assert data.qfrc_actuator == pytest.approx(hand.moment_arms.T @ tension, rel=1e-9)
 
 

@@ -52,21 +52,31 @@ def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
     for one in hand.digit_names:
         digit = DigitModel.of(hand, one)
         same = DigitModel.of(constant, one)
-        np.testing.assert_allclose(excursions(digit, q[digit.joints]), excursions(same, q[digit.joints]), rtol=1e-12)
-        np.testing.assert_allclose(digit.at(q[digit.joints]).torque_to_tension, same.torque_to_tension, rtol=1e-9)
+        np.testing.assert_allclose(
+            excursions(digit, q[digit.joints]), excursions(same, q[digit.joints]), rtol=1e-12
+        )
+        np.testing.assert_allclose(
+            digit.at(q[digit.joints]).torque_to_tension, same.torque_to_tension, rtol=1e-9
+        )
 
 
 @pytest.mark.parametrize("name", HANDS)
 @pytest.mark.parametrize("kind", ["polynomial", "table"])
-def test_the_simulator_has_the_same_arms_from_its_own_polynomials(name: str, kind: str, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
+    name: str, kind: str, tmp_path
+) -> None:  # type: ignore[no-untyped-def]
     hand = with_varying_arms(name, 0.3, kind)
     path = tmp_path / "hand.toml"
     path.write_text(hand.to_toml())
     described = load_simulated(str(path))
     motors = [motor.name for motor in described.motors]
-    routing = TendonRouting(described.tendons, described.joints, motors, [0.005] * len(motors), compiled=False)
+    routing = TendonRouting(
+        described.tendons, described.joints, motors, [0.005] * len(motors), compiled=False
+    )
     for seed in SEEDS:
-        q = np.random.default_rng(seed).uniform(hand.joint_limits[0] - 0.1, hand.joint_limits[1] + 0.1)
+        q = np.random.default_rng(seed).uniform(
+            hand.joint_limits[0] - 0.1, hand.joint_limits[1] + 0.1
+        )
         for one in hand.digit_names:
             digit = DigitModel.of(hand, one)
             angles = q[digit.joints]
@@ -84,28 +94,64 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(name: str, kin
 def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> None:
     angle = np.linspace(0.0, 90.0, 10)
     cubic = np.array([0.003, 1e-3, -4e-4, 1e-4])
-    arm = {"angle_deg": angle.tolist(), "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic).tolist()}
+    arm = {
+        "angle_deg": angle.tolist(),
+        "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic).tolist(),
+    }
     np.testing.assert_allclose(polynomial_of_arm(arm), [*cubic, 0.0, 0.0], atol=1e-12)
     assert table_residual(arm) < 1e-12
     arm["arm_m"][4] += 1e-4
     assert 2e-5 < table_residual(arm) < 1e-4
-    assert polynomial_of_arm({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist() == [0.0] * 4
+    assert (
+        polynomial_of_arm({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist()
+        == [0.0] * 4
+    )
 
 
 MISTAKES = {
-    "sign": ({"polynomial_m": [0.001, -0.002]}, "the arm changes its sign at 29 deg; expected one sign over"),
-    "small": ({"polynomial_m": [0.0001, 0.0, -3e-5]}, "an arm of 8.61e-06 m at 100 deg; expected 0.0001 to 0.05 m"),
-    "large": ({"polynomial_m": [0.003, 0.05]}, "an arm of 0.0903 m at 100 deg; expected 0.0001 to 0.05 m"),
-    "short table": ({"angle_deg": [0, 60], "arm_m": [0.003, 0.004]}, "angle_deg from 0 to 60; expected a table over"),
-    "falling": ({"angle_deg": [0, 100, 60], "arm_m": [0.003] * 3}, "expected rising values of angle_deg"),
-    "lengths": ({"angle_deg": [0, 100], "arm_m": [0.003] * 3}, "expected an arm_m for each angle_deg, and there are 3"),
+    "sign": (
+        {"polynomial_m": [0.001, -0.002]},
+        "the arm changes its sign at 29 deg; expected one sign over",
+    ),
+    "small": (
+        {"polynomial_m": [0.0001, 0.0, -3e-5]},
+        "an arm of 8.61e-06 m at 100 deg; expected 0.0001 to 0.05 m",
+    ),
+    "large": (
+        {"polynomial_m": [0.003, 0.05]},
+        "an arm of 0.0903 m at 100 deg; expected 0.0001 to 0.05 m",
+    ),
+    "short table": (
+        {"angle_deg": [0, 60], "arm_m": [0.003, 0.004]},
+        "angle_deg from 0 to 60; expected a table over",
+    ),
+    "falling": (
+        {"angle_deg": [0, 100, 60], "arm_m": [0.003] * 3},
+        "expected rising values of angle_deg",
+    ),
+    "lengths": (
+        {"angle_deg": [0, 100], "arm_m": [0.003] * 3},
+        "expected an arm_m for each angle_deg, and there are 3",
+    ),
     "rough": (
-        {"angle_deg": [0, 20, 40, 60, 80, 100], "arm_m": [0.003, 0.004, 0.003, 0.004, 0.003, 0.004]},
+        {
+            "angle_deg": [0, 20, 40, 60, 80, 100],
+            "arm_m": [0.003, 0.004, 0.003, 0.004, 0.003, 0.004],
+        },
         "from the table; expected a smoother table, within 10 % of the arm",
     ),
-    "degree": ({"polynomial_m": [0.003] * 7}, "expected 1 to 6 numbers from -1 to 1 in polynomial_m"),
-    "not a number": ({"polynomial_m": [0.003, float("nan")]}, "expected 1 to 6 numbers from -1 to 1 in polynomial_m"),
-    "both": ({"polynomial_m": [0.003], "arm_m": [0.003]}, "expected { polynomial_m = [r0, r1, ..] }"),
+    "degree": (
+        {"polynomial_m": [0.003] * 7},
+        "expected 1 to 6 numbers from -1 to 1 in polynomial_m",
+    ),
+    "not a number": (
+        {"polynomial_m": [0.003, float("nan")]},
+        "expected 1 to 6 numbers from -1 to 1 in polynomial_m",
+    ),
+    "both": (
+        {"polynomial_m": [0.003], "arm_m": [0.003]},
+        "expected { polynomial_m = [r0, r1, ..] }",
+    ),
     "unit": ({"polynomial_mm": [3.0]}, "expected { polynomial_m = [r0, r1, ..] }"),
 }
 

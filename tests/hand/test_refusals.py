@@ -20,7 +20,13 @@ OPTIONAL = {"coupling"}
 
 def leaves(node, path=()):
     """Yield the path and the value of everything in a hand's content that is not a table or a list."""
-    entries = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else None
+    entries = (
+        node.items()
+        if isinstance(node, dict)
+        else enumerate(node)
+        if isinstance(node, list)
+        else None
+    )
     if entries is None:
         yield path, node
         return
@@ -70,7 +76,6 @@ FLAT = tuple(name for name in packaged_hands() if name != "orca_like")
 """
 
 
-
 def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
     """Return one of the cases for each key, from any hand and any entry of a list. At night, return all cases."""
     by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
@@ -112,7 +117,9 @@ def test_invalid_number_in_a_hand_file_is_refused(refusal, content, path, value)
 @pytest.mark.parametrize(("content", "path", "value"), SAMPLE)
 def test_no_number_may_be_absurdly_large(refusal, content, path, value):
     for absurd in (1e9, 10**400):
-        assert f"my/hand.toml: {key_path_text(content, path)}: " in refusal(with_value(content, path, absurd))
+        assert f"my/hand.toml: {key_path_text(content, path)}: " in refusal(
+            with_value(content, path, absurd)
+        )
 
 
 @pytest.mark.parametrize("name", FLAT)
@@ -131,7 +138,9 @@ def test_a_missing_key_is_refused(refusal, name):
             if key in OPTIONAL:
                 assert "index_tendon" in line or f"{place}.{key}: its tendons" in line
             else:
-                assert line.startswith(f"my/hand.toml: {place}{'.' if place else ''}{key}: missing;")
+                assert line.startswith(
+                    f"my/hand.toml: {place}{'.' if place else ''}{key}: missing;"
+                )
 
 
 @pytest.mark.parametrize("name", packaged_hands())
@@ -139,7 +148,9 @@ def test_an_unknown_key_is_refused(refusal, name):
     for path, _ in tables(CONTENT[name]):
         line = refusal(with_value(CONTENT[name], (*path, "colour"), 1.0))
         place = key_path_text(CONTENT[name], path)
-        assert line.startswith(f"my/hand.toml: {place}{'.' if place else ''}colour: unknown key; expected one of ")
+        assert line.startswith(
+            f"my/hand.toml: {place}{'.' if place else ''}colour: unknown key; expected one of "
+        )
 
 
 @pytest.mark.parametrize("name", packaged_hands())

@@ -56,11 +56,15 @@ def test_the_packaged_hands_keep_their_identity(name: str) -> None:
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_a_packaged_file_is_short(name: str) -> None:
-    assert len((PACKAGED_HANDS_FOLDER / f"{name}.toml").read_text("utf-8").splitlines()) < LONG.get(name, LINES)
+    assert len((PACKAGED_HANDS_FOLDER / f"{name}.toml").read_text("utf-8").splitlines()) < LONG.get(
+        name, LINES
+    )
 
 
 @pytest.mark.parametrize("name", packaged_hands())
-def test_the_resolved_hand_is_a_file_of_schema_1_for_controller_and_simulator(name: str, tmp_path: Any) -> None:
+def test_the_resolved_hand_is_a_file_of_schema_1_for_controller_and_simulator(
+    name: str, tmp_path: Any
+) -> None:
     path = tmp_path / "flat.toml"
     path.write_text(load_hand(name).to_toml())
     assert read_toml(path)["schema"] == 1
@@ -73,7 +77,12 @@ def test_a_section_replaces_its_template_and_the_template_the_default() -> None:
     content["default"]["digit"]["link_radius_m"] = 0.006
     content["digit_template"]["finger"]["link_radius_m"] = 0.005
     content["digit"][1]["link_radius_m"] = 0.003
-    assert [digit.link_radius_m for digit in hand_of_content(content).digit] == [0.005, 0.003, 0.005, 0.006]
+    assert [digit.link_radius_m for digit in hand_of_content(content).digit] == [
+        0.005,
+        0.003,
+        0.005,
+        0.006,
+    ]
 
 
 def test_tables_are_merged_key_by_key() -> None:

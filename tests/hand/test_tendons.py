@@ -18,19 +18,29 @@ from handctl.hand.tendons import (
 
 LAWS = [
     TendonElasticity.of(load_hand("jamia").tendon[0]),
-    TendonElasticity(stiffness=1e5, stiffness_beyond=3e5, knee=200.0, knee_width=3e-4, damping=30.0),
+    TendonElasticity(
+        stiffness=1e5, stiffness_beyond=3e5, knee=200.0, knee_width=3e-4, damping=30.0
+    ),
     TendonElasticity(stiffness=7e4, stiffness_beyond=7e2, knee=50.0, knee_width=1e-5, damping=0.0),
 ]
-law_of_each_kind = pytest.mark.parametrize("law", LAWS, ids=["softening", "hardening", "nearly plastic"])
+law_of_each_kind = pytest.mark.parametrize(
+    "law", LAWS, ids=["softening", "hardening", "nearly plastic"]
+)
 
 
 @law_of_each_kind
 def test_the_knee_is_smooth(law):
     at = law.knee / law.stiffness
     for h in (1e-9, 1e-10):
-        assert math.isclose(law.elastic_tension(at - h), law.elastic_tension(at + h), abs_tol=2.1 * h * law.stiffness)
         assert math.isclose(
-            law.tangent_stiffness(at - h), law.tangent_stiffness(at + h), rel_tol=1.1 * h / law.knee_width * 4
+            law.elastic_tension(at - h),
+            law.elastic_tension(at + h),
+            abs_tol=2.1 * h * law.stiffness,
+        )
+        assert math.isclose(
+            law.tangent_stiffness(at - h),
+            law.tangent_stiffness(at + h),
+            rel_tol=1.1 * h / law.knee_width * 4,
         )
     assert math.isclose(law.elastic_tension(at), law.knee, rel_tol=1e-12)
     assert math.isclose(law.tangent_stiffness(1.0), law.stiffness_beyond, rel_tol=1e-9)
@@ -40,13 +50,21 @@ def test_the_knee_is_smooth(law):
 def test_tension_is_the_integral_of_the_tangent_stiffness(law):
     knee = law.knee / law.stiffness
     for stretch in np.linspace(0.1, 3.0, 12) * knee:
-        total, _ = quad(law.tangent_stiffness, 0.0, stretch, points=[knee] if stretch > knee else None, epsrel=1e-11)
+        total, _ = quad(
+            law.tangent_stiffness,
+            0.0,
+            stretch,
+            points=[knee] if stretch > knee else None,
+            epsrel=1e-11,
+        )
         assert math.isclose(law.elastic_tension(stretch), total, rel_tol=1e-8)
 
 
 @law_of_each_kind
 def test_stretch_is_the_exact_inverse(law):
-    for tension in np.concatenate((np.geomspace(1e-9, 3000.0, 300), law.knee + np.geomspace(1e-12, 10.0, 50))):
+    for tension in np.concatenate(
+        (np.geomspace(1e-9, 3000.0, 300), law.knee + np.geomspace(1e-12, 10.0, 50))
+    ):
         assert math.isclose(law.elastic_tension(law.stretch(tension)), tension, rel_tol=1e-13)
     assert law.stretch(0.0) == 0.0
     for tension in (-1e-9, math.nan, math.inf):
@@ -62,13 +80,17 @@ def test_tension_rises_with_stretch(law):
 
 @law_of_each_kind
 def test_a_slack_or_slackening_tendon_never_pushes(law, rng):
-    for stretch, rate in zip(rng.normal(size=2000) * 2e-3, rng.normal(size=2000) * 5.0, strict=True):
+    for stretch, rate in zip(
+        rng.normal(size=2000) * 2e-3, rng.normal(size=2000) * 5.0, strict=True
+    ):
         tension = law.tension(stretch, rate)
         assert tension >= 0.0
         if stretch <= 0.0:
             assert tension == law.elastic_tension(stretch) == law.tangent_stiffness(stretch) == 0.0
         elif tension > 0.0:
-            assert math.isclose(tension, law.elastic_tension(stretch) + law.damping * rate, rel_tol=1e-12)
+            assert math.isclose(
+                tension, law.elastic_tension(stretch) + law.damping * rate, rel_tol=1e-12
+            )
         else:
             assert law.damping * rate <= -law.elastic_tension(stretch)
 
@@ -104,14 +126,18 @@ def test_friction_follows_the_capstan_equation(digits, rng):
     for digit in digits:
         q = rng.uniform(0.0, 1.6, digit.joint_count)
         count = len(digit.tendon_names)
-        assert np.array_equal(pulley_factors(digit, q, np.zeros(count)), np.ones_like(digit.moment_arms))
+        assert np.array_equal(
+            pulley_factors(digit, q, np.zeros(count)), np.ones_like(digit.moment_arms)
+        )
         assert np.array_equal(effective_moment_arms(digit, q, np.zeros(count)), digit.moment_arms)
         winding = pulley_factors(digit, q, np.full(count, 1.0))
         for t in range(count):
             passed = digit.wrap[t]
             for j in range(digit.joint_count):
                 passed += q[j] if digit.moment_arms[t, j] else 0.0
-                assert math.isclose(winding[t, j], math.exp(-digit.friction[t] * passed), rel_tol=1e-12)
+                assert math.isclose(
+                    winding[t, j], math.exp(-digit.friction[t] * passed), rel_tol=1e-12
+                )
         paying_out = pulley_factors(digit, q, np.full(count, -1.0))
         assert np.allclose(winding * paying_out, 1.0, rtol=1e-12)
         slow = pulley_factors(digit, q, np.full(count, 1e-3))
@@ -121,11 +147,15 @@ def test_friction_follows_the_capstan_equation(digits, rng):
 
 def test_friction_of_a_closed_grasp_is_a_fifth_to_a_third():
     digit = DigitModel.of(load_hand("jamia"), "index")
-    assert math.isclose(1 / pulley_factors(digit, (1.6, 0.0, 0.0), (1.0,))[0, 0], 1.29, rel_tol=3e-3)
+    assert math.isclose(
+        1 / pulley_factors(digit, (1.6, 0.0, 0.0), (1.0,))[0, 0], 1.29, rel_tol=3e-3
+    )
 
 
 def test_rotor_outweighs_the_finger():
-    assert np.allclose(reflected_inertia(DigitModel.of(load_hand("jamia"), "index")), 4.2e-4, rtol=5e-3)
+    assert np.allclose(
+        reflected_inertia(DigitModel.of(load_hand("jamia"), "index")), 4.2e-4, rtol=5e-3
+    )
 
 
 def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
@@ -133,7 +163,10 @@ def test_reflected_inertia_is_the_rotors_kinetic_energy(hand, digits, rng):
         speed = rng.normal(size=digit.coupling.shape[1])
         cable = digit.moment_arms @ digit.coupling @ speed
         motors = [hand.motor_of(name) for name in digit.tendon_names]
-        energy = sum(m.inertia_kg_m2 * (v / m.spool_radius_m) ** 2 / 2 for m, v in zip(motors, cable, strict=True))
+        energy = sum(
+            m.inertia_kg_m2 * (v / m.spool_radius_m) ** 2 / 2
+            for m, v in zip(motors, cable, strict=True)
+        )
         assert math.isclose(speed @ reflected_inertia(digit) @ speed / 2, energy, rel_tol=1e-12)
 
 

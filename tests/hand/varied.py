@@ -8,7 +8,9 @@ import numpy as np
 from handctl.hand.load import hand_from_content, load_hand
 
 
-def with_varying_arms(name: str, fraction: float, kind: str = "polynomial", encoders: bool = True) -> Any:
+def with_varying_arms(
+    name: str, fraction: float, kind: str = "polynomial", encoders: bool = True
+) -> Any:
     """Return a hand with arms from ``1 - fraction`` at the lower to ``1 + fraction`` at the upper limits of the joints.
 
     Args:
@@ -35,5 +37,8 @@ def with_varying_arms(name: str, fraction: float, kind: str = "polynomial", enco
             else:
                 angle = np.linspace(low, high, 13)
                 values = arm * (1.0 + fraction * np.sin(0.5 * np.pi * (angle - middle) / half))
-                tendon["moment_arm_m"][joint] = {"angle_deg": np.degrees(angle).tolist(), "arm_m": values.tolist()}
+                tendon["moment_arm_m"][joint] = {
+                    "angle_deg": np.degrees(angle).tolist(),
+                    "arm_m": values.tolist(),
+                }
     return hand_from_content(content | {"name": f"{name}_varied"}, name)

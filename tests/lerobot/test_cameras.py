@@ -46,7 +46,9 @@ def write_video(path, seconds, width=WIDTH):
     """
     import imageio
 
-    with imageio.get_writer(path, fps=CAMERA_HZ, macro_block_size=1, output_params=["-crf", "1"]) as writer:
+    with imageio.get_writer(
+        path, fps=CAMERA_HZ, macro_block_size=1, output_params=["-crf", "1"]
+    ) as writer:
         for i in range(round(seconds * CAMERA_HZ)):
             image = np.full((HEIGHT, width, 3), 20 + round(LEVEL_PER_S * i / CAMERA_HZ), np.uint8)
             image[:, : width // 2, 0] = 0  # no red in the left half
@@ -76,7 +78,9 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     with RunLog(GOLDEN / LOGS[0]) as one, RunLog(GOLDEN / LOGS[1]) as two:
         spans = [times(log) for log in (one, two)]
         starts = (0.0, 0.25)
-        videos = [write_video(tmp_path / f"{i}.mp4", spans[i][1] - starts[i] + 0.2) for i in range(2)]
+        videos = [
+            write_video(tmp_path / f"{i}.mp4", spans[i][1] - starts[i] + 0.2) for i in range(2)
+        ]
         cameras = make_cameras(["wrist"], [videos], starts, 2)
         frames = export_lerobot([one, two], tmp_path / "data", FPS, cameras)
     dataset = LeRobotDataset("me/exported", root=tmp_path / "data", video_backend="torchcodec")
@@ -97,13 +101,22 @@ def test_the_loader_gives_the_image_of_each_frame(tmp_path) -> None:
     images = np.stack([dataset[i]["observation.images.wrist"].numpy() for i in range(frames)])
     for channel in range(3):
         values = images[:, channel]
-        for name, own in (("mean", values.mean()), ("std", values.std()), ("min", values.min()), ("max", values.max())):
-            assert float(statistics[name][channel, 0, 0]) == pytest.approx(float(own), abs=0.03), name
+        for name, own in (
+            ("mean", values.mean()),
+            ("std", values.std()),
+            ("min", values.min()),
+            ("max", values.max()),
+        ):
+            assert float(statistics[name][channel, 0, 0]) == pytest.approx(float(own), abs=0.03), (
+                name
+            )
 
 
 def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:
     source = write_video(tmp_path / "one.mp4", 1.0)
-    with pytest.raises(LogError, match=r"one.mp4: the video ends 1.\d\d s before the end of the episode"):
+    with pytest.raises(
+        LogError, match=r"one.mp4: the video ends 1.\d\d s before the end of the episode"
+    ):
         write_episode_video(source, tmp_path / "a.mp4", 0.0, 2 * FPS, FPS)
     with pytest.raises(LogError, match=r"the video begins 1.00 s after the start of the episode"):
         write_episode_video(source, tmp_path / "a.mp4", -1.0, FPS, FPS)
@@ -115,7 +128,9 @@ def test_videos_that_do_not_cover_an_episode_are_refused(tmp_path) -> None:
 def test_videos_of_different_sizes_are_refused(tmp_path) -> None:
     with RunLog(GOLDEN / LOGS[0]) as one, RunLog(GOLDEN / LOGS[1]) as two:
         ends = [times(log)[1] for log in (one, two)]
-        videos = [write_video(tmp_path / f"{i}.mp4", ends[i] + 0.2, WIDTH + 16 * i) for i in range(2)]
+        videos = [
+            write_video(tmp_path / f"{i}.mp4", ends[i] + 0.2, WIDTH + 16 * i) for i in range(2)
+        ]
         cameras = make_cameras(["wrist"], [videos], (0.0,), 2)
         with pytest.raises(LogError, match=r"1.mp4: a video of 80 x 48 pixels; expected 64 x 48"):
             export_lerobot([one, two], tmp_path / "data", FPS, cameras)

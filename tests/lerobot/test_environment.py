@@ -54,18 +54,30 @@ def python(tmp_path: Path) -> str:
     pip(made, "--requirement", str(Path(__file__).parent / "requirements.txt"))
     pip(made, "--no-deps", LEROBOT)
     pip(made, "--editable", f"{ROOT}[sim,export]")
-    pip(made, "--no-deps", "--no-build-isolation", "--editable", str(ROOT / "lerobot_robot_handctl"))
+    pip(
+        made, "--no-deps", "--no-build-isolation", "--editable", str(ROOT / "lerobot_robot_handctl")
+    )
     return made
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(INSTALL_S + TESTS_S)
 def test_everything_passes_with_the_real_lerobot(python: str, tmp_path: Path) -> None:
-    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "HANDCTL_NIGHTLY")}
+    environment = {
+        key: value
+        for key, value in os.environ.items()
+        if key not in ("PYTHONPATH", "HANDCTL_NIGHTLY")
+    }
     environment["LD_LIBRARY_PATH"] = link_ffmpeg(python, tmp_path / "ffmpeg")
     command = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/lerobot"]
     ran = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=TESTS_S, check=False
+        command,
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=TESTS_S,
+        check=False,
     )
     assert ran.returncode == 0, ran.stdout[-3000:]
     count = re.search(r"(\d+) passed", ran.stdout)

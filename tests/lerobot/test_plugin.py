@@ -124,7 +124,11 @@ def test_the_script_of_lerobot_teleoperates_the_hand_by_a_log(options, place) ->
     with RunLog(Path("run.mcap")) as log, RunLog(Path("leader.mcap")) as leader:
         # Warnings are ignored, because a busy machine causes some, such as that of a late frame or
         # a late action.
-        assert not [row.event.text for row in log.events if row.event.name == "fault" and row.event.level == "error"]
+        assert not [
+            row.event.text
+            for row in log.events
+            if row.event.name == "fault" and row.event.level == "error"
+        ]
         goal = np.degrees(np.nanmax(log.field("q_goal")[:, :9]))
         # The leader closes its fingers on an object. Coupled joints of the follower turn by the
         # nearest common angle.

@@ -41,7 +41,11 @@ def faults(log: RunLog) -> list[str]:
 
     Other faults are ignored, because a busy machine delays frames and actions.
     """
-    return [row.event.text for row in log.events if row.event.name == "fault" and row.event.level == "error"]
+    return [
+        row.event.text
+        for row in log.events
+        if row.event.name == "fault" and row.event.level == "error"
+    ]
 
 
 @pytest.mark.realtime
@@ -71,7 +75,14 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
     assert np.ptp(np.degrees(actions[:, 0])) > 10.0
 
     replay = json.dumps([word.replace("run.mcap", "replay.mcap") for word in options])
-    script("replay", *robot, f"--robot.options={replay}", *data, "--dataset.episode=0", "--play_sounds=false")
+    script(
+        "replay",
+        *robot,
+        f"--robot.options={replay}",
+        *data,
+        "--dataset.episode=0",
+        "--play_sounds=false",
+    )
     with RunLog(Path("replay.mcap")) as log:
         assert not faults(log)
         active = log.mode == Mode.ACTIVE
@@ -82,13 +93,17 @@ def test_recorded_episodes_can_be_loaded_replayed_and_run(options, place) -> Non
     assert highest == pytest.approx(expected, abs=2.0)
 
     words = [word.replace("run.mcap", "again.mcap") for word in options]
-    ran = handctl("run", "--hand", "jamia", "--bus", BUS, "--dataset", "data", "--speed", "200", *words)
+    ran = handctl(
+        "run", "--hand", "jamia", "--bus", BUS, "--dataset", "data", "--speed", "200", *words
+    )
     assert ran.returncode == 0, ran.stderr
     with RunLog(Path("again.mcap")) as log:
         assert not faults(log)
         playback = np.array([change.name for change in log.phases])
         assert "playback" in playback
-        followed = np.degrees(np.nanmax(log.field("q")[log.mode == Mode.ACTIVE][:, :3].mean(axis=1)))
+        followed = np.degrees(
+            np.nanmax(log.field("q")[log.mode == Mode.ACTIVE][:, :3].mean(axis=1))
+        )
     assert followed == pytest.approx(expected, abs=4.0)
 
 
@@ -119,7 +134,9 @@ def test_the_loader_takes_a_part_and_windows_of_time(tmp_path) -> None:
     with RunLog(GOLDEN / "jamia-fault.mcap") as one, RunLog(GOLDEN / "jamia-grasp.mcap") as two:
         export_lerobot([one, two], tmp_path / "data")
     steps = [0.0, 0.005, 0.01]
-    dataset = LeRobotDataset("me/exported", root=tmp_path / "data", episodes=[1], delta_timestamps={"action": steps})
+    dataset = LeRobotDataset(
+        "me/exported", root=tmp_path / "data", episodes=[1], delta_timestamps={"action": steps}
+    )
     assert dataset.num_episodes == 1
     assert {int(dataset[i]["episode_index"]) for i in (0, len(dataset) - 1)} == {1}
     assert dataset[0]["action"].shape == (3, 15)
@@ -135,5 +152,9 @@ def test_episodes_split_by_lerobot(tmp_path) -> None:
     parts = split_dataset(dataset, {"train": [0], "val": [1]}, output_dir=tmp_path / "parts")
     assert {name: part.num_episodes for name, part in parts.items()} == {"train": 1, "val": 1}
     episode = dataset.meta.episodes[1]
-    own = np.array(dataset.hf_dataset["action"])[episode["dataset_from_index"] : episode["dataset_to_index"]]
-    np.testing.assert_allclose(parts["val"].meta.stats["action"]["mean"], own.mean(axis=0), atol=1e-4)
+    own = np.array(dataset.hf_dataset["action"])[
+        episode["dataset_from_index"] : episode["dataset_to_index"]
+    ]
+    np.testing.assert_allclose(
+        parts["val"].meta.stats["action"]["mean"], own.mean(axis=0), atol=1e-4
+    )

@@ -32,7 +32,11 @@ def with_metadata(raw: bytes, change: Callable[[str, Record], Record]) -> bytes:
 
 def with_run(path: Path, out: Path, **values: str) -> Path:
     """Write a copy of a log to `out` with other JSON texts in its record `handctl.run`, and return the path."""
-    out.write_bytes(with_metadata(path.read_bytes(), lambda name, old: old | values if name == "handctl.run" else old))
+    out.write_bytes(
+        with_metadata(
+            path.read_bytes(), lambda name, old: old | values if name == "handctl.run" else old
+        )
+    )
     return out
 
 

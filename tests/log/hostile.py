@@ -14,7 +14,12 @@ from handctl.log.read.record_scan import RecordScan, scan_records
 
 def _chunk(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
     name = compression.encode()
-    body = struct.pack("<QQQII", 0, 0, size, crc, len(name)) + name + struct.pack("<Q", len(packed)) + packed
+    body = (
+        struct.pack("<QQQII", 0, 0, size, crc, len(name))
+        + name
+        + struct.pack("<Q", len(packed))
+        + packed
+    )
     return struct.pack("<BQ", 6, len(body)) + body
 
 
@@ -38,21 +43,42 @@ def hostile(small: Path) -> dict[str, bytes]:
     other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
     many = (message + other) * (MAX_CHUNK_BYTES // 62)
     zeros = bytes(MAX_CHUNK_BYTES)
-    channels = b"".join(struct.pack("<BQHHIIIB", 4, 17, n & 0xFFFF, 0, 0, 0, 1, 0) for n in range(1_000_000))
-    tick = struct.pack("<BQHIQQ", 5, 22 + 44, 3, 0, 0, 0) + b"\0\1\0\0" + bytes(36) + b"\xff\xff\xff\x7f"
+    channels = b"".join(
+        struct.pack("<BQHHIIIB", 4, 17, n & 0xFFFF, 0, 0, 0, 1, 0) for n in range(1_000_000)
+    )
+    tick = (
+        struct.pack("<BQHIQQ", 5, 22 + 44, 3, 0, 0, 0)
+        + b"\0\1\0\0"
+        + bytes(36)
+        + b"\xff\xff\xff\x7f"
+    )
     bombs = _chunk("zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros))
     text = struct.pack("<I", 2**32 - 1)
     return {
         "zstd of a gigabyte": _with_chunks(small, _chunk("zstd", _zeros_zstd(1 << 30), 1 << 20)),
-        "zstd that says how large it is": _with_chunks(small, _chunk("zstd", _zeros_zstd(1 << 30), 1 << 30)),
-        "lz4 of more than it says": _with_chunks(small, _chunk("lz4", lz4.frame.compress(zeros), 1000)),
-        "lz4 of less than it says": _with_chunks(small, _chunk("lz4", lz4.frame.compress(b"x"), 1000)),
+        "zstd that says how large it is": _with_chunks(
+            small, _chunk("zstd", _zeros_zstd(1 << 30), 1 << 30)
+        ),
+        "lz4 of more than it says": _with_chunks(
+            small, _chunk("lz4", lz4.frame.compress(zeros), 1000)
+        ),
+        "lz4 of less than it says": _with_chunks(
+            small, _chunk("lz4", lz4.frame.compress(b"x"), 1000)
+        ),
         "many bombs": _with_chunks(small, bombs * 300),
-        "zeros as records": _with_chunks(small, _chunk("lz4", lz4.frame.compress(zeros), len(zeros))),
-        "a million messages": _with_chunks(small, _chunk("lz4", lz4.frame.compress(many), len(many))),
-        "a million channels": _with_chunks(small, _chunk("lz4", lz4.frame.compress(channels), len(channels))),
+        "zeros as records": _with_chunks(
+            small, _chunk("lz4", lz4.frame.compress(zeros), len(zeros))
+        ),
+        "a million messages": _with_chunks(
+            small, _chunk("lz4", lz4.frame.compress(many), len(many))
+        ),
+        "a million channels": _with_chunks(
+            small, _chunk("lz4", lz4.frame.compress(channels), len(channels))
+        ),
         "a tick that lies": _with_chunks(small, _chunk("", tick, len(tick))),
-        "a chunk larger than the file": _with_chunks(small, struct.pack("<BQ", 6, 2**63)) + bytes(100) + MAGIC,
+        "a chunk larger than the file": _with_chunks(small, struct.pack("<BQ", 6, 2**63))
+        + bytes(100)
+        + MAGIC,
         "a huge attachment": _with_chunks(small, struct.pack("<BQ", 9, 17 << 20) + bytes(17 << 20)),
         "metadata that lies": _with_chunks(small, struct.pack("<BQ", 12, 20) + text * 5),
         "a million empty records": _with_chunks(small, struct.pack("<BQ", 0x90, 0) * 1_000_000),

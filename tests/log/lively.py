@@ -14,7 +14,9 @@ from handctl.programs.requests import target_text
 from handctl.safety.action import Action
 
 BUSES = ("main", "a_second_bus")
-OPEN_STREAM = '{"do": "stream", "stream": "s", "space": "digit", "names": ["index", "thumb"], "rate_Hz": 100}'
+OPEN_STREAM = (
+    '{"do": "stream", "stream": "s", "space": "digit", "names": ["index", "thumb"], "rate_Hz": 100}'
+)
 
 
 def header(**more: object) -> RunHeader:
@@ -48,13 +50,17 @@ def _frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, 
 
 def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) -> TickIn:
     t_ns = k * run.period_ns
-    io_events = (IoEvent("enobufs", "main", 4), IoEvent("signal", "", 15)) if index % 23 == 5 else ()
+    io_events = (
+        (IoEvent("enobufs", "main", 4), IoEvent("signal", "", 15)) if index % 23 == 5 else ()
+    )
     requests = ('{"do": "gain", "text": "\u00e4\u03b1\u4e2d"}', "") if index % 19 == 3 else ()
     if index == 50:
         requests += (OPEN_STREAM,)
     if index > 50:
         requests += (target_text("s", index, t_ns - 10**6, (10.0, index / 7)),)
-    return TickIn(k, t_ns, int(random.integers(0, 10**7)), _frames(index, t_ns, random), io_events, requests)
+    return TickIn(
+        k, t_ns, int(random.integers(0, 10**7)), _frames(index, t_ns, random), io_events, requests
+    )
 
 
 def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> TickOut:
@@ -74,7 +80,9 @@ def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> Tic
 
 
 def _telemetry(run: RunHeader, index: int, random: np.random.Generator) -> Telemetry:
-    values = {name: random.standard_normal(len(run.axis(axis))) for name, axis in TELEMETRY_AXES.items()}
+    values = {
+        name: random.standard_normal(len(run.axis(axis))) for name, axis in TELEMETRY_AXES.items()
+    }
     if index % 5 == 0:
         values["joint_encoder"][:] = np.nan
     if index % 11 == 0:

@@ -24,7 +24,14 @@ from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
 from handctl.safety.action import Action
 
-SCHEDULE = (("start", 0.02), ("tighten", 0.08), ("close", 0.40), ("hold", 0.75), ("release", 0.85), ("open", 0.98))
+SCHEDULE = (
+    ("start", 0.02),
+    ("tighten", 0.08),
+    ("close", 0.40),
+    ("hold", 0.75),
+    ("release", 0.85),
+    ("open", 0.98),
+)
 """Phases of the run, each with the fraction of the run at which it ends. The phase after them is "end"."""
 
 
@@ -56,8 +63,12 @@ class Synthetic:
         self.run, self.ticks = run, round(seconds * 1e9 / run.period_ns)
         self._random = np.random.default_rng(seed)
         self._arms = moment_arms(run)
-        self._digit_of = [next(d for d, name in enumerate(run.digits) if j.startswith(name)) for j in run.joints]
-        self._tendon_digit = [next(d for d, name in enumerate(run.digits) if t.startswith(name)) for t in run.tendons]
+        self._digit_of = [
+            next(d for d, name in enumerate(run.digits) if j.startswith(name)) for j in run.joints
+        ]
+        self._tendon_digit = [
+            next(d for d, name in enumerate(run.digits) if t.startswith(name)) for t in run.tendons
+        ]
         self._hash = hashlib.blake2b(digest_size=8)
 
     def __iter__(self) -> Iterator[tuple[TickIn, TickOut]]:
@@ -71,13 +82,22 @@ class Synthetic:
             if k == self.ticks // 3:
                 events += (TickEvent("info", "gain", "motion.position_error_m", "0.0008"),)
             if k == self.ticks // 2:
-                events += (TickEvent("warn", "contact", self.run.digits[0], "touched earlier than planned"),)
+                events += (
+                    TickEvent(
+                        "warn", "contact", self.run.digits[0], "touched earlier than planned"
+                    ),
+                )
             previous = phase
-            mode = Mode.READY if fraction < 0.02 else Mode.ACTIVE if fraction < 0.98 else Mode.DISARM
+            mode = (
+                Mode.READY if fraction < 0.02 else Mode.ACTIVE if fraction < 0.98 else Mode.DISARM
+            )
             action = Action.WARN if 0.5 <= fraction < 0.51 else Action.PASS
             self._hash.update(telemetry.packed())
             frames = self._sent(k, telemetry)
-            yield tick_in, TickOut(frames, mode, phase, action, telemetry, events, self._hash.digest())
+            yield (
+                tick_in,
+                TickOut(frames, mode, phase, action, telemetry, events, self._hash.digest()),
+            )
 
     def _closing(self, fraction: float) -> float:
         """Return how far the hand is closed at a fraction of the run, from 0 to 1."""
@@ -93,7 +113,10 @@ class Synthetic:
         before = np.minimum(1.2 * self._closing(fraction - 1 / self.ticks), stop)
         dq = (np.minimum(goal, stop) - before) / period
         pressing = np.array(
-            [max(0.0, 1.2 * self._closing(fraction) - (0.75 + 0.1 * d)) for d in range(len(run.digits))]
+            [
+                max(0.0, 1.2 * self._closing(fraction) - (0.75 + 0.1 * d))
+                for d in range(len(run.digits))
+            ]
         )
         tension = 6.0 + 3.0 * np.sin(2 * np.pi * 2 * fraction) + 60.0 * pressing[self._tendon_digit]
         noise = self._random.standard_normal(len(tension))
@@ -130,13 +153,17 @@ class Synthetic:
             frames.append(Frame(0x1A0, raw.to_bytes(7, "little"), 0, 0, before + 90_000))
         io_events = (IoEvent("enobufs", self.run.buses[0], 3),) if k == self.ticks // 2 else ()
         requests = ('{"do": "arm"}',) if k == 5 else ()
-        return TickIn(k, t_ns, int(self._random.integers(0, 40_000)), tuple(frames), io_events, requests)
+        return TickIn(
+            k, t_ns, int(self._random.integers(0, 40_000)), tuple(frames), io_events, requests
+        )
 
     def _sent(self, k: int, telemetry: Telemetry) -> tuple[Frame, ...]:
         frames = [Frame(0x080, bytes((k & 0xFF,)))]
         for index, torque in enumerate(telemetry.motor_torque_goal):
             word = int(np.clip((torque + 0.8) / 1.6 * 4095, 0, 4095))
-            frames.append(Frame(index + 1, bytes((0x7F, 0xFF, 0x7F, 0xF0, 0, 0, word >> 8, word & 255))))
+            frames.append(
+                Frame(index + 1, bytes((0x7F, 0xFF, 0x7F, 0xF0, 0, 0, word >> 8, word & 255)))
+            )
         return tuple(frames)
 
 
@@ -153,7 +180,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("path", type=Path, help="log to write")
     parser.add_argument("--hand", default="jamia", help="packaged hand (default: jamia)")
-    parser.add_argument("--seconds", type=float, default=10.0, help="duration of the run [s] (default: 10)")
+    parser.add_argument(
+        "--seconds", type=float, default=10.0, help="duration of the run [s] (default: 10)"
+    )
     parser.add_argument("--rate", type=int, default=500, help="control rate [Hz] (default: 500)")
     options = parser.parse_args()
     print(write(options.path, header(options.hand, options.rate), options.seconds))

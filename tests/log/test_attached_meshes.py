@@ -36,7 +36,8 @@ def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
             )
         assert not missing
         assert {link: one.data for link, one in found.items()} == {
-            mesh.link: (PACKAGED_HANDS_FOLDER / mesh.file).read_bytes() for mesh in meshes_of_hand(hand)
+            mesh.link: (PACKAGED_HANDS_FOLDER / mesh.file).read_bytes()
+            for mesh in meshes_of_hand(hand)
         }
 
 

@@ -12,7 +12,9 @@ from handctl.log.topics.clock_pairs import ClockPair, ClockStep, clock_steps
 from handctl.log.write.writer import LogWriter
 
 
-def _written(path: Path, clocks: list[tuple[int, int]], seconds: float, deterministic: bool) -> Path:
+def _written(
+    path: Path, clocks: list[tuple[int, int]], seconds: float, deterministic: bool
+) -> Path:
     run = synthetic.header(rate_hz=10, deterministic=deterministic)
     left = iter(clocks)
     writer = LogWriter(path, run, lambda *what: None, 1, lambda: next(left))

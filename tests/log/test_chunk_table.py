@@ -18,14 +18,25 @@ def test_each_chunk_has_its_position_and_those_of_its_message_indexes() -> None:
         table.add(at(k), behind)
     indexes = list(table.indexes())
     assert len(table) == 4
-    assert [index.message_index_offsets for index in indexes] == [{1: 700, 2: 740}, {}, {1: 2700, 2: 2740}, {2: 3700}]
+    assert [index.message_index_offsets for index in indexes] == [
+        {1: 700, 2: 740},
+        {},
+        {1: 2700, 2: 2740},
+        {2: 3700},
+    ]
     last = indexes[-1]
-    assert (last.chunk_start_offset, last.chunk_length, last.message_index_length) == (3000, 700, 100)
+    assert (last.chunk_start_offset, last.chunk_length, last.message_index_length) == (
+        3000,
+        700,
+        100,
+    )
     assert (last.compression, last.compressed_size, last.uncompressed_size) == ("lz4", 650, 2000)
     assert (last.message_start_time, last.message_end_time) == (750, 999)
 
 
-@pytest.mark.parametrize("chunks", [0, CHUNKS_PER_BLOCK - 1, CHUNKS_PER_BLOCK, 2 * CHUNKS_PER_BLOCK + 1])
+@pytest.mark.parametrize(
+    "chunks", [0, CHUNKS_PER_BLOCK - 1, CHUNKS_PER_BLOCK, 2 * CHUNKS_PER_BLOCK + 1]
+)
 def test_packing_changes_neither_their_order_nor_a_number(chunks: int) -> None:
     table = ChunkTable()
     for k in range(chunks):

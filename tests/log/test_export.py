@@ -48,7 +48,9 @@ def test_parquet_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["t_ns"].to_numpy(), log.t_ns)
     numbers = np.column_stack([table[name].to_numpy() for name in column_names(log)])
     assert numbers.tobytes() == np.ascontiguousarray(table_of(log)).tobytes()
-    np.testing.assert_array_equal(table["tension/ring_tendon"].to_numpy(), log.field("tension")[:, 2])
+    np.testing.assert_array_equal(
+        table["tension/ring_tendon"].to_numpy(), log.field("tension")[:, 2]
+    )
     assert [tick.phase for tick in log.ticks()] == table["phase"].to_pylist()
     assert [Action(value).name for value in log.action] == table["action"].to_pylist()
 
@@ -57,7 +59,9 @@ def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
     assert export_csv(log, tmp_path / "x.csv") == len(log)
     with (tmp_path / "x.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    numbers = np.array([[float(row[column_title(name)] or "nan") for name in column_names(log)] for row in rows])
+    numbers = np.array(
+        [[float(row[column_title(name)] or "nan") for name in column_names(log)] for row in rows]
+    )
     np.testing.assert_array_equal(numbers, table_of(log))
     assert [int(row["k"]) for row in rows] == log.k.tolist()
     assert rows[-1]["mode"] == "DONE"
@@ -66,24 +70,34 @@ def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
 def test_units_are_those_that_the_telemetry_declares() -> None:
     """The docstring of each field of `Telemetry` ends with its unit in brackets, unless the field has no unit."""
     source = ast.parse(inspect.getsource(types))
-    (telemetry,) = (node for node in source.body if isinstance(node, ast.ClassDef) and node.name == "Telemetry")
+    (telemetry,) = (
+        node for node in source.body if isinstance(node, ast.ClassDef) and node.name == "Telemetry"
+    )
     names = [node.target.id for node in telemetry.body if isinstance(node, ast.AnnAssign)]
     texts = [node.value.value for node in telemetry.body if isinstance(node, ast.Expr)][1:]
     assert tuple(names) == TELEMETRY_FIELDS
     for name, text in zip(names, texts, strict=True):
         declared = re.search(r"\[([^\]]*)\]\.$", text)
-        assert column_unit(f"{name}/x") == (declared[1].removesuffix(" at the spool") if declared else "1"), name
+        assert column_unit(f"{name}/x") == (
+            declared[1].removesuffix(" at the spool") if declared else "1"
+        ), name
 
 
 def test_every_column_says_its_unit(log: RunLog, tmp_path: Path) -> None:
     export_parquet(log, tmp_path / "x.parquet")
     for field in pq.read_schema(tmp_path / "x.parquet"):
-        assert field.name in TEXT_COLUMNS or field.metadata == {b"unit": column_unit(field.name).encode()}, field.name
+        assert field.name in TEXT_COLUMNS or field.metadata == {
+            b"unit": column_unit(field.name).encode()
+        }, field.name
     export_csv(log, tmp_path / "x.csv")
     with (tmp_path / "x.csv").open(newline="") as file:
         titles = next(csv.reader(file))
     assert titles == [*INTEGER_COLUMNS, *TEXT_COLUMNS, *map(column_title, column_names(log))]
-    assert {"q/index_j1 [rad]", "tension_raw/thumb_tendon [N]", "motor_temperature/index_motor [degC]"} <= {*titles}
+    assert {
+        "q/index_j1 [rad]",
+        "tension_raw/thumb_tendon [N]",
+        "motor_temperature/index_motor [degC]",
+    } <= {*titles}
 
 
 def test_the_page_has_the_units() -> None:
@@ -95,12 +109,16 @@ def test_the_page_has_the_units() -> None:
         for name in re.findall(r"`(\w+)`", row[0])
     }
     for name in (*INTEGER_COLUMNS, *TELEMETRY_FIELDS):
-        assert listed[name] == (column_unit(name) if name in INTEGER_COLUMNS else column_unit(f"{name}/x")), name
+        assert listed[name] == (
+            column_unit(name) if name in INTEGER_COLUMNS else column_unit(f"{name}/x")
+        ), name
 
 
 def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:
     path = tmp_path / "x.log"
-    assert export_candump(log, path) == sum(len(t.frames) + len(t.tick_in.frames) for t in log.ticks())
+    assert export_candump(log, path) == sum(
+        len(t.frames) + len(t.tick_in.frames) for t in log.ticks()
+    )
     messages = list(can.CanutilsLogReader(path))
     expected = [
         (frame, tick.tick_in.t_ns if direction == "T" else frame.t_ns, direction == "R")
@@ -115,7 +133,9 @@ def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:
         assert (message.channel, message.is_rx) == ("main", received)
 
 
-def test_time_stamps_of_the_candump_rise(log: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_time_stamps_of_the_candump_rise(
+    log: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """On a local bus, a frame gets its time stamp when it is read.
 
     This may be after the start of the tick whose frames follow it.
@@ -127,7 +147,12 @@ def test_time_stamps_of_the_candump_rise(log: RunLog, tmp_path: Path, monkeypatc
             tick._replace(
                 tick_in=tick.tick_in._replace(
                     frames=[
-                        frame._replace(t_ns=tick.tick_in.t_ns + tick.tick_in.late_ns + 50_000 - bus_delay * (i % 2))
+                        frame._replace(
+                            t_ns=tick.tick_in.t_ns
+                            + tick.tick_in.late_ns
+                            + 50_000
+                            - bus_delay * (i % 2)
+                        )
                         for i, frame in enumerate(tick.tick_in.frames)
                     ]
                 )

@@ -71,7 +71,9 @@ def test_the_dataset_has_the_values_of_the_log(log: RunLog, dataset: Path) -> No
     state = np.hstack([log.field("q")[active], log.field("tension")[active]]).astype(np.float32)
     np.testing.assert_array_equal(table["observation.state"].to_numpy(), state)
     goal, q = log.field("q_goal")[active], log.field("q")[active]
-    commands = np.hstack([np.where(np.isnan(goal), q, goal), log.field("tension_goal")[active]]).astype(np.float32)
+    commands = np.hstack(
+        [np.where(np.isnan(goal), q, goal), log.field("tension_goal")[active]]
+    ).astype(np.float32)
     np.testing.assert_array_equal(table["action"].to_numpy(), commands)
     times = (log.t_ns[active] - log.t_ns[active][0]) * 1e-9
     np.testing.assert_allclose(table["timestamp"].to_numpy(), times, atol=1e-6)
@@ -92,9 +94,15 @@ def test_every_feature_is_declared_as_it_is(dataset: Path) -> None:
         assert {len(values) for key, values in statistics[name].items() if key != "count"} == {size}
         assert feature["names"] is None or len(feature["names"]) == size
     state = statistics["observation.state"]
-    np.testing.assert_allclose(state["mean"], table["observation.state"].to_numpy().mean(axis=0), rtol=1e-4, atol=1e-5)
-    assert all(a <= b <= c for a, b, c in zip(state["min"], state["q50"], state["max"], strict=True))
-    (episode,) = polars.read_parquet(dataset / "meta/episodes/chunk-000/file-000.parquet").to_dicts()
+    np.testing.assert_allclose(
+        state["mean"], table["observation.state"].to_numpy().mean(axis=0), rtol=1e-4, atol=1e-5
+    )
+    assert all(
+        a <= b <= c for a, b, c in zip(state["min"], state["q50"], state["max"], strict=True)
+    )
+    (episode,) = polars.read_parquet(
+        dataset / "meta/episodes/chunk-000/file-000.parquet"
+    ).to_dicts()
     assert (episode["dataset_from_index"], episode["dataset_to_index"]) == (0, len(table))
     assert polars.read_parquet(dataset / "meta/tasks.parquet")["task"].to_list() == episode["tasks"]
 
@@ -112,17 +120,27 @@ def test_the_episode_has_its_statistics(dataset: Path) -> None:
         (values,) = table[column].to_list()
         assert values == whole[feature][name], column
         assert len(values) == (1 if name == "count" else features[feature]["shape"][0])
-        assert table[column].dtype == polars.List(polars.Int64 if name == "count" else polars.Float64)
+        assert table[column].dtype == polars.List(
+            polars.Int64 if name == "count" else polars.Float64
+        )
 
 
-def test_several_logs_become_episodes_of_one_dataset(log: RunLog, dataset: Path, tmp_path: Path) -> None:
+def test_several_logs_become_episodes_of_one_dataset(
+    log: RunLog, dataset: Path, tmp_path: Path
+) -> None:
     with RunLog(GOLDEN.parent / "jamia-grasp.mcap") as other:
         frames = export_lerobot([other, log, other], tmp_path / "y")
     table = polars.read_parquet(tmp_path / "y" / "data" / "chunk-000" / "file-000.parquet")
-    episodes = polars.read_parquet(tmp_path / "y" / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_dicts()
+    episodes = polars.read_parquet(
+        tmp_path / "y" / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
+    ).to_dicts()
     info = json.loads((tmp_path / "y" / "meta" / "info.json").read_text())
     tasks = polars.read_parquet(tmp_path / "y" / "meta" / "tasks.parquet").to_dicts()
-    assert (info["total_episodes"], info["total_frames"], info["splits"]) == (3, frames, {"train": "0:3"})
+    assert (info["total_episodes"], info["total_frames"], info["splits"]) == (
+        3,
+        frames,
+        {"train": "0:3"},
+    )
     assert table["index"].to_list() == list(range(frames))
     assert len(tasks) == info["total_tasks"] == len({episode["tasks"][0] for episode in episodes})
     alone = polars.read_parquet(dataset / "data" / "chunk-000" / "file-000.parquet")
@@ -131,7 +149,9 @@ def test_several_logs_become_episodes_of_one_dataset(log: RunLog, dataset: Path,
         assert set(part["episode_index"]) == {episode["episode_index"]}
         assert part["frame_index"].to_list() == list(range(episode["length"]))
         assert {tasks[i]["task"] for i in part["task_index"]} == set(episode["tasks"])
-        assert episode["stats/action/mean"] == pytest.approx(part["action"].to_numpy().mean(axis=0), abs=1e-4)
+        assert episode["stats/action/mean"] == pytest.approx(
+            part["action"].to_numpy().mean(axis=0), abs=1e-4
+        )
     middle = table.filter(polars.col("episode_index") == 1)
     for name in ("observation.state", "action", "timestamp", "next.done"):
         assert middle[name].to_list() == alone[name].to_list()
@@ -140,20 +160,42 @@ def test_several_logs_become_episodes_of_one_dataset(log: RunLog, dataset: Path,
 def test_a_log_of_another_hand_is_no_episode(log: RunLog, tmp_path: Path) -> None:
     with (
         RunLog(GOLDEN.parent / "jamia11-grasp.mcap") as other,
-        pytest.raises(LogError, match="log 2: a run of hand jamia11; expected a run of hand jamia, as in"),
+        pytest.raises(
+            LogError, match="log 2: a run of hand jamia11; expected a run of hand jamia, as in"
+        ),
     ):
         export_lerobot([log, other], tmp_path / "y")
     assert not (tmp_path / "y").exists()
 
 
-def test_only_a_dataset_takes_several_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["log", "export", str(GOLDEN), str(GOLDEN), "--csv", "--output", str(tmp_path / "x")]) == 2
+def test_only_a_dataset_takes_several_logs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        main(["log", "export", str(GOLDEN), str(GOLDEN), "--csv", "--output", str(tmp_path / "x")])
+        == 2
+    )
     assert "a second log" in capsys.readouterr().err
-    assert main(["log", "export", str(GOLDEN), str(GOLDEN), "--lerobot", "--output", str(tmp_path / "x")]) == 0
+    assert (
+        main(
+            [
+                "log",
+                "export",
+                str(GOLDEN),
+                str(GOLDEN),
+                "--lerobot",
+                "--output",
+                str(tmp_path / "x"),
+            ]
+        )
+        == 0
+    )
     assert json.loads((tmp_path / "x" / "meta" / "info.json").read_text())["total_episodes"] == 2
 
 
-def test_a_lower_frame_rate_takes_the_latest_tick(log: RunLog, dataset: Path, tmp_path: Path) -> None:
+def test_a_lower_frame_rate_takes_the_latest_tick(
+    log: RunLog, dataset: Path, tmp_path: Path
+) -> None:
     frames = export_lerobot([log], tmp_path / "slow", fps=40)
     whole, slow = [frames_of(path) for path in (dataset, tmp_path / "slow")]
     assert len(slow) == frames == (len(whole) - 1) // 5 + 1
@@ -169,19 +211,47 @@ def test_a_lower_frame_rate_takes_the_latest_tick(log: RunLog, dataset: Path, tm
     ("words", "line"),
     [
         ("--csv --fps 20", "log export --csv: frame rate or camera; expected --lerobot"),
-        ("--csv --camera wrist one.mp4", "log export --csv: frame rate or camera; expected --lerobot"),
-        ("--lerobot --camera wrist", "--camera wrist: 0 videos for 1 logs; expected one video for each log"),
-        ("--lerobot --camera wrist one.mp4 two.mp4", "--camera wrist: 2 videos for 1 logs; expected one video"),
+        (
+            "--csv --camera wrist one.mp4",
+            "log export --csv: frame rate or camera; expected --lerobot",
+        ),
+        (
+            "--lerobot --camera wrist",
+            "--camera wrist: 0 videos for 1 logs; expected one video for each log",
+        ),
+        (
+            "--lerobot --camera wrist one.mp4 two.mp4",
+            "--camera wrist: 2 videos for 1 logs; expected one video",
+        ),
         ("--lerobot --camera wrist no.mp4", "no.mp4: no such file; expected a video"),
-        ("--lerobot --camera ../x one.mp4", "--camera: '../x'; expected a name of letters and digits"),
-        ("--lerobot --camera a one.mp4 --camera a one.mp4", "--camera: 'a'; expected a name of letters and digits"),
-        ("--lerobot --camera-start 1 2", "--camera-start: 2 times; expected one, or 1 finite times [s]"),
-        ("--lerobot --camera-start nan", "--camera-start: 1 times; expected one, or 1 finite times [s]"),
-        ("--lerobot --camera wrist one.mp4", "--camera: no program ffmpeg; expected ffmpeg installed"),
+        (
+            "--lerobot --camera ../x one.mp4",
+            "--camera: '../x'; expected a name of letters and digits",
+        ),
+        (
+            "--lerobot --camera a one.mp4 --camera a one.mp4",
+            "--camera: 'a'; expected a name of letters and digits",
+        ),
+        (
+            "--lerobot --camera-start 1 2",
+            "--camera-start: 2 times; expected one, or 1 finite times [s]",
+        ),
+        (
+            "--lerobot --camera-start nan",
+            "--camera-start: 1 times; expected one, or 1 finite times [s]",
+        ),
+        (
+            "--lerobot --camera wrist one.mp4",
+            "--camera: no program ffmpeg; expected ffmpeg installed",
+        ),
     ],
 )
 def test_a_wrong_camera_is_one_line(
-    words: str, line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: str,
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", "")
@@ -197,11 +267,15 @@ def test_statistics_of_images_are_those_of_their_pixels() -> None:
     histogram = np.array([np.bincount(channel, minlength=256) for channel in pixels])
     found = histogram_statistics(histogram, 7, (10, 50, 99))
     expected = {name: getattr(pixels / 255, name)(axis=1) for name in ("min", "max", "mean", "std")}
-    expected |= {f"q{percent}": np.percentile(pixels / 255, percent, axis=1) for percent in (10, 50, 99)}
+    expected |= {
+        f"q{percent}": np.percentile(pixels / 255, percent, axis=1) for percent in (10, 50, 99)
+    }
     assert found.pop("count") == [7]
     assert found.keys() == expected.keys()
     for name, values in expected.items():
-        np.testing.assert_allclose(np.array(found[name]), values.reshape(3, 1, 1), atol=1 / 255 + 1e-12, err_msg=name)
+        np.testing.assert_allclose(
+            np.array(found[name]), values.reshape(3, 1, 1), atol=1 / 255 + 1e-12, err_msg=name
+        )
 
 
 def test_names_of_elements_have_their_unit(dataset: Path) -> None:
@@ -224,7 +298,9 @@ def test_rerun_reads_the_dataset(log: RunLog, dataset: Path) -> None:
     batch = chunks["/observation.state"].to_record_batch()
     values = np.array(batch.column("Scalars:scalars").to_pylist())
     active = log.mode == int(Mode.ACTIVE)
-    np.testing.assert_array_equal(values[:, : len(log.header.joints)], log.field("q")[active].astype(np.float32))
+    np.testing.assert_array_equal(
+        values[:, : len(log.header.joints)], log.field("q")[active].astype(np.float32)
+    )
     assert batch.column("frame_index").to_pylist() == list(range(len(values)))
 
 
@@ -236,12 +312,18 @@ def test_rerun_reads_the_recording(log: RunLog, tmp_path: Path) -> None:
         if field in TELEMETRY_FIELDS and "run_time" in chunk.timeline_names:
             batch = chunk.to_record_batch()
             times = batch.column("run_time").to_pylist()
-            values = next(c for f, c in zip(batch.schema, batch.columns, strict=True) if f.name.endswith("scalars"))
+            values = next(
+                c
+                for f, c in zip(batch.schema, batch.columns, strict=True)
+                if f.name.endswith("scalars")
+            )
             lines.setdefault(field, []).extend(zip(times, values.to_pylist(), strict=True))
     assert set(lines) == set(TELEMETRY_FIELDS)
     for field, rows in lines.items():
         rows.sort(key=lambda row: row[0])
-        np.testing.assert_array_equal(np.array([values for _, values in rows]), log.field(field), err_msg=field)
+        np.testing.assert_array_equal(
+            np.array([values for _, values in rows]), log.field(field), err_msg=field
+        )
 
 
 def test_a_folder_that_is_there_is_left_alone(log: RunLog, tmp_path: Path) -> None:

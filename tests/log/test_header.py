@@ -33,10 +33,45 @@ VERBS = {
     "view": ("view", "odd.mcap", "--save", "odd.rrd"),
 }
 NUMBERS = {
-    "period_ns": ["0", "0.5", "1e-300", "1e308", "-1", "true", "null", '"5"', "[5]", "NaN", "9" * 5000, str(2**64)],
-    "offset_ns": ["0.5", "1e308", "-1", "true", "null", '"5"', "[5]", "NaN", "9" * 5000, str(2**64)],
+    "period_ns": [
+        "0",
+        "0.5",
+        "1e-300",
+        "1e308",
+        "-1",
+        "true",
+        "null",
+        '"5"',
+        "[5]",
+        "NaN",
+        "9" * 5000,
+        str(2**64),
+    ],
+    "offset_ns": [
+        "0.5",
+        "1e308",
+        "-1",
+        "true",
+        "null",
+        '"5"',
+        "[5]",
+        "NaN",
+        "9" * 5000,
+        str(2**64),
+    ],
 }
-TEXTS = ['"abc"', "{}", '[["a"]]', "[1]", "[null]", '["a", "a"]', '["\\ud800"]', '["\\u001b[2J"]', '["a\\nb"]', '[""]']
+TEXTS = [
+    '"abc"',
+    "{}",
+    '[["a"]]',
+    "[1]",
+    "[null]",
+    '["a", "a"]',
+    '["\\ud800"]',
+    '["\\u001b[2J"]',
+    '["a\\nb"]',
+    '[""]',
+]
 LISTS = ("joints", "tendons", "motors", "digits", "buses")
 
 
@@ -65,7 +100,9 @@ def _refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_invalid_period_is_refused_in_one_line(place: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
+def test_invalid_period_is_refused_in_one_line(
+    place: Path, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
     for period in ("0", "0.5", str(2**64)):
         with_run(GOLDEN, place / "odd.mcap", period_ns=period)
         assert "period_ns" in _refused(capsys, *VERBS[verb])
@@ -75,15 +112,21 @@ def test_invalid_period_is_refused_in_one_line(place: Path, capsys: pytest.Captu
     assert "tendons" in _refused(capsys, *VERBS[verb])
 
 
-@pytest.mark.parametrize(("key", "text"), [(key, text) for key, texts in NUMBERS.items() for text in texts])
-def test_a_number_of_the_header_has_its_type_and_range(small_log: Path, tmp_path: Path, key: str, text: str) -> None:
+@pytest.mark.parametrize(
+    ("key", "text"), [(key, text) for key, texts in NUMBERS.items() for text in texts]
+)
+def test_a_number_of_the_header_has_its_type_and_range(
+    small_log: Path, tmp_path: Path, key: str, text: str
+) -> None:
     with pytest.raises(LogError, match=key if len(text) < 4000 else "digits"):
         RunLog(with_run(small_log, tmp_path / "odd.mcap", **{key: text}))
 
 
 @pytest.mark.parametrize("text", TEXTS)
 @pytest.mark.parametrize("key", LISTS)
-def test_a_name_of_the_header_is_a_name(small_log: Path, tmp_path: Path, key: str, text: str) -> None:
+def test_a_name_of_the_header_is_a_name(
+    small_log: Path, tmp_path: Path, key: str, text: str
+) -> None:
     with pytest.raises(LogError, match=key) as refused:
         RunLog(with_run(small_log, tmp_path / "odd.mcap", **{key: text}))
     assert str(refused.value).isprintable()
@@ -97,7 +140,9 @@ def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> Non
         assert log.header.offset_ns == MAX_LOG_TIME_NS
 
 
-@pytest.mark.parametrize("verb", [verb for verb in VERBS if verb.startswith(("report", "replay", "identify", "view"))])
+@pytest.mark.parametrize(
+    "verb", [verb for verb in VERBS if verb.startswith(("report", "replay", "identify", "view"))]
+)
 def test_a_hand_with_other_names_than_the_columns_is_refused(
     place: Path, capsys: pytest.CaptureFixture[str], verb: str
 ) -> None:
@@ -112,14 +157,20 @@ def test_a_hand_with_other_names_than_the_columns_is_refused(
 
 
 @pytest.mark.parametrize("text", ["²", "-1", "1.5", "9" * 5000, str(2**64), "\x1b[2J"])
-def test_invalid_truth_offset_is_refused(place: Path, capsys: pytest.CaptureFixture[str], text: str) -> None:
+def test_invalid_truth_offset_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
     more = {"truth_offset_ns": text}
-    changed = with_metadata(GOLDEN.read_bytes(), lambda name, old: old | more if name == "handctl" else old)
+    changed = with_metadata(
+        GOLDEN.read_bytes(), lambda name, old: old | more if name == "handctl" else old
+    )
     (place / "odd.mcap").write_bytes(changed)
     assert "truth_offset_ns" in _refused(capsys, "report", "odd.mcap")
 
 
-def test_logs_of_other_columns_are_not_compared(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_logs_of_other_columns_are_not_compared(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with_run(GOLDEN, place / "odd.mcap", joints='["a", "b"]')
     assert main(["log", "diff", str(GOLDEN), "odd.mcap"]) == 4
     assert "other joints" in capsys.readouterr().err

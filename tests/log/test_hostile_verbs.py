@@ -13,7 +13,12 @@ from handctl.cli.main import main
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.write.writer import LogWriter
 
-CODES = {"log recover": (1, 2, 3), "log check": (1, 2, 3), "replay drive": (2, 4), "view --save": (2, 3)}
+CODES = {
+    "log recover": (1, 2, 3),
+    "log check": (1, 2, 3),
+    "replay drive": (2, 4),
+    "view --save": (2, 3),
+}
 """Exit codes of commands whose result is not that of bad input.
 
 The logs name no hand, which `replay drive` checks first.
@@ -52,7 +57,9 @@ def test_every_verb_refuses_a_hostile_log_in_one_line(small_log: Path, tmp_path:
     folder.mkdir()
     for name, data in hostile(small_log).items():
         (folder / f"{name}\x1b[2J.mcap").write_bytes(data)
-    done = subprocess.run([sys.executable, "-c", PROBE, str(folder)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", PROBE, str(folder)], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     outcomes, little_memory = json.loads(done.stdout)
     assert little_memory
@@ -72,15 +79,30 @@ def test_names_from_a_log_cannot_control_the_terminal_or_write_files(
     inner = tmp_path / "inner"
     inner.mkdir()
     evil = "\x1b]0;mine\x07\x1b[2J"
-    more = {"metadata": {"hand": evil, "note": evil}, "gains": {evil: evil}, "attachments": {f"../{evil}": b"x"}}
+    more = {
+        "metadata": {"hand": evil, "note": evil},
+        "gains": {evil: evil},
+        "attachments": {f"../{evil}": b"x"},
+    }
     run = synthetic.header(rate_hz=50, **more)
     writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
     for tick in synthetic.Synthetic(run, 0.5):
         writer.add(pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :])
     writer.finish(evil, 0)
-    for words in (["log", "info"], ["log", "check"], ["log", "recover"], ["log", "export", "--csv"], ["report"]):
+    for words in (
+        ["log", "info"],
+        ["log", "check"],
+        ["log", "recover"],
+        ["log", "export", "--csv"],
+        ["report"],
+    ):
         main([*words, str(inner / "run.mcap")])
         out, err = capsys.readouterr()
         assert "\x1b" not in out + err, words
     assert list(tmp_path.iterdir()) == [inner]
-    assert {one.name for one in inner.iterdir()} <= {"run.mcap", "run.recovered.mcap", "run.csv", "run.html"}
+    assert {one.name for one in inner.iterdir()} <= {
+        "run.mcap",
+        "run.recovered.mcap",
+        "run.csv",
+        "run.html",
+    }

@@ -13,11 +13,22 @@ from handctl.log.message_types import MESSAGE_DEFINITIONS, schema_name, schema_t
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack_snapshot, pack_tick_record
 from handctl.log.topics.can import encode_fd_frame
-from handctl.log.topics.event_topics import encode_labelled_number, encode_parameter_event, encode_rosout
+from handctl.log.topics.event_topics import (
+    encode_labelled_number,
+    encode_parameter_event,
+    encode_rosout,
+)
 from handctl.log.topics.health import DiagnosticStatus, encode_diagnostic_array
 from handctl.log.write.recorder import Recorder
 
-STANDARD = ("builtin_interfaces", "std_msgs", "geometry_msgs", "tf2_msgs", "sensor_msgs", "diagnostic_msgs")
+STANDARD = (
+    "builtin_interfaces",
+    "std_msgs",
+    "geometry_msgs",
+    "tf2_msgs",
+    "sensor_msgs",
+    "diagnostic_msgs",
+)
 
 
 STATES = {30: b"one state", 136: bytes(range(256)) * 100}
@@ -51,9 +62,20 @@ def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
 def test_every_topic_has_messages_in_the_lively_run(log: Path) -> None:
     topics = by_topic(log)
     used = {message.kind for messages in topics.values() for message in messages}
-    parts = {"Time", "Header", "Vector3", "Quaternion", "Transform", "TransformStamped", "Wrench", "KeyValue"}
+    parts = {
+        "Time",
+        "Header",
+        "Vector3",
+        "Quaternion",
+        "Transform",
+        "TransformStamped",
+        "Wrench",
+        "KeyValue",
+    }
     parts |= {"DiagnosticStatus", "ParameterValue", "Parameter", "CanFrame", "IoEvent", "Event"}
-    assert used == {schema_name(name) for name in MESSAGE_DEFINITIONS if name.split("/")[1] not in parts}
+    assert used == {
+        schema_name(name) for name in MESSAGE_DEFINITIONS if name.split("/")[1] not in parts
+    }
 
 
 def test_a_snapshot_is_read_as_it_was_written(log: Path) -> None:
@@ -105,7 +127,8 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
         (
             "diagnostic_msgs/DiagnosticArray",
             encode_diagnostic_array(
-                T_NS, [DiagnosticStatus(2, "a", "b", "c", {"k": "v"}), DiagnosticStatus(0, "", "", "")]
+                T_NS,
+                [DiagnosticStatus(2, "a", "b", "c", {"k": "v"}), DiagnosticStatus(0, "", "", "")],
             ),
             {
                 "header": {"stamp": STAMP},
@@ -136,7 +159,9 @@ LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
         ),
     ],
 )
-def test_message_equals_the_reference_encoding(kind: str, ours: bytes, values: dict[str, object]) -> None:
+def test_message_equals_the_reference_encoding(
+    kind: str, ours: bytes, values: dict[str, object]
+) -> None:
     assert ours == _built(kind, values)
 
 
@@ -178,10 +203,17 @@ def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
 
 def test_received_frames_have_their_time_and_sent_frames_that_of_their_tick(log: Path) -> None:
     topics = by_topic(log)
-    times = [frame.t_ns for tick_in, _ in lively.ticks(lively.header()) for frame in tick_in.frames if not frame.flags]
+    times = [
+        frame.t_ns
+        for tick_in, _ in lively.ticks(lively.header())
+        for frame in tick_in.frames
+        if not frame.flags
+    ]
     assert [message.publish_time for message in topics["/can/rx"]] == times
     oracle = Rosbags(topics["/can/tx"][0].kind, topics["/can/tx"][0].schema)
-    starts = {tick_in.k: tick_in.t_ns + tick_in.late_ns for tick_in, _ in lively.ticks(lively.header())}
+    starts = {
+        tick_in.k: tick_in.t_ns + tick_in.late_ns for tick_in, _ in lively.ticks(lively.header())
+    }
     for message in topics["/can/tx"]:
         stamp = oracle.decode(message.data).header.stamp
         assert stamp.sec * 10**9 + stamp.nanosec == starts[message.sequence] == message.publish_time

@@ -45,12 +45,16 @@ def test_ticks_come_back_exactly(lively_log: Path) -> None:
     with RunLog(lively_log) as log:
         ticks = list(log.ticks())
     for (tick_in, out), one in zip(lively.ticks(lively.header()), ticks, strict=True):
-        expected = TickRecord(tick_in, out.frames, out.mode, out.phase, out.action, out.events, out.state_hash)
+        expected = TickRecord(
+            tick_in, out.frames, out.mode, out.phase, out.action, out.events, out.state_hash
+        )
         assert one == expected
 
 
 @pytest.mark.parametrize("cached", [True, False])
-def test_every_field_comes_back_bit_for_bit(lively_log: Path, cached: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_field_comes_back_bit_for_bit(
+    lively_log: Path, cached: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if not cached:
         monkeypatch.setattr("handctl.log.read.reader._CACHE_BYTES", 0)
     recorded = [out.telemetry for _, out in lively.ticks(lively.header())]
@@ -61,7 +65,9 @@ def test_every_field_comes_back_bit_for_bit(lively_log: Path, cached: bool, monk
             assert log.field(name).shape == (len(log), len(log.names(name)))
 
 
-def test_a_log_without_the_latest_fields_is_read(lively_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_without_the_latest_fields_is_read(
+    lively_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A later version may have a field that an older log lacks, as logs of version 0.1 lack q_sigma.
 
     The field is then NaN.
@@ -99,7 +105,17 @@ def test_reader_returns_times_gaps_events_and_phases_as_written(lively_log: Path
 def test_the_header_comes_back(lively_log: Path) -> None:
     run = lively.header(deterministic=False)
     with RunLog(lively_log) as log:
-        for name in ("hand_toml", "joints", "tendons", "motors", "digits", "buses", "period_ns", "offset_ns", "gains"):
+        for name in (
+            "hand_toml",
+            "joints",
+            "tendons",
+            "motors",
+            "digits",
+            "buses",
+            "period_ns",
+            "offset_ns",
+            "gains",
+        ):
             assert getattr(log.header, name) == getattr(run, name), name
         assert log.header.metadata == run.metadata
         assert log.header.attachments.items() >= run.attachments.items()
@@ -114,7 +130,9 @@ def test_the_error_of_an_unknown_field_lists_all_fields(small_log: Path) -> None
 def _everything(path: Path) -> tuple[bytes, bytes]:
     with RunLog(path) as log:
         ticks = repr([*log.ticks(), log.header, log.metadata, log.events, log.phases, log.gaps])
-        return ticks.encode("utf-8", "surrogatepass"), b"".join(log.field(name).tobytes() for name in TELEMETRY_FIELDS)
+        return ticks.encode("utf-8", "surrogatepass"), b"".join(
+            log.field(name).tobytes() for name in TELEMETRY_FIELDS
+        )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -146,7 +164,9 @@ def test_a_changed_file_without_an_end_never_does_worse_than_log_error(
     del raw[data.draw(st.integers(9, len(raw))) :]
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(raw) - 1))
-        raw[at : at + 8] = data.draw(st.sampled_from([b"\xff", b"\0" * 8, b"\xff" * 8, b"\x7f" * 4, b"\x06"]))
+        raw[at : at + 8] = data.draw(
+            st.sampled_from([b"\xff", b"\0" * 8, b"\xff" * 8, b"\x7f" * 4, b"\x06"])
+        )
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(raw)
     with contextlib.suppress(LogError):
@@ -171,11 +191,15 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
-def test_hostile_files_end_in_one_error_soon_and_in_little_memory(small_log: Path, tmp_path: Path) -> None:
+def test_hostile_files_end_in_one_error_soon_and_in_little_memory(
+    small_log: Path, tmp_path: Path
+) -> None:
     bad = tmp_path / "bad\x1b[2J.mcap"
     for name, data in hostile(small_log).items():
         bad.write_bytes(data)
-        done = subprocess.run([sys.executable, "-c", _PROBE, bad], capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE, bad], capture_output=True, text=True, check=True
+        )
         verdict, seconds, kibibytes = done.stdout.splitlines()
         assert verdict.startswith("refused"), name
         assert "\x1b" not in verdict
@@ -194,7 +218,9 @@ def test_a_log_of_another_program_is_refused(tmp_path: Path) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start("ros2", "other")
-        channel = writer.register_channel("/x", "json", writer.register_schema("x", "jsonschema", b"{}"))
+        channel = writer.register_channel(
+            "/x", "json", writer.register_schema("x", "jsonschema", b"{}")
+        )
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
     with pytest.raises(LogError, match="no run of handctl"):
@@ -208,7 +234,9 @@ def test_a_pipe_or_directory_is_refused_at_once(tmp_path: Path) -> None:
             RunLog(path)
 
 
-def test_a_log_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_of_another_version_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "a.mcap"
     synthetic.write(path, synthetic.header(rate_hz=50), 0.1)
     monkeypatch.setattr("handctl.log.read.reader.LOG_SCHEMA_VERSION", 2)
@@ -217,5 +245,8 @@ def test_a_log_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest
 
 
 def test_missing_part_of_a_log_is_named() -> None:
-    with pytest.raises(LogError, match="damaged log: '/tick' is missing"), LogErrorContext("a.mcap"):
+    with (
+        pytest.raises(LogError, match="damaged log: '/tick' is missing"),
+        LogErrorContext("a.mcap"),
+    ):
         raise KeyError("/tick")

@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, PackedTelemetry, Telemetry, TickEvent, TickIn, TickOut
+from handctl.core.types import (
+    TELEMETRY_AXES,
+    IoEvent,
+    Mode,
+    PackedTelemetry,
+    Telemetry,
+    TickEvent,
+    TickIn,
+    TickOut,
+)
 from handctl.drives.frame import FDF, Frame
 from handctl.drives.records import frames_as_records
 from handctl.log.record import (
@@ -24,9 +33,16 @@ from handctl.safety.action import Action
 
 I64 = st.integers(-(2**63), 2**63 - 1)
 TEXT = st.text(st.characters(codec="utf-8"), max_size=30)
-CLASSICAL = st.builds(Frame, st.integers(0, 2**32 - 1), st.binary(max_size=8), st.just(0), st.integers(0, 255), I64)
+CLASSICAL = st.builds(
+    Frame, st.integers(0, 2**32 - 1), st.binary(max_size=8), st.just(0), st.integers(0, 255), I64
+)
 LONG = st.builds(
-    Frame, st.integers(0, 2**32 - 1), st.binary(max_size=64), st.integers(FDF, 7), st.integers(0, 255), I64
+    Frame,
+    st.integers(0, 2**32 - 1),
+    st.binary(max_size=64),
+    st.integers(FDF, 7),
+    st.integers(0, 255),
+    I64,
 )
 FRAMES = st.lists(CLASSICAL | LONG, max_size=12).map(tuple)
 TICK_IN = st.builds(
@@ -43,8 +59,12 @@ TICK_IN = st.builds(
 @st.composite
 def telemetries(draw: st.DrawFn) -> Telemetry:
     sizes = {axis: draw(st.integers(1, 12)) for axis in ("joint", "tendon", "motor", "digit")}
-    bits = np.random.default_rng(draw(st.integers(0, 2**32))).integers(0, 2**64, 300, dtype=np.uint64)
-    return Telemetry(**{name: bits[: sizes[axis]].view("<f8").copy() for name, axis in TELEMETRY_AXES.items()})
+    bits = np.random.default_rng(draw(st.integers(0, 2**32))).integers(
+        0, 2**64, 300, dtype=np.uint64
+    )
+    return Telemetry(
+        **{name: bits[: sizes[axis]].view("<f8").copy() for name, axis in TELEMETRY_AXES.items()}
+    )
 
 
 TICK_OUT = st.builds(
@@ -71,7 +91,9 @@ def test_a_tick_comes_back_bit_for_bit(tick_in: TickIn, out: TickOut) -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(TICK_IN, TICK_OUT)
-def test_a_lone_surrogate_is_escaped_since_no_other_reader_could_decode_it(tick_in: TickIn, out: TickOut) -> None:
+def test_a_lone_surrogate_is_escaped_since_no_other_reader_could_decode_it(
+    tick_in: TickIn, out: TickOut
+) -> None:
     again_in, again = unpack_tick_record(
         pack_tick_record(tick_in._replace(requests=("\ud800",)), out._replace(phase="\udcff"))
     )
@@ -93,12 +115,17 @@ def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> No
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(TICK_IN, TICK_OUT), max_size=5))
-def test_ticks_decoded_together_are_those_decoded_one_by_one(ticks: list[tuple[TickIn, TickOut]]) -> None:
+def test_ticks_decoded_together_are_those_decoded_one_by_one(
+    ticks: list[tuple[TickIn, TickOut]],
+) -> None:
     messages = [pack_tick(*tick) for tick in ticks]
     together = unpack_ticks(messages)
     assert together == [unpack_tick(message) for message in messages]
     for (tick_in, out), again in zip(ticks, together, strict=True):
-        assert again.tick_in.frames.records.tobytes() == frames_as_records(tick_in.frames).records.tobytes()
+        assert (
+            again.tick_in.frames.records.tobytes()
+            == frames_as_records(tick_in.frames).records.tobytes()
+        )
         assert again.frames.records.tobytes() == frames_as_records(out.frames).records.tobytes()
 
 
@@ -113,14 +140,19 @@ def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None
     for name, values in zip(TELEMETRY_AXES, out.telemetry, strict=True):
         places[name], at = slice(at, at + len(values)), at + len(values)
     packed = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
-    assert pack_tick_record(as_records[0], as_records[1]._replace(telemetry=packed)) == pack_tick_record(tick_in, out)
+    assert pack_tick_record(
+        as_records[0], as_records[1]._replace(telemetry=packed)
+    ) == pack_tick_record(tick_in, out)
 
 
 def test_bytes_behind_a_payload_are_no_part_of_the_frame() -> None:
     telemetry = Telemetry(**{name: np.zeros(1) for name in TELEMETRY_AXES})
     frame = Frame(5, b"abc")
     message = bytearray(
-        pack_tick(TickIn(1, 2, 0, (frame,)), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)))
+        pack_tick(
+            TickIn(1, 2, 0, (frame,)),
+            TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)),
+        )
     )
     at = message_layout(bytes(message)).received.start
     message[at + 16 + 3 : at + 24] = b"\xff" * 5
@@ -158,7 +190,9 @@ def test_a_cut_or_changed_message_never_does_worse_than_value_error(
 
 def test_a_record_contains_its_length() -> None:
     telemetry = Telemetry(**{name: np.full(2, math.nan) for name in TELEMETRY_AXES})
-    record = pack_tick_record(TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)))
+    record = pack_tick_record(
+        TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8))
+    )
     assert RECORD_FRAMING_STRUCT.unpack_from(record)[0] == len(record) - RECORD_FRAMING_STRUCT.size
     with pytest.raises(ValueError, match="not the record"):
         unpack_tick_record(record[:-1])
@@ -167,4 +201,6 @@ def test_a_record_contains_its_length() -> None:
 def test_a_hash_of_another_length_is_refused() -> None:
     telemetry = Telemetry(**{name: np.zeros(1) for name in TELEMETRY_AXES})
     with pytest.raises(ValueError, match="8"):
-        pack_tick_record(TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), b"short"))
+        pack_tick_record(
+            TickIn(1, 2), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), b"short")
+        )

@@ -42,7 +42,9 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
     started: list[Recorder] = []
     monkeypatch.setattr("handctl.log.write.recorder.PIPE_BYTES", PIPE_BYTES[-1:])
 
-    def one(name: str = "run.mcap", deterministic: bool = False, floor_bytes: int = 1, **more: object) -> Recorder:
+    def one(
+        name: str = "run.mcap", deterministic: bool = False, floor_bytes: int = 1, **more: object
+    ) -> Recorder:
         run = synthetic.header(rate_hz=1000, deterministic=deterministic, **more)
         started.append(Recorder.start(tmp_path / name, run, floor_bytes))
         return started[-1]
@@ -80,11 +82,15 @@ def test_a_recorder_that_does_not_start_in_time_is_named(
     python.chmod(0o755)
     monkeypatch.setattr("handctl.log.write.child.sys.executable", str(python))
     monkeypatch.setattr("handctl.log.write.recorder.START_TIMEOUT_S", 0.2)
-    with pytest.raises(LogError, match=r"has not started within 0\.2 s; expected a computer with less other load"):
+    with pytest.raises(
+        LogError, match=r"has not started within 0\.2 s; expected a computer with less other load"
+    ):
         start()
 
 
-def test_a_process_started_ahead_records_the_first_run(start: Callable[..., Recorder], tmp_path: Path) -> None:
+def test_a_process_started_ahead_records_the_first_run(
+    start: Callable[..., Recorder], tmp_path: Path
+) -> None:
     with recorder_process_ahead():
         (waiting,) = child._started_ahead
         first = start("first.mcap")
@@ -107,7 +113,9 @@ def test_an_unused_recorder_process_started_ahead_is_ended() -> None:
 
 def test_a_process_started_ahead_ends_with_its_controller() -> None:
     code = "from handctl.log.write import child\nprint(child.start_recorder_process().child.pid)"
-    ended = subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, check=False
+    )
     recorder = Path(f"/proc/{ended.stdout.strip()}")
     assert _until(lambda: not recorder.exists() or ") Z " in (recorder / "stat").read_text())
 
@@ -117,7 +125,9 @@ def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
     for first in range(0, KILLS, TOGETHER):
         paths = [tmp_path / f"{n}.mcap" for n in range(first, first + TOGETHER)]
         feeders = [
-            subprocess.Popen([sys.executable, FEEDER, path], stdout=subprocess.PIPE, start_new_session=True)
+            subprocess.Popen(
+                [sys.executable, FEEDER, path], stdout=subprocess.PIPE, start_new_session=True
+            )
             for path in paths
         ]
         for feeder in feeders:
@@ -163,7 +173,9 @@ def test_a_killed_recorder_loses_a_quarter_of_a_second(
     assert summary["dropped"] == 1
 
 
-def test_a_stalled_recorder_never_holds_up_the_controller(start: Callable[..., Recorder], tmp_path: Path) -> None:
+def test_a_stalled_recorder_never_holds_up_the_controller(
+    start: Callable[..., Recorder], tmp_path: Path
+) -> None:
     recorder, records = start(), _records(3000)
     recorder.record(records[0])
     os.kill(recorder._child.pid, signal.SIGSTOP)
@@ -187,7 +199,9 @@ def test_a_stalled_recorder_never_holds_up_the_controller(start: Callable[..., R
         assert len(log.gaps) >= 1
 
 
-def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(start: Callable[..., Recorder]) -> None:
+def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(
+    start: Callable[..., Recorder],
+) -> None:
     # The run waits while the pipe is full, and loses nothing. An event about this would make two
     # equal runs differ.
     recorder = start(deterministic=True)
@@ -204,7 +218,9 @@ def test_a_deterministic_run_has_no_event_of_the_time_that_its_recorder_takes(st
     assert events == []
 
 
-def test_records_longer_than_an_atomic_write_stay_whole(start: Callable[..., Recorder], tmp_path: Path) -> None:
+def test_records_longer_than_an_atomic_write_stay_whole(
+    start: Callable[..., Recorder], tmp_path: Path
+) -> None:
     recorder, chance, taken = start(), random.Random(3), []
     ticks = list(synthetic.Synthetic(synthetic.header(rate_hz=1000), 1.0))
     for k, (tick_in, out) in enumerate(ticks):
@@ -232,14 +248,18 @@ def test_telemetry_of_another_shape_is_announced(start: Callable[..., Recorder])
     assert events == [IoEvent("recorder", "misshapen", 1)]
 
 
-def test_a_lockstep_run_waits_and_loses_nothing(start: Callable[..., Recorder], tmp_path: Path) -> None:
+def test_a_lockstep_run_waits_and_loses_nothing(
+    start: Callable[..., Recorder], tmp_path: Path
+) -> None:
     recorder, records = start(deterministic=True), _records(3000)
     assert all(recorder.record(record) for record in records)
     summary = recorder.close("finished")
     assert (summary["ticks"], summary["dropped"], summary["complete"]) == (3000, 0, True)
 
 
-def test_interrupts_do_not_reach_the_recorder(start: Callable[..., Recorder], tmp_path: Path) -> None:
+def test_interrupts_do_not_reach_the_recorder(
+    start: Callable[..., Recorder], tmp_path: Path
+) -> None:
     recorder = start()
     assert os.getsid(recorder._child.pid) != os.getsid(0)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -256,7 +276,9 @@ def test_the_recorder_has_priority_over_other_programs(start: Callable[..., Reco
     assert child == (RECORDER_NICE_VALUE if os.geteuid() == 0 else priority)
 
 
-def test_the_header_is_in_the_file_before_the_first_tick(start: Callable[..., Recorder], tmp_path: Path) -> None:
+def test_the_header_is_in_the_file_before_the_first_tick(
+    start: Callable[..., Recorder], tmp_path: Path
+) -> None:
     notes = {"big.bin": random.Random(1).randbytes(3 << 20)}
     recorder = start(attachments=notes, metadata={"note": "a \u00e4"}, wall={"host": "x"})
     with RunLog(tmp_path / "run.mcap") as log:
@@ -269,7 +291,9 @@ def test_the_header_is_in_the_file_before_the_first_tick(start: Callable[..., Re
 
 
 @pytest.mark.parametrize("name", ["exists.mcap", "no/such/directory.mcap"])
-def test_a_file_that_cannot_be_created_is_refused(start: Callable[..., Recorder], tmp_path: Path, name: str) -> None:
+def test_a_file_that_cannot_be_created_is_refused(
+    start: Callable[..., Recorder], tmp_path: Path, name: str
+) -> None:
     (tmp_path / "exists.mcap").write_text("precious")
     with pytest.raises(LogError, match="cannot record"):
         start(name)
@@ -290,7 +314,9 @@ def _readable_prefix(path: Path, fed: int) -> None:
         assert len(list(log.ticks())) == len(log)
 
 
-def test_a_failed_write_is_announced_and_ends_the_file(start: Callable[..., Recorder], tmp_path: Path) -> None:
+def test_a_failed_write_is_announced_and_ends_the_file(
+    start: Callable[..., Recorder], tmp_path: Path
+) -> None:
     recorder, records = start(), _records(2000)
     resource.prlimit(recorder._child.pid, resource.RLIMIT_FSIZE, (LIMIT_BYTES, LIMIT_BYTES))
     events: list[IoEvent] = []
@@ -298,7 +324,12 @@ def test_a_failed_write_is_announced_and_ends_the_file(start: Callable[..., Reco
         recorder.record(record)
         time.sleep(0.0002)
         events += recorder.events()
-    assert _until(lambda: bool(events.extend(recorder.events())) or any(one.where == "disk_full" for one in events))
+    assert _until(
+        lambda: (
+            bool(events.extend(recorder.events()))
+            or any(one.where == "disk_full" for one in events)
+        )
+    )
     summary = recorder.close("finished")
     assert summary["lost"] + summary["ticks"] == len(records) - recorder.dropped
     assert (tmp_path / "run.mcap").stat().st_size <= LIMIT_BYTES
@@ -311,7 +342,9 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
     """Mount a disk of two megabytes, and return its folder."""
     disk = tmp_path / "disk"
     disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True)
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True
+    )
     if mounted.returncode:
         pytest.skip("cannot mount a tmpfs here")
     yield disk
@@ -319,7 +352,9 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("floor_bytes", [1, 700_000])
-def test_a_full_disk_leaves_a_whole_file(tiny_disk: Path, start: Callable[..., Recorder], floor_bytes: int) -> None:
+def test_a_full_disk_leaves_a_whole_file(
+    tiny_disk: Path, start: Callable[..., Recorder], floor_bytes: int
+) -> None:
     recorder, records = start("disk/run.mcap", floor_bytes=floor_bytes), _records(3000)
     for record in records:
         recorder.record(record)
@@ -335,7 +370,9 @@ def test_a_full_disk_leaves_a_whole_file(tiny_disk: Path, start: Callable[..., R
 
 def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
     events: list[tuple[str, int]] = []
-    writer = LogWriter(tiny_disk / "run.mcap", synthetic.header(), lambda *what: events.append(what), 700_000)
+    writer = LogWriter(
+        tiny_disk / "run.mcap", synthetic.header(), lambda *what: events.append(what), 700_000
+    )
     for record in _records(200):
         writer.add(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()
@@ -351,7 +388,9 @@ def test_a_full_disk_has_reserved_space_for_the_end(tiny_disk: Path) -> None:
 
 def test_the_syncing_process_does_not_hold_the_reserved_space(tiny_disk: Path) -> None:
     syncer = DiskSyncer()
-    writer = LogWriter(tiny_disk / "run.mcap", synthetic.header(), lambda *what: None, 1, to_disk=syncer)
+    writer = LogWriter(
+        tiny_disk / "run.mcap", synthetic.header(), lambda *what: None, 1, to_disk=syncer
+    )
     for record in _records(100):
         writer.add(record[RECORD_FRAMING_STRUCT.size :])
     writer.flush()

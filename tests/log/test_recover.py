@@ -24,7 +24,10 @@ def smallest_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     It has no URDF, so that it is small, and eight chunks.
     """
     path = tmp_path_factory.mktemp("log") / "least.mcap"
-    attachments = {"gains.toml": b"[motion]\nposition_error_m = 6e-4\n", "initial_state": bytes(range(64))}
+    attachments = {
+        "gains.toml": b"[motion]\nposition_error_m = 6e-4\n",
+        "initial_state": bytes(range(64)),
+    }
     synthetic.write(path, synthetic.header(rate_hz=4, attachments=attachments), 1.75)
     assert 60 << 10 < path.stat().st_size <= 68 << 10
     return path
@@ -56,7 +59,9 @@ def _chunk_starts(path: Path) -> dict[int, int]:
 
 
 @pytest.mark.parametrize(
-    "every", [False, pytest.param(True, marks=[pytest.mark.nightly, pytest.mark.timeout(3600)])], ids=["some", "every"]
+    "every",
+    [False, pytest.param(True, marks=[pytest.mark.nightly, pytest.mark.timeout(3600)])],
+    ids=["some", "every"],
 )
 def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every: bool) -> None:
     raw, scan, ticks = smallest_log.read_bytes(), _scan(smallest_log), _chunk_starts(smallest_log)
@@ -66,7 +71,9 @@ def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every:
     cuts: Iterable[int] = range(8, len(raw) + 1)
     if not every:
         borders = {chunk.end + step for chunk in scan.chunks for step in (-1, 0, 1)}
-        cuts = np.random.default_rng(0).choice(len(raw) - 8, SAMPLE - len(borders), replace=False) + 8
+        cuts = (
+            np.random.default_rng(0).choice(len(raw) - 8, SAMPLE - len(borders), replace=False) + 8
+        )
         cuts = sorted({*cuts.tolist(), *borders})
     for cut in cuts:
         complete = sum(chunk.end <= cut for chunk in scan.chunks)
@@ -84,7 +91,9 @@ def test_a_cut_gives_the_exact_prefix(smallest_log: Path, tmp_path: Path, every:
                 assert one.field("tension").tobytes() == tension[: ticks[complete]].tobytes()
 
 
-def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(small_log: Path, tmp_path: Path) -> None:
+def test_a_recovered_file_is_readable_by_others_and_marked_as_recovered(
+    small_log: Path, tmp_path: Path
+) -> None:
     raw, scan = small_log.read_bytes(), _scan(small_log)
     recovery, out = _recovered(raw[: scan.chunks[6].end + 5], tmp_path)
     assert recovery.status == RecoveryStatus.LOSSY
@@ -141,7 +150,9 @@ def test_a_damaged_record_affects_no_other(small_log: Path, tmp_path: Path, what
     assert start < at < end
     recovered = _scan(out)
     assert not recovered.problem
-    assert scan.attachments.keys() - recovered.attachments.keys() == ({"hand.urdf"} if what == "attachment" else set())
+    assert scan.attachments.keys() - recovered.attachments.keys() == (
+        {"hand.urdf"} if what == "attachment" else set()
+    )
 
 
 def test_a_damaged_summary_loses_no_message(small_log: Path, tmp_path: Path) -> None:

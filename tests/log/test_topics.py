@@ -89,18 +89,31 @@ def test_rerun_reads_a_log_and_moves_the_hand(run_log: Path) -> None:
 
 def test_ticks_and_rows_join_by_sequence(run_log: Path) -> None:
     topics = by_topic(run_log)
-    for topic in ("/tick", "/joint_states", "/controller/values", "/cycle", "/fingertip/thumb/wrench"):
+    for topic in (
+        "/tick",
+        "/joint_states",
+        "/controller/values",
+        "/cycle",
+        "/fingertip/thumb/wrench",
+    ):
         assert [one.sequence for one in topics[topic]] == list(range(1000)), topic
-        assert [one.log_time for one in topics[topic]] == [2_000_000 * k for k in range(1000)], topic
+        assert [one.log_time for one in topics[topic]] == [2_000_000 * k for k in range(1000)], (
+            topic
+        )
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(borders=st.frozensets(st.integers(0, 119), max_size=40))
-def test_messages_do_not_depend_on_where_chunks_end(tmp_path: Path, borders: frozenset[int]) -> None:
+def test_messages_do_not_depend_on_where_chunks_end(
+    tmp_path: Path, borders: frozenset[int]
+) -> None:
     run = lively.header()
     bodies = _bodies(run)
     plain, cut = (
-        by_topic(_write(tmp_path / name, run, bodies, at)) for name, at in (("a", frozenset()), ("b", borders))
+        by_topic(_write(tmp_path / name, run, bodies, at))
+        for name, at in (("a", frozenset()), ("b", borders))
     )
     assert plain.keys() == cut.keys()
     for topic, expected in plain.items():
@@ -108,7 +121,10 @@ def test_messages_do_not_depend_on_where_chunks_end(tmp_path: Path, borders: fro
 
 
 def test_equal_lockstep_runs_give_equal_files_except_the_wall_clock(tmp_path: Path) -> None:
-    runs = [synthetic.header(rate_hz=500, wall={"started": day, "pid": day}) for day in ("2026-01-01", "2026-01-02")]
+    runs = [
+        synthetic.header(rate_hz=500, wall={"started": day, "pid": day})
+        for day in ("2026-01-01", "2026-01-02")
+    ]
     paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
     for path, run in zip(paths, runs, strict=True):
         synthetic.write(path, run, 1.0)
@@ -141,7 +157,11 @@ def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) 
     digits = [DigitModel.of(described, name) for name in run.digits]
     ticks = list(synthetic.Synthetic(run, 1.0))
     topics = by_topic(
-        _write(tmp_path / "a", run, [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks])
+        _write(
+            tmp_path / "a",
+            run,
+            [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks],
+        )
     )
     tf, fixed = topics["/tf"], topics["/tf_static"][0]
     oracle = Rosbags(fixed.kind, fixed.schema)
@@ -166,9 +186,16 @@ def test_frames_have_the_parents_of_the_urdf(hand: str) -> None:
     run = synthetic.header(hand)
     joints = ElementTree.fromstring(run.attachments["hand.urdf"]).findall("joint")
     expected = {
-        (one.find("parent").get("link"), one.find("child").get("link"), one.get("type") == "revolute") for one in joints
+        (
+            one.find("parent").get("link"),
+            one.find("child").get("link"),
+            one.get("type") == "revolute",
+        )
+        for one in joints
     }
-    assert {(link.parent, link.child, link.joint >= 0) for link in link_frames(run.hand_toml)} == expected
+    assert {
+        (link.parent, link.child, link.joint >= 0) for link in link_frames(run.hand_toml)
+    } == expected
 
 
 def test_frames_form_one_tree() -> None:
@@ -185,15 +212,30 @@ def test_frames_form_one_tree() -> None:
 def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> None:
     run = lively.header()
     ticks = [(tick_in._replace(requests=()), out) for tick_in, out in lively.ticks(run)]
-    opening = {"do": "stream", "stream": "s", "space": "joint", "names": ["index_j1", "thumb_j1"], "rate_Hz": 100.0}
+    opening = {
+        "do": "stream",
+        "stream": "s",
+        "space": "joint",
+        "names": ["index_j1", "thumb_j1"],
+        "rate_Hz": 100.0,
+    }
     asked = {
         0: (json.dumps(opening),),
-        2: (target_text("s", 0, ticks[2][0].t_ns - 3_000_000, (1.5, math.nan)), target_text("t", 1, 0, (1e308,))),
+        2: (
+            target_text("s", 0, ticks[2][0].t_ns - 3_000_000, (1.5, math.nan)),
+            target_text("t", 1, 0, (1e308,)),
+        ),
         3: (target_text("s", 2**70, 0, ()), '{"do": "target", nonsense', '{"do": "stop"}'),
     }
-    ticks = [(tick_in._replace(requests=asked.get(i, ())), out) for i, (tick_in, out) in enumerate(ticks)]
+    ticks = [
+        (tick_in._replace(requests=asked.get(i, ())), out) for i, (tick_in, out) in enumerate(ticks)
+    ]
     topics = by_topic(
-        _write(tmp_path / "a", run, [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks])
+        _write(
+            tmp_path / "a",
+            run,
+            [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in ticks],
+        )
     )
     targets = topics["/stream/target"]
     oracle = Rosbags(targets[0].kind, targets[0].schema)
@@ -201,7 +243,9 @@ def test_streamed_targets_have_a_topic_and_no_line_in_rosout(tmp_path: Path) -> 
     assert (first.stream, first.number, first.name) == ("s", 0, ["index_j1", "thumb_j1"])
     assert first.age == pytest.approx(0.003)
     np.testing.assert_array_equal(first.value, [1.5, math.nan])
-    assert (other.stream, other.name, other.value.tolist()) == ("t", [], [1e308]), "a stream that was never opened"
+    assert (other.stream, other.name, other.value.tolist()) == ("t", [], [1e308]), (
+        "a stream that was never opened"
+    )
     assert (last.number, last.name) == (2**63 - 1, [])
     lines = [Rosbags(one.kind, one.schema).decode(one.data) for one in topics["/rosout"]]
     asked_lines = [line.msg for line in lines if line.name == "handctl.request"]
@@ -225,7 +269,11 @@ def test_the_cycle_topic_has_missed_ticks_and_lateness(tmp_path: Path) -> None:
         else:
             assert one.period == pytest.approx(start - last[1])
             received = [frame.t_ns * 1e-9 - last[1] for frame in tick_in.frames]
-            assert one.last_reply == pytest.approx(max(received), abs=1e-12) if received else np.isnan(one.last_reply)
+            assert (
+                one.last_reply == pytest.approx(max(received), abs=1e-12)
+                if received
+                else np.isnan(one.last_reply)
+            )
         last = tick_in.k, start
 
 
@@ -240,7 +288,10 @@ def test_the_wrench_points_against_closing(run_log: Path) -> None:
 
 def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -> None:
     run, other = synthetic.header("jamia", 100), synthetic.header("jamia11", 100)
-    bodies = [pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :] for tick in synthetic.Synthetic(other, 0.1)]
+    bodies = [
+        pack_tick_record(*tick)[RECORD_FRAMING_STRUCT.size :]
+        for tick in synthetic.Synthetic(other, 0.1)
+    ]
     log = _write(tmp_path / "a", run, bodies, events=("misshapen",))
     topics = by_topic(log)["/tendon_states"]
     oracle = Rosbags(topics[0].kind, topics[0].schema)

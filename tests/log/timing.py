@@ -43,12 +43,22 @@ def main() -> None:
         bodies = [record[RECORD_FRAMING_STRUCT.size :] for record in records]
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "run.mcap"
-            print(f"{hand} at {rate_hz} Hz, {len(records[9])} bytes and {_frames(ticks[9])} frames a tick")
-            packing = _per_item(number, lambda ticks=ticks: [pack_tick_record(*tick) for tick in ticks])
+            print(
+                f"{hand} at {rate_hz} Hz, {len(records[9])} bytes and {_frames(ticks[9])} frames a tick"
+            )
+            packing = _per_item(
+                number, lambda ticks=ticks: [pack_tick_record(*tick) for tick in ticks]
+            )
             print(f"  pack            {packing:7.1f} us")
-            writing = _per_item(number, lambda path=path, run=run, bodies=bodies: _written(path, run, bodies))
-            print(f"  write (child)   {writing:7.1f} us, {path.stat().st_size / number:.0f} bytes in the file")
-            print(f"  pipe, lockstep  {_lockstep(Path(folder) / 'b.mcap', run, records):7.1f} us wall time")
+            writing = _per_item(
+                number, lambda path=path, run=run, bodies=bodies: _written(path, run, bodies)
+            )
+            print(
+                f"  write (child)   {writing:7.1f} us, {path.stat().st_size / number:.0f} bytes in the file"
+            )
+            print(
+                f"  pipe, lockstep  {_lockstep(Path(folder) / 'b.mcap', run, records):7.1f} us wall time"
+            )
             _read(path, number)
 
 
@@ -70,7 +80,9 @@ def _read(path: Path, number: int) -> None:
     start = time.perf_counter()
     with RunLog(path) as log:
         log.field("tension")
-        print(f"  open, one field {(time.perf_counter() - start) * 1e3:7.1f} ms for all {number} ticks")
+        print(
+            f"  open, one field {(time.perf_counter() - start) * 1e3:7.1f} ms for all {number} ticks"
+        )
         start = time.perf_counter()
         for _ in log.ticks():
             pass

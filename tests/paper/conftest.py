@@ -20,10 +20,16 @@ def measured() -> dict[str, Any]:
     for knee in map(float, src.KNEES_N):
         law = TendonElasticity(1e5, 0.4e5, knee, 0.3e-3, 30.0)
         travel = np.linspace(1e-4, law.stretch(242.0), 1500)
-        force = np.array([law.elastic_tension(x) for x in travel.tolist()]) + chance.normal(scale=0.5, size=len(travel))
-        ropes.append({"knee_N": knee, "travel_m": (travel + 4e-4).tolist(), "force_N": force.tolist()})
+        force = np.array([law.elastic_tension(x) for x in travel.tolist()]) + chance.normal(
+            scale=0.5, size=len(travel)
+        )
+        ropes.append(
+            {"knee_N": knee, "travel_m": (travel + 4e-4).tolist(), "force_N": force.tolist()}
+        )
     cases = [
-        case(diameter, axis, k) for k, diameter in enumerate(payload.DIAMETERS_MM) for axis in payload.LOAD_DIRECTIONS
+        case(diameter, axis, k)
+        for k, diameter in enumerate(payload.DIAMETERS_MM)
+        for axis in payload.LOAD_DIRECTIONS
     ]
     return {"force_displacement": {"ropes": ropes}, "payload": cases}
 

@@ -10,7 +10,10 @@ from math import cos, sin
 from handctl.hand import dynamics
 from handctl.paper.model import equations
 
-TERMS = [term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.right for term in equations.TORQUE_1]
+TERMS = [
+    term.readings[0] if os.environ["HANDCTL_EQ10"] == "printed" else term.right
+    for term in equations.TORQUE_1
+]
 PRESENT = dynamics._rigid_body_torque
 
 

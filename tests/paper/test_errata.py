@@ -16,7 +16,9 @@ from handctl.paper.model import equations, kinematics, lagrange, motion
 PARAMETERS = sp.symbols("I1:4 m1:4 L1:4 d1:4 g", positive=True)
 ANGLES = [sp.Function(f"f{i}")(sp.Symbol("t")) for i in (1, 2, 3)]
 TIME = sp.Symbol("t")
-NAMED = {f"{'d' * order}th{i}": sp.Symbol(f"{'d' * order}th{i}") for order in range(3) for i in (1, 2, 3)}
+NAMED = {
+    f"{'d' * order}th{i}": sp.Symbol(f"{'d' * order}th{i}") for order in range(3) for i in (1, 2, 3)
+}
 PLAIN = {str(symbol): symbol for symbol in PARAMETERS} | NAMED
 
 
@@ -42,7 +44,10 @@ def in_symbols(expression: sp.Expr) -> sp.Expr:
     """Return an expression with the formulas' names in place of functions of time."""
     for order in (2, 1, 0):
         expression = expression.subs(
-            {sp.diff(angle, TIME, order): NAMED[f"{'d' * order}th{k + 1}"] for k, angle in enumerate(ANGLES)}
+            {
+                sp.diff(angle, TIME, order): NAMED[f"{'d' * order}th{k + 1}"]
+                for k, angle in enumerate(ANGLES)
+            }
         )
     return sp.expand(sp.expand_trig(expression))
 
@@ -71,15 +76,30 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
     """With m3 = I3 = 0 the equations have two links, as the thumb of this project."""
     thumb = DigitModel.of(src.paper_hand(), "thumb").with_gravity((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
-    states = {"g": 9.81, "I3": 0.0, "m3": 0.0, "L3": 1.0, "d3": 1.0, "th3": 0.3, "dth3": 5.0, "ddth3": 7.0}
+    states = {
+        "g": 9.81,
+        "I3": 0.0,
+        "m3": 0.0,
+        "L3": 1.0,
+        "d3": 1.0,
+        "th3": 0.3,
+        "dth3": 5.0,
+        "ddth3": 7.0,
+    }
     for i in (0, 1):
         states |= {f"I{i + 1}": thumb.inertias[i, 2, 2], f"m{i + 1}": thumb.masses[i]}
         states |= {f"L{i + 1}": thumb.lengths[i], f"d{i + 1}": thumb.coms[i, 0]}
     for _ in range(20):
         theta, rate, acceleration = chance.normal(size=(3, 2)) * np.array([[1.0], [10.0], [100.0]])
         for k in (0, 1):
-            states |= {f"th{k + 1}": theta[k], f"dth{k + 1}": rate[k], f"ddth{k + 1}": acceleration[k]}
-        mine = [sum(term.right.value(states) for term in terms) for terms in equations.TORQUE_TERMS[:2]]
+            states |= {
+                f"th{k + 1}": theta[k],
+                f"dth{k + 1}": rate[k],
+                f"ddth{k + 1}": acceleration[k],
+            }
+        mine = [
+            sum(term.right.value(states) for term in terms) for terms in equations.TORQUE_TERMS[:2]
+        ]
         q, dq, ddq = (np.diff(values, prepend=0.0) for values in (theta, rate, acceleration))
         tau = np.array(inverse_dynamics(thumb, q, dq, ddq)) - np.array(thumb.armature) * ddq
         assert np.allclose([mine[0] + mine[1], mine[1]], tau, rtol=1e-9)
@@ -89,8 +109,17 @@ def test_the_thumb_equations_are_the_same_without_a_third_link() -> None:
 def test_each_verdict_on_a_term_agrees_with_sympy(item: ErrataItem) -> None:
     terms = [*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ())]
     term = next(term for term in terms if term.id == item.id)
-    same = [sp.simplify(symbolic(reading.text) - symbolic(term.right.text)) == 0 for reading in term.readings]
-    expected = ErrataVerdict.EQUAL if all(same) else ErrataVerdict.WRONG if not any(same) else ErrataVerdict.UNDECIDABLE
+    same = [
+        sp.simplify(symbolic(reading.text) - symbolic(term.right.text)) == 0
+        for reading in term.readings
+    ]
+    expected = (
+        ErrataVerdict.EQUAL
+        if all(same)
+        else ErrataVerdict.WRONG
+        if not any(same)
+        else ErrataVerdict.UNDECIDABLE
+    )
     assert item.verdict == expected
     if item.verdict == ErrataVerdict.WRONG:
         assert item.deviation is not None
@@ -218,7 +247,10 @@ def test_torques_convert_between_relative_and_absolute_angles() -> None:
     """The conversions are tau = S^T T and M_q = S^T M_theta S, as the page states."""
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)
-    tau, torque = lagrange.joint_torques(digit, states), np.array(lagrange.model_torques(digit, states)).T
+    tau, torque = (
+        lagrange.joint_torques(digit, states),
+        np.array(lagrange.model_torques(digit, states)).T,
+    )
     s = np.tril(np.ones((3, 3)))
     assert np.allclose(tau, torque @ s, rtol=1e-12)
 

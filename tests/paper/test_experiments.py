@@ -28,7 +28,9 @@ def test_the_bench_hand_reaches_forces_that_its_sensors_distinguish() -> None:
         noise = hand.sensor_node.tension_noise_N
         assert tendon.tension_max_N > 200.0, "beyond the first knee"
         assert tendon.tension_max_N + 5.0 * noise < tendon.tension_trip_N < 249.9
-        assert hand.motor_of(tendon.name).torque_max_N_m == pytest.approx(tendon.drive_limit_N * 0.005)
+        assert hand.motor_of(tendon.name).torque_max_N_m == pytest.approx(
+            tendon.drive_limit_N * 0.005
+        )
 
 
 def test_a_blocked_finger_shows_the_knee_of_its_tendon(tmp_path: Path) -> None:
@@ -48,7 +50,9 @@ def fall(speed: float, after: float) -> TruthRecord:
     """Return the truth, in rows of 1 ms, of an object that rests until a time and then falls at a speed [m/s]."""
     t = np.arange(4000)
     z = -speed * np.maximum(0.0, t / 1000.0 - after)
-    return TruthRecord({}, t * 1_000_000, np.column_stack([0 * z, 0 * z, z]), ("object/x", "object/y", "object/z"))
+    return TruthRecord(
+        {}, t * 1_000_000, np.column_stack([0 * z, 0 * z, z]), ("object/x", "object/y", "object/z")
+    )
 
 
 @pytest.mark.parametrize(
@@ -69,7 +73,9 @@ def test_slip_is_creep_or_displacement(speed: float, ended: str, time_s: float) 
 def test_a_worker_that_ends_is_an_error() -> None:
     progress_reports: list[tuple[str, bool]] = []
     with (
-        pool.worker_pool(2, lambda job, done: progress_reports.append((job["do"], done))) as workers,
+        pool.worker_pool(
+            2, lambda job, done: progress_reports.append((job["do"], done))
+        ) as workers,
         pytest.raises(HandctlError, match="worker"),
     ):
         workers([{"do": "nothing"}, {"do": "nothing"}])
@@ -80,9 +86,13 @@ def test_a_worker_that_ends_is_an_error() -> None:
 def test_workers_do_not_outlive_their_owner() -> None:
     with pool.worker_pool(1, lambda job, done: None):
         pass
-    listed = subprocess.run(["ps", "-eo", "ppid,args"], capture_output=True, text=True, check=True).stdout
+    listed = subprocess.run(
+        ["ps", "-eo", "ppid,args"], capture_output=True, text=True, check=True
+    ).stdout
     mine = [
-        line for line in listed.splitlines() if line.split()[:1] == [str(os.getpid())] and pool.WORKER_MODULE in line
+        line
+        for line in listed.splitlines()
+        if line.split()[:1] == [str(os.getpid())] and pool.WORKER_MODULE in line
     ]
     assert not mine
 
@@ -94,17 +104,29 @@ def test_all_experiments_finish_within_three_minutes(tmp_path: Path) -> None:
     words = ["paper", "--json", "--output", str(report), "--figures", str(figures)]
     begun = time.monotonic()
     done = subprocess.run(
-        [sys.executable, "-c", RUN_HANDCTL, *words], capture_output=True, text=True, cwd=ROOT, check=True
+        [sys.executable, "-c", RUN_HANDCTL, *words],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=True,
     )
     assert time.monotonic() - begun < 180.0
     items: list[dict[str, Any]] = json.loads(done.stdout)
-    kept = {item.id: item.computed for item in sections.page_items(experiments.load_results(RESULTS))}
-    payloads = [item for item in items if item["id"].startswith(("payload.x.", "payload.y.", "payload.z."))]
+    kept = {
+        item.id: item.computed for item in sections.page_items(experiments.load_results(RESULTS))
+    }
+    payloads = [
+        item for item in items if item["id"].startswith(("payload.x.", "payload.y.", "payload.z."))
+    ]
     assert len(payloads) == 9
-    assert all(item["computed"] == pytest.approx(kept[item["id"]], rel=0.25) for item in payloads), "the page is stale"
+    assert all(
+        item["computed"] == pytest.approx(kept[item["id"]], rel=0.25) for item in payloads
+    ), "the page is stale"
     assert all(0.5 < item["computed"] < 3.0 for item in payloads)
     along = [item for item in payloads if item["id"].startswith("payload.z")]
-    assert all(item["verdict"] == "bound" for item in along), "the paper's payload is met along the cylinder's axis"
+    assert all(item["verdict"] == "bound" for item in along), (
+        "the paper's payload is met along the cylinder's axis"
+    )
     assert report.stat().st_size > 500_000
     assert len(list(figures.iterdir())) == 16
     assert not math.isnan(sum(item["computed"] for item in payloads))

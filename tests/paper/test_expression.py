@@ -9,7 +9,9 @@ from handctl.paper.model.expression import DimensionError, Expression, dimension
 from handctl.paper.model.lagrange import ENERGY_DIMENSION, SYMBOL_DIMENSIONS, random_states
 
 TERMS = [*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ())]
-FORMULAS = sorted({expression.text for term in TERMS for expression in (*term.readings, term.right)})
+FORMULAS = sorted(
+    {expression.text for term in TERMS for expression in (*term.readings, term.right)}
+)
 
 
 @pytest.mark.parametrize("text", FORMULAS)
@@ -17,7 +19,9 @@ def test_values_equal_those_of_sympy(text: str) -> None:
     states, expression = random_states(), Expression(text)
     names = sorted(expression.names)
     theirs = sympy.lambdify([sympy.Symbol(name) for name in names], sympy.sympify(text), "numpy")
-    assert expression.value(states) == pytest.approx(theirs(*(states[name] for name in names)), rel=1e-12, abs=1e-12)
+    assert expression.value(states) == pytest.approx(
+        theirs(*(states[name] for name in names)), rel=1e-12, abs=1e-12
+    )
 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: term.id)

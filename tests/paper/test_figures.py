@@ -58,8 +58,21 @@ def test_units_and_printed_values_are_in_the_figures(folder: Path) -> None:
         "fig2-model": ["X [mm]", "L₁ = 30 mm", "L₃ = 10 mm", "palm"],
         "fig3-path": ["X [mm]", "Y [mm]", "55 mm"],
         "fig4-statics": ["55F", "25F", "10F", "T = 18.33F"],
-        "fig5-force-displacement": ["displacement of the tendon at the spool [mm]", "200 N", "250 N", "190 MPa"],
-        "fig7-torques": ["torque [mN m]", "tension [N]", "inertia", "Coriolis", "gravity", "springs", "motor inertia"],
+        "fig5-force-displacement": [
+            "displacement of the tendon at the spool [mm]",
+            "200 N",
+            "250 N",
+            "190 MPa",
+        ],
+        "fig7-torques": [
+            "torque [mN m]",
+            "tension [N]",
+            "inertia",
+            "Coriolis",
+            "gravity",
+            "springs",
+            "motor inertia",
+        ],
         "fig8-payload": ["payload [kg]", "0.915 kg", "1.835 kg"],
     }
     for name, texts in wanted.items():

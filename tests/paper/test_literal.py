@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-TESTS = "(pinocchio_built_by_hand and gravity3) or mass_matrix_is or coriolis or energy_is or sums_are"
+TESTS = (
+    "(pinocchio_built_by_hand and gravity3) or mass_matrix_is or coriolis or energy_is or sums_are"
+)
 NEED_EQ10 = {
     "test_agrees_with_pinocchio_built_by_hand",
     "test_coriolis_forces_do_no_work_of_their_own",
@@ -23,9 +25,25 @@ def outcome(which: str) -> tuple[set[str], str]:
 
     Return the names of failed tests, and the last line.
     """
-    command = [sys.executable, "-m", "pytest", "-p", "literal_eq10", "-p", "no:xdist", "-q", "-rf", "--tb=no"]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "literal_eq10",
+        "-p",
+        "no:xdist",
+        "-q",
+        "-rf",
+        "--tb=no",
+    ]
     run = subprocess.run(
-        [*command, "-k", f"jamia and not jamia_bench and not jamia11 and ({TESTS})", "tests/hand/test_dynamics.py"],
+        [
+            *command,
+            "-k",
+            f"jamia and not jamia_bench and not jamia11 and ({TESTS})",
+            "tests/hand/test_dynamics.py",
+        ],
         cwd=ROOT,
         env={**os.environ, "HANDCTL_EQ10": which, "PYTHONPATH": str(Path(__file__).parent)},
         capture_output=True,
@@ -33,7 +51,9 @@ def outcome(which: str) -> tuple[set[str], str]:
         timeout=120,
         check=False,
     )
-    return set(re.findall(r"^FAILED \S+::(\w+)", run.stdout, re.MULTILINE)), run.stdout.strip().splitlines()[-1]
+    return set(
+        re.findall(r"^FAILED \S+::(\w+)", run.stdout, re.MULTILINE)
+    ), run.stdout.strip().splitlines()[-1]
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +61,9 @@ def outcomes() -> dict[str, tuple[set[str], str]]:
     return {which: outcome(which) for which in ("printed", "corrected")}
 
 
-def test_the_printed_equation_fails_the_model_s_tests(outcomes: dict[str, tuple[set[str], str]]) -> None:
+def test_the_printed_equation_fails_the_model_s_tests(
+    outcomes: dict[str, tuple[set[str], str]],
+) -> None:
     failed, last = outcomes["printed"]
     assert failed >= NEED_EQ10, last
 

@@ -56,11 +56,17 @@ def test_page_has_every_measured_result(measured: dict[str, Any]) -> None:
     assert text.count(page.MEASURED_MARK) == 2
     for item in sections.page_items(measured):
         assert f"| {item.id} | " in text, item.id
-    rows = re.findall(r"^\| (payload\.\w\.d\d+) \|.*\| ([\d.]+) kg(?: or more)? \| \*\*(\w+)\*\*", text, re.MULTILINE)
+    rows = re.findall(
+        r"^\| (payload\.\w\.d\d+) \|.*\| ([\d.]+) kg(?: or more)? \| \*\*(\w+)\*\*",
+        text,
+        re.MULTILINE,
+    )
     assert len(rows) == len(payload.DIAMETERS_MM) * len(payload.LOAD_DIRECTIONS)
     for _, carried, verdict in rows:
         assert 0.5 < float(carried) < 3.0
-        assert verdict == ("bound" if float(carried) > 0.9155 else "wrong" if float(carried) < 0.9145 else "equal")
+        assert verdict == (
+            "bound" if float(carried) > 0.9155 else "wrong" if float(carried) < 0.9145 else "equal"
+        )
 
 
 def test_every_figure_of_the_page_exists(measured: dict[str, Any]) -> None:
@@ -128,8 +134,12 @@ def test_files_are_written_where_asked(tmp_path: Path, capsys: pytest.CaptureFix
     assert {path.name for path in export.iterdir()} == {"jamia.urdf", "jamia.xml"}
 
 
-@pytest.mark.parametrize("words", [["--output", "/no/such/folder/x.html"], ["--figures", __file__], ["--jobs", "0"]])
-def test_bad_arguments_are_one_line_before_any_work(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "words", [["--output", "/no/such/folder/x.html"], ["--figures", __file__], ["--jobs", "0"]]
+)
+def test_bad_arguments_are_one_line_before_any_work(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["paper", *words]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1

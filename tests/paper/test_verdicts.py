@@ -19,7 +19,9 @@ from handctl.paper.verdicts import (
     verdict_of_statement,
 )
 
-VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10**6).filter(lambda value: abs(value) > 1)
+VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10**6).filter(
+    lambda value: abs(value) > 1
+)
 
 
 def digits(value: Fraction, places: int, rounding: str) -> str:
@@ -76,15 +78,21 @@ def test_a_unit_of_the_last_digit_beyond_is_wrong(value: Fraction, places: int, 
 def test_an_error_carried_over_from_a_number_has_its_verdict() -> None:
     torque = Fraction(55, 3) * 5 / 1000
     assert (
-        verdict_of_derived_number("0.09165", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED)
+        verdict_of_derived_number(
+            "0.09165", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED
+        )
         == ErrataVerdict.ROUNDED
     )
     assert (
-        verdict_of_derived_number("0.09170", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED)
+        verdict_of_derived_number(
+            "0.09170", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED
+        )
         == ErrataVerdict.WRONG
     )
     assert (
-        verdict_of_derived_number("0.09167", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.TRUNCATED)
+        verdict_of_derived_number(
+            "0.09167", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.TRUNCATED
+        )
         == ErrataVerdict.ROUNDED
     )
 

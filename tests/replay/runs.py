@@ -80,7 +80,11 @@ class PeerWithLostReplies:
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
         """Step the peer, and return its replies without the lost ones."""
         replies = self.peer.step(t_ns, frames)
-        return [reply for reply in replies if t_ns < self.since_ns or Frame(*reply).can_id != self.can_id]
+        return [
+            reply
+            for reply in replies
+            if t_ns < self.since_ns or Frame(*reply).can_id != self.can_id
+        ]
 
     def close(self) -> None:
         """Close the peer without lost replies."""
@@ -134,7 +138,9 @@ def run(
     clock = LockstepClock(spoil(peer), plan.period_ns)
     controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
     header = run_header(plan, controller, None, lockstep=True)
-    attachments = {name: data for name, data in header.attachments.items() if name != "pip-freeze.txt"}
+    attachments = {
+        name: data for name, data in header.attachments.items() if name != "pip-freeze.txt"
+    }
     recorder = Recorder.start(log, replace(header, wall={}, attachments=attachments))
 
     def record(entry: TickIn, out: TickOut) -> None:
@@ -174,7 +180,13 @@ def golden(folder: Path) -> None:
     run(folder / "jamia-grasp.mcap", task, rate_hz=200.0)
     run(folder / "jamia-lost.mcap", task, rate_hz=200.0, friction=0.02)
     events = {400: (IoEvent("dropped", "main", 3),)}
-    run(folder / "jamia-fault.mcap", task, rate_hz=200.0, spoil=peer_with_silent_index, io_events=events)
+    run(
+        folder / "jamia-fault.mcap",
+        task,
+        rate_hz=200.0,
+        spoil=peer_with_silent_index,
+        io_events=events,
+    )
     run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)
 
 

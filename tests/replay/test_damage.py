@@ -33,7 +33,10 @@ def _chunks(path: Path) -> tuple[LogFile, RecordScan]:
 def _changed(path: Path, topic: str, k: int, at: int, fitting: bool) -> None:
     """Change a byte in the message of tick k. With `fitting`, all checksums are adjusted, as a forger would do."""
     file, scan = _chunks(path)
-    names = {name: number for number, _, name, _, _ in schemas_and_channels(file.content(scan.chunks[0])).channels}
+    names = {
+        name: number
+        for number, _, name, _, _ in schemas_and_channels(file.content(scan.chunks[0])).channels
+    }
     for chunk in scan.chunks:
         content = file.content(chunk)
         for one in iter_messages(content, chunk.end - chunk.data, frozenset([names[topic]])):
@@ -59,7 +62,9 @@ def _put(path: Path, scan: RecordScan, chunk: ChunkLocation, bent: bytes, fittin
 
 
 @pytest.mark.parametrize("fitting", [False, True], ids=["by chance", "forged"])
-@pytest.mark.parametrize(("topic", "at"), [("/tick", 60), ("/controller/values", 100), ("/tick/chain", 22)])
+@pytest.mark.parametrize(
+    ("topic", "at"), [("/tick", 60), ("/controller/values", 100), ("/tick/chain", 22)]
+)
 def test_a_changed_byte_is_named_by_its_tick(log: Path, topic: str, at: int, fitting: bool) -> None:
     assert first_damage(log) == ""
     _changed(log, topic, 321, at, fitting)
@@ -78,7 +83,9 @@ def test_a_changed_byte_of_a_derived_topic_is_named_by_its_chunk(log: Path) -> N
     assert first <= 321 <= last
 
 
-def test_log_check_reports_any_changed_byte_of_a_chunk(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_log_check_reports_any_changed_byte_of_a_chunk(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     _, scan = _chunks(log)
     chunk = scan.chunks[5]
     raw = bytearray(log.read_bytes())

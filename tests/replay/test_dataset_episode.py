@@ -39,7 +39,9 @@ def dataset(tmp_path: Path) -> Path:
 def actions(dataset: Path, episode: int) -> np.ndarray:
     """Return the joint angles (frames, J) in the actions of an episode [rad]."""
     table = pq.read_table(dataset / "data" / "chunk-000" / "file-000.parquet").to_pylist()
-    return np.array([row["action"][: len(HAND.joints)] for row in table if row["episode_index"] == episode])
+    return np.array(
+        [row["action"][: len(HAND.joints)] for row in table if row["episode_index"] == episode]
+    )
 
 
 def change(dataset: Path, frame: int, joint: int, value: float) -> None:
@@ -49,7 +51,9 @@ def change(dataset: Path, frame: int, joint: int, value: float) -> None:
     rows = table["action"].to_pylist()
     rows[frame][joint] = value
     at = table.column_names.index("action")
-    pq.write_table(table.set_column(at, "action", pa.array(rows, pa.list_(pa.float32(), len(rows[0])))), path)
+    pq.write_table(
+        table.set_column(at, "action", pa.array(rows, pa.list_(pa.float32(), len(rows[0])))), path
+    )
 
 
 def sine_dataset(dataset: Path) -> np.ndarray:
@@ -59,9 +63,16 @@ def sine_dataset(dataset: Path) -> np.ndarray:
     rows = np.array(table["action"].to_pylist())
     frames = table["episode_index"].to_pylist().count(0)
     joints = len(HAND.joints)
-    rows[:frames, :joints] = np.radians(30.0 - 20.0 * np.cos(np.arange(frames) / 200.0 * np.pi))[:, None]
+    rows[:frames, :joints] = np.radians(30.0 - 20.0 * np.cos(np.arange(frames) / 200.0 * np.pi))[
+        :, None
+    ]
     at = table.column_names.index("action")
-    pq.write_table(table.set_column(at, "action", pa.array(rows.tolist(), pa.list_(pa.float32(), rows.shape[1]))), path)
+    pq.write_table(
+        table.set_column(
+            at, "action", pa.array(rows.tolist(), pa.list_(pa.float32(), rows.shape[1]))
+        ),
+        path,
+    )
     return rows[:frames, :joints]
 
 
@@ -73,7 +84,9 @@ def test_the_curve_passes_through_the_actions(dataset: Path) -> None:
     np.testing.assert_allclose(recording.q[rows[exact]], wanted[exact], atol=1e-6)
     np.testing.assert_allclose(recording.dq[0], 0.0, atol=1e-9)
     slope = np.diff(recording.q, axis=0) / PERIOD
-    np.testing.assert_allclose(slope[:-10], recording.dq[1:-10], atol=0.3)  # near its end the motion stops
+    np.testing.assert_allclose(
+        slope[:-10], recording.dq[1:-10], atol=0.3
+    )  # near its end the motion stops
 
 
 def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
@@ -86,7 +99,9 @@ def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
             faults |= {event.text for event in out.events if event.name == "fault"}
             if out.phase == "playback":
                 true = run.peer.world.plant.engine.q
-                errors.append(np.degrees(true[:9] - out.telemetry.q_goal[:9]).reshape(3, 3).mean(axis=1))
+                errors.append(
+                    np.degrees(true[:9] - out.telemetry.q_goal[:9]).reshape(3, 3).mean(axis=1)
+                )
         assert run.out is not None
         assert run.out.mode == Mode.DONE
     assert faults == set()
@@ -104,7 +119,9 @@ def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
         (1.5, "index_j1 with .* deg/s after .* s; expected at most 700 deg/s"),
     ],
 )
-def test_an_angle_or_a_speed_out_of_range_is_refused(dataset: Path, value: float, text: str) -> None:
+def test_an_angle_or_a_speed_out_of_range_is_refused(
+    dataset: Path, value: float, text: str
+) -> None:
     sine_dataset(dataset)
     change(dataset, 7, 0, value)
     with pytest.raises(ConfigError, match=text):
@@ -144,7 +161,9 @@ def edit(dataset: Path, **fields: object) -> None:
         ({"data_path": None}, "cannot be read"),
     ],
 )
-def test_a_wrong_description_is_refused(dataset: Path, fields: dict[str, object], text: str) -> None:
+def test_a_wrong_description_is_refused(
+    dataset: Path, fields: dict[str, object], text: str
+) -> None:
     edit(dataset, **fields)
     with pytest.raises(ConfigError, match=text):
         find_episode(dataset, 0, HAND, PERIOD)
@@ -153,7 +172,9 @@ def test_a_wrong_description_is_refused(dataset: Path, fields: dict[str, object]
 def test_a_damaged_dataset_is_refused(dataset: Path) -> None:
     with pytest.raises(ConfigError, match="no episode 2; expected 0 to 1"):
         find_episode(dataset, 2, HAND, PERIOD)
-    with pytest.raises(ConfigError, match=r"no thumb_j1.pos_rad|no .*pos_rad; expected an angle for each joint of"):
+    with pytest.raises(
+        ConfigError, match=r"no thumb_j1.pos_rad|no .*pos_rad; expected an angle for each joint of"
+    ):
         find_episode(dataset, 0, load_hand("t42"), PERIOD)
     data = dataset / "data" / "chunk-000" / "file-000.parquet"
     whole = data.read_bytes()
@@ -168,7 +189,9 @@ def test_a_damaged_dataset_is_refused(dataset: Path) -> None:
         find_episode(dataset / "x", 0, HAND, PERIOD)
 
 
-def test_run_checks_the_dataset_before_it_opens_a_bus(dataset: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_run_checks_the_dataset_before_it_opens_a_bus(
+    dataset: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["run", "--hand", "jamia", "--bus", "local:no", "--dry-run"]
     assert main([*words, "--dataset", str(dataset), "--episode", "1", "--speed", "200"]) == 0
     assert main([*words, "--episode", "1"]) == 2

@@ -16,9 +16,15 @@ from handctl.replay.diff import compare_logs
 def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-grasp.mcap") as b:
         compared = compare_logs(a, b, "b")
-    assert (compared["gains"], compared["only_in_first"], compared["only_in_second"]) == ({}, [], [])
+    assert (compared["gains"], compared["only_in_first"], compared["only_in_second"]) == (
+        {},
+        [],
+        [],
+    )
     for phase in compared["phases"].values():
-        rows = [row for signal in ("joint_deg", "tendon_N") for row in phase.get(signal, {}).values()]
+        rows = [
+            row for signal in ("joint_deg", "tendon_N") for row in phase.get(signal, {}).values()
+        ]
         assert all(row["rms"] == row["peak"] == 0.0 for row in rows)
     assert "joint_deg" in compared["phases"]["hold"]
 
@@ -89,7 +95,9 @@ def test_moving_signals_have_a_delay_and_noise_has_none() -> None:
     wave = np.sin(np.linspace(0.0, 9.0, 420))
     before = np.column_stack([noise[0], 0.1 + noise[0], wave[20:] + noise[0]])
     after = np.column_stack([noise[1], 0.1 + noise[1], 0.5 + 0.9 * wave[10:-10] + noise[1]])
-    compared = compare_signals(("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01)
+    compared = compare_signals(
+        ("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01
+    )
     delays = [row["delay_s"] for row in compared.values()]
     assert np.isnan(delays[:2]).all()
     assert delays[2] == pytest.approx(0.1, abs=0.01)
@@ -103,7 +111,10 @@ def test_unknown_differences_are_not_printed() -> None:
     unknown = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     ahead = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
     with_it = ahead | {"delay_s": -1e-6}
-    compared = {"joint_deg": {"j1": unknown, "j2": ahead}, "tendon_N": {"slack": unknown, "rope": with_it}}
+    compared = {
+        "joint_deg": {"j1": unknown, "j2": ahead},
+        "tendon_N": {"slack": unknown, "rope": with_it},
+    }
     assert list(difference_lines(compared)) == [
         "j2               rms 0.500 deg, peak 1.000 deg, 10.0 ms ahead",
         "rope             rms 0.500 N, peak 1.000 N, in time",

@@ -14,7 +14,12 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.playback import RecordedGoals
 from handctl.replay.compare import check_same_hand, compare_signals, resampled_field, signal_delay
 from handctl.replay.execute import execute_log
-from handctl.replay.motion_replay import active_interval, compare_replay, playback_program, recorded_targets
+from handctl.replay.motion_replay import (
+    active_interval,
+    compare_replay,
+    playback_program,
+    recorded_targets,
+)
 
 
 @pytest.fixture(scope="module")
@@ -30,11 +35,15 @@ def replayed(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(golden: Path, replayed: Path) -> None:
+def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(
+    golden: Path, replayed: Path
+) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as before, RunLog(replayed) as after:
         compared = compare_replay(before, after)
         recorded_start, _ = active_interval(before)
-        at_rest = [change.t_ns * 1e-9 for change in before.phases if change.name in ("hold", "release")]
+        at_rest = [
+            change.t_ns * 1e-9 for change in before.phases if change.name in ("hold", "release")
+        ]
         times = np.arange(at_rest[0] + 0.4, at_rest[1], 0.005) - recorded_start
         start = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
         old, new = (
@@ -67,14 +76,20 @@ def test_a_digit_under_tension_control_follows_tension_and_not_angles(golden: Pa
         start, end = active_interval(log)
         inside = (log.times >= start) & (log.times <= end)
         np.testing.assert_allclose(played.q, log.field("q_goal")[inside], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(played.tension, log.field("tension_goal")[inside], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            played.tension, log.field("tension_goal")[inside], rtol=0, atol=1e-9
+        )
     assert np.isnan(played.q).any()
     assert not np.isnan(played.tension).any()
     assert (np.isnan(played.q) == np.isnan(played.ddq)).all()
     reread = RecordedGoals.read(played.text(), 11, 4)
     assert all(
         one.tobytes() == two.tobytes()
-        for one, two in zip((played.q, played.ddq, played.tension), (reread.q, reread.ddq, reread.tension), strict=True)
+        for one, two in zip(
+            (played.q, played.ddq, played.tension),
+            (reread.q, reread.ddq, reread.tension),
+            strict=True,
+        )
     )
 
 

@@ -44,7 +44,10 @@ class Pair:
             recorded_start, end = active_interval(before)
             start = next(change.t_ns for change in after.phases if change.name == "playback")
         t_ns = np.arange(0, int((end - recorded_start) * 1e9), 2_000_000)
-        first, second = (read_truth(path) for path in (self.folder / "first.truth", self.repeat.with_suffix(".truth")))
+        first, second = (
+            read_truth(path)
+            for path in (self.folder / "first.truth", self.repeat.with_suffix(".truth"))
+        )
         return (
             t_ns / 1e9,
             first.table(list(names), t_ns + int(recorded_start * 1e9)),
@@ -94,8 +97,12 @@ def test_second_replay_gives_the_same_log(pair: Pair) -> None:
     degrees more.
     """
     compared = pair.compare_replay()
-    worst = {"joint_deg": 12.0, "tendon_N": 13.0} if pair.raw else {"joint_deg": 3.0, "tendon_N": 13.0}
-    usual_rms = {"joint_deg": 3.0, "tendon_N": 2.2} if pair.raw else {"joint_deg": 1.5, "tendon_N": 2.2}
+    worst = (
+        {"joint_deg": 12.0, "tendon_N": 13.0} if pair.raw else {"joint_deg": 3.0, "tendon_N": 13.0}
+    )
+    usual_rms = (
+        {"joint_deg": 3.0, "tendon_N": 2.2} if pair.raw else {"joint_deg": 1.5, "tendon_N": 2.2}
+    )
     for signal in worst:
         assert max(row["peak"] for row in compared[signal].values()) < worst[signal]
         assert max(row["rms"] for row in compared[signal].values()) < usual_rms[signal]

@@ -32,7 +32,12 @@ from handctl.replay import rebuild as rebuilding
 from handctl.replay.counterfactual import CommandCollector, command_change, draw_commands
 from handctl.replay.execute import execute_log, is_within_tolerance, relative_error
 from handctl.replay.rebuild import logged_gains, rebuild_controller
-from handctl.replay.tick_difference import TelemetryColumns, are_outputs_equal, differing_fields, distance_in_ulps
+from handctl.replay.tick_difference import (
+    TelemetryColumns,
+    are_outputs_equal,
+    differing_fields,
+    distance_in_ulps,
+)
 
 GOLDEN = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
 
@@ -44,7 +49,12 @@ def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh: Pat
         assert "B17 some nodes do not hear" in texts
         result = execute_log(log)
         assert result.ticks == len(log) > 300
-    assert (result.differing, result.different_decisions, result.first, result.largest) == (0, 0, None, None)
+    assert (result.differing, result.different_decisions, result.first, result.largest) == (
+        0,
+        0,
+        None,
+        None,
+    )
     assert is_within_tolerance(result, 0.0)
     assert result.times_real_time > 0
 
@@ -68,7 +78,9 @@ def test_one_bit_of_a_gain_is_found_at_the_first_tick_with_an_effect(fresh: Path
     with RunLog(fresh) as log:
         gains = logged_gains(log)
         one_bit = math.nextafter(gains.tension.integral_per_s, math.inf)
-        other = gains.model_copy(update={"tension": gains.tension.model_copy(update={"integral_per_s": one_bit})})
+        other = gains.model_copy(
+            update={"tension": gains.tension.model_copy(update={"integral_per_s": one_bit})}
+        )
         result = execute_log(log, other)
         starts = {change.name: change.k for change in log.phases}
     assert result.first is not None
@@ -92,7 +104,9 @@ def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
         (one,) = differing_fields(columns, logged._replace(phase="else"), numbers, out)
         assert (one.field, one.logged, one.computed) == ("phase", "else", out.phase)
         hashed = logged._replace(state_hash=bytes(8))
-        assert [one.field for one in differing_fields(columns, hashed, numbers, out)] == ["state_hash"]
+        assert [one.field for one in differing_fields(columns, hashed, numbers, out)] == [
+            "state_hash"
+        ]
 
 
 @given(st.floats(allow_nan=False, max_value=1e308, min_value=-1e308))
@@ -114,7 +128,9 @@ def calibration(hand_name: str) -> Calibration:
         name: TendonCalibration(tare_N=0.1 * i, zero_rad=-0.3 * i, answer_N=3.0, crosstalk_N=0.0)
         for i, name in enumerate(hand.tendon_names)
     }
-    return Calibration(hand=hand.name, identity=hand.identity, made="2026-01-01T00:00:00Z", tendon=rows)
+    return Calibration(
+        hand=hand.name, identity=hand.identity, made="2026-01-01T00:00:00Z", tendon=rows
+    )
 
 
 @pytest.mark.parametrize(
@@ -142,11 +158,15 @@ def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
 
 def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
     with RunLog(fresh) as log:
-        attachments = {name: data for name, data in log.header.attachments.items() if name != "setup.json"}
+        attachments = {
+            name: data for name, data in log.header.attachments.items() if name != "setup.json"
+        }
         log.header = replace(log.header, attachments=attachments)
         with pytest.raises(LogError, match=r"no setup\.json"):
             execute_log(log)
-        log.header = replace(log.header, attachments=attachments | {"setup.json": b'{"rate_hz": "\x1b[31m"}'})
+        log.header = replace(
+            log.header, attachments=attachments | {"setup.json": b'{"rate_hz": "\x1b[31m"}'}
+        )
         with pytest.raises(LogError, match=r"setup\.json cannot be read") as caught:
             rebuilding.rebuild_controller(log)
     assert "\x1b" not in str(caught.value)
@@ -155,12 +175,20 @@ def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
 @pytest.mark.parametrize(
     ("gains", "message"),
     [
-        ('{"motion": {"softness_m": 1.0}}', r"gains\.json cannot be read: motion softness_m: Extra inputs"),
-        ('{"schema": 2}', r"gains\.json cannot be read: schema: Input should be less than or equal to 1"),
+        (
+            '{"motion": {"softness_m": 1.0}}',
+            r"gains\.json cannot be read: motion softness_m: Extra inputs",
+        ),
+        (
+            '{"schema": 2}',
+            r"gains\.json cannot be read: schema: Input should be less than or equal to 1",
+        ),
     ],
     ids=["a gain that is gone", "a later schema"],
 )
-def test_gains_of_another_version_are_refused_in_one_line_with_both(fresh: Path, gains: str, message: str) -> None:
+def test_gains_of_another_version_are_refused_in_one_line_with_both(
+    fresh: Path, gains: str, message: str
+) -> None:
     with RunLog(fresh) as log:
         metadata = log.header.metadata
         assert metadata["code"] == code_identity()
@@ -179,7 +207,9 @@ def test_gains_of_another_version_are_refused_in_one_line_with_both(fresh: Path,
 def test_other_gains_give_other_commands_and_a_figure(fresh: Path, tmp_path: Path) -> None:
     with RunLog(fresh) as log:
         gains = logged_gains(log)
-        stiff = gains.model_copy(update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})})
+        stiff = gains.model_copy(
+            update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})}
+        )
         commands = CommandCollector()
         execute_log(log, stiff, commands.add)
         change = command_change(log, commands)
@@ -207,6 +237,10 @@ def test_replay_execute_imports_no_bus(fresh: Path) -> None:
         " or n.split('.')[:2] == ['handctl', 'runtime']];"
         "print(bad, file=sys.stderr); sys.exit(code or 9 * bool(bad))"
     )
-    done = subprocess.run([sys.executable, "-c", code, "replay", "execute", str(fresh)], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, "replay", "execute", str(fresh)],
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stderr
     assert "0 differ" in done.stdout

@@ -27,12 +27,21 @@ REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per
 
 def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
     log = tmp_path / "set.mcap"
-    requests = {300: (REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'), 600: ('{"do": "stop"}',)}
+    requests = {
+        300: (REQUEST, '{"do": "gains", "set": {"motion.force": 1}}'),
+        600: ('{"do": "stop"}',),
+    }
     runs.run(log, runs.short_task(tmp_path), rate_hz=200.0, requests=requests)
     with RunLog(log) as record:
-        messages = {event.event.where: event.event.text for event in record.events if event.event.name == "gain"}
+        messages = {
+            event.event.where: event.event.text
+            for event in record.events
+            if event.event.name == "gain"
+        }
         assert messages == {"motion.force_N": "40.0", "tension.integral_per_s": "6.0"}
-        refused = [event.event.text for event in record.events if event.event.text.startswith("refused")]
+        refused = [
+            event.event.text for event in record.events if event.event.text.startswith("refused")
+        ]
         assert refused == ["refused: gains: motion.force: no such gain; expected motion.force_N?"]
         result = execute_log(record)
     assert (result.differing, result.first) == (0, None)
@@ -56,7 +65,9 @@ def identified_calibration(hand: Hand, torque_gain: float) -> Calibration:
     )
 
 
-def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tmp_path: Path) -> None:
+def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(
+    tmp_path: Path,
+) -> None:
     """The drives make 0.8 of each commanded torque.
 
     The controller knows this factor as an identified value, so it commands a quarter more.
@@ -66,9 +77,17 @@ def test_a_run_with_an_identified_hand_repeats_and_its_commands_are_corrected(tm
     simulator = SimulatorSettings("jamia", perturb={"torque_constant": 0.8}, homed=True)
     program = JogProgram(HoldTension(do="hold", tension_N={"index": 8.0}), 0.5)
     with simulator.clock(plan.period_ns) as clock:
-        run_lockstep(plan, make_controller(plan, program, identified_calibration(hand, 0.8), True), log, clock)
+        run_lockstep(
+            plan,
+            make_controller(plan, program, identified_calibration(hand, 0.8), True),
+            log,
+            clock,
+        )
     with RunLog(log) as record:
-        goal, torque = record.field("motor_torque_goal")[:-1, 0], record.field("motor_torque")[1:, 0]
+        goal, torque = (
+            record.field("motor_torque_goal")[:-1, 0],
+            record.field("motor_torque")[1:, 0],
+        )
         strong = goal > 0.03
         np.testing.assert_allclose(np.nanmedian(torque[strong] / goal[strong]), 1.25, rtol=0.03)
         result = execute_log(record)
@@ -87,6 +106,8 @@ def test_a_drive_with_identified_torque_error_is_no_fault(torque_gain: float) ->
     controller = make_controller(plan, program, identified_calibration(hand, torque_gain), True)
     tension = list[float]()
     simulator = SimulatorSettings("jamia", perturb={"torque_constant": torque_gain}, homed=True)
-    state = simulate(controller, simulator, lambda entry, out: tension.append(float(out.telemetry.tension[0])))
+    state = simulate(
+        controller, simulator, lambda entry, out: tension.append(float(out.telemetry.tension[0]))
+    )
     assert not state.failure
     assert abs(np.mean(tension[-700:-200]) - 75.0) < 4.0

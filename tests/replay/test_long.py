@@ -54,7 +54,9 @@ def write(log: Path) -> None:
     Frames are lost all the time, and a motor falls silent at the end.
     """
     chance = random.Random(7)
-    moves = [MOVE.format(n=n, angle=chance.uniform(2.0, 60.0)) for n in range(int((SECONDS - 4) / 2))]
+    moves = [
+        MOVE.format(n=n, angle=chance.uniform(2.0, 60.0)) for n in range(int((SECONDS - 4) / 2))
+    ]
     task = log.with_suffix(".task.toml")
     task.write_text(runs.TASK + "".join(moves))
     ticks = range(400, int(SECONDS * RATE_HZ), 1999)
@@ -64,7 +66,14 @@ def write(log: Path) -> None:
     def spoil(peer: LockstepPeer) -> LockstepPeer:
         return runs.PeerWithLostReplies(LossyPeer(peer), 0x12, int(DEAF_S * 1e9))
 
-    runs.run(log, TaskProgram(load_task(task)), rate_hz=RATE_HZ, spoil=spoil, io_events=io_events, requests=requests)
+    runs.run(
+        log,
+        TaskProgram(load_task(task)),
+        rate_hz=RATE_HZ,
+        spoil=spoil,
+        io_events=io_events,
+        requests=requests,
+    )
 
 
 @pytest.mark.nightly

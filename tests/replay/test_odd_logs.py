@@ -56,7 +56,9 @@ def without(ticks: Ticks, first: int, last: int) -> Ticks:
     return [tick for tick in ticks if not first <= tick[0].k <= last]
 
 
-def test_a_short_gap_is_bridged_without_a_jump(grasp: tuple[RunHeader, Ticks], tmp_path: Path, golden: Path) -> None:
+def test_a_short_gap_is_bridged_without_a_jump(
+    grasp: tuple[RunHeader, Ticks], tmp_path: Path, golden: Path
+) -> None:
     header, ticks = grasp
     holey = written(tmp_path / "holey.mcap", header, without(ticks, 260, 268))
     with RunLog(golden / "jamia-grasp.mcap") as log, RunLog(holey) as other:
@@ -73,7 +75,10 @@ def test_a_long_gap_is_refused_with_its_times(
 ) -> None:
     header, ticks = grasp
     path = written(tmp_path / "holey.mcap", header, without(ticks, 260, 300))
-    with RunLog(path) as log, pytest.raises(LogError, match=r"no ticks between 1\.295 and 1\.505 s"):
+    with (
+        RunLog(path) as log,
+        pytest.raises(LogError, match=r"no ticks between 1\.295 and 1\.505 s"),
+    ):
         playback_program(log, 0.005, raw=False)
     assert main(["replay", "drive", str(path), "--bus", "local:nobody", "--dry-run"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
@@ -83,7 +88,9 @@ def test_a_long_gap_is_refused_with_its_times(
     assert json.loads(capsys.readouterr().out)["missing"] == 41
 
 
-def test_a_cut_log_that_repeats_is_lossy(golden: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_cut_log_that_repeats_is_lossy(
+    golden: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((golden / "jamia-grasp.mcap").read_bytes()[:100_000])
     assert main(["replay", "execute", str(cut), "--within", "1e-9", "--json"]) == 3
@@ -95,12 +102,19 @@ def test_a_cut_log_that_repeats_is_lossy(golden: Path, tmp_path: Path, capsys: p
 def test_a_stopped_replay_is_compared_up_to_its_end(golden: Path, tmp_path: Path) -> None:
     rate = 250.0
     with RunLog(golden / "jamia-grasp.mcap") as before:
-        program, (start, end) = playback_program(before, 1 / rate, raw=False), active_interval(before)
+        program, (start, end) = (
+            playback_program(before, 1 / rate, raw=False),
+            active_interval(before),
+        )
         runs.run(tmp_path / "late.mcap", program, rate_hz=rate, requests={1000: (STOP,)})
         runs.run(tmp_path / "early.mcap", program, rate_hz=rate, requests={400: (STOP,)})
         with RunLog(tmp_path / "late.mcap") as after:
-            started = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
-            assert driven_duration(before, after) == pytest.approx(1000 / rate - started, abs=2 / rate)
+            started = next(
+                change.t_ns * 1e-9 for change in after.phases if change.name == "playback"
+            )
+            assert driven_duration(before, after) == pytest.approx(
+                1000 / rate - started, abs=2 / rate
+            )
             assert 0.2 < driven_duration(before, after) < end - start - 0.5
             result = compare_replay(before, after)
         assert max(row["rms"] for row in result["tendon_N"].values()) < 1.0
@@ -132,7 +146,9 @@ def test_every_difference_is_named(
 ) -> None:
     header, ticks = grasp
     entry, out = next(tick for tick in ticks if tick[1].frames)
-    base = out._replace(events=(TickEvent("info", "phase", "", "hold"),), frames=(out.frames[0]._replace(can_id=1),))
+    base = out._replace(
+        events=(TickEvent("info", "phase", "", "hold"),), frames=(out.frames[0]._replace(can_id=1),)
+    )
     with RunLog(written(tmp_path / "one.mcap", header, [(entry, base)])) as log:
         logged, numbers = next(log.ticks()), next(log.packed())
     now = changed(base)
@@ -154,5 +170,8 @@ def test_values_that_the_controller_refuses_are_refused_by_every_replay(
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for replay in (execute_log, lambda log: judge_by_limits(log, tmp_path / "limits.toml")):
-            with RunLog(path) as log, pytest.raises(LogError, match=r"the controller refuses|zero_rad 0"):
+            with (
+                RunLog(path) as log,
+                pytest.raises(LogError, match=r"the controller refuses|zero_rad 0"),
+            ):
                 replay(log)

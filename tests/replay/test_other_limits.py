@@ -34,7 +34,9 @@ def test_a_lower_trip_stops_at_the_first_sample_above_it(golden: Path, tmp_path:
         first = int(log.k[raw > 20.0][0])
         after = int((log.k >= first).sum())
     assert judgement.stops[0][:1] == (first,)
-    assert {(stop.fault, stop.instance, stop.logged) for stop in judgement.stops} == {("T03", "thumb_tendon", False)}
+    assert {(stop.fault, stop.instance, stop.logged) for stop in judgement.stops} == {
+        ("T03", "thumb_tendon", False)
+    }
     assert judgement.stops[0].value > 20.0
     assert (judgement.stopped, judgement.stopped_logged) == (after, 0), (
         "the stop is latched until the operator clears it"
@@ -44,7 +46,9 @@ def test_a_lower_trip_stops_at_the_first_sample_above_it(golden: Path, tmp_path:
 def test_wider_limits_would_not_have_stopped_the_run(golden: Path, tmp_path: Path) -> None:
     with RunLog(golden / "jamia-fault.mcap") as log:
         judgement = judge_by_limits(log, limits(tmp_path, "silent_ms = 10000"))
-    assert {stop.fault for stop in judgement.stops} <= {"B03a", "B03b"}, "only the number of losses stops the run"
+    assert {stop.fault for stop in judgement.stops} <= {"B03a", "B03b"}, (
+        "only the number of losses stops the run"
+    )
     assert judgement.stopped < judgement.stopped_logged
 
 

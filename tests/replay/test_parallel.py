@@ -55,7 +55,9 @@ def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
 
 def findings(execution: LogExecution) -> dict[str, Any]:
     """Return all results of an execution except its times."""
-    return {name: value for name, value in asdict(execution).items() if name not in ("wall_s", "cpu_s")}
+    return {
+        name: value for name, value in asdict(execution).items() if name not in ("wall_s", "cpu_s")
+    }
 
 
 def spoil(field: str, at: int) -> Change:
@@ -75,7 +77,10 @@ def test_a_snapshot_restores_the_state_unchanged(fresh: Path) -> None:
         state = controller.initial()
         for logged in log.ticks():
             again = restore_state(controller.layout, snapshot_bytes(state))
-            assert (again.digest(), snapshot_bytes(again)) == (state.digest(), snapshot_bytes(state))
+            assert (again.digest(), snapshot_bytes(again)) == (
+                state.digest(),
+                snapshot_bytes(state),
+            )
             other, same = controller.tick(again, logged.tick_in)
             state, out = controller.tick(state, logged.tick_in)
             assert (same.state_hash, other.digest()) == (out.state_hash, logged.state_hash)
@@ -150,12 +155,17 @@ def test_a_refusal_of_the_controller_is_reported_with_any_number_of_processes(bo
         both(change)
 
 
-def test_a_wrong_snapshot_is_not_used_as_a_start(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_snapshot_is_not_used_as_a_start(
+    fresh: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(parallel, "MIN_TICKS", 50)
     with RunLog(fresh) as log:
         runner = courses.LogRunner.of(log)
         assert len(parallel.split_log(runner, 3)) == 3
-        bent = {k: data[:100] + bytes([data[100] ^ 1]) + data[101:] for k, data in runner.snapshots.items()}
+        bent = {
+            k: data[:100] + bytes([data[100] ^ 1]) + data[101:]
+            for k, data in runner.snapshots.items()
+        }
         assert len(parallel.split_log(replace(runner, snapshots=bent), 3)) == 1
         other = dict.fromkeys(runner.snapshots, b"x" * 40)
         assert len(parallel.split_log(replace(runner, snapshots=other), 3)) == 1

@@ -29,7 +29,9 @@ class MadeUpLog:
         self.k = np.arange(ticks)
         self.late_ns = np.zeros(ticks, np.int64)
         self.mode = np.full(ticks, int(Mode.ACTIVE), np.uint8)
-        self.fields = {name: np.full((ticks, sizes[axis]), np.nan) for name, axis in TELEMETRY_AXES.items()}
+        self.fields = {
+            name: np.full((ticks, sizes[axis]), np.nan) for name, axis in TELEMETRY_AXES.items()
+        }
         self.fields["contact"][:] = 0.0
         self.phases = [PhaseChange(k, k * PERIOD_NS, name) for k, name in phases.items()]
         self.events: list[object] = []

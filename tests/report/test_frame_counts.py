@@ -62,7 +62,9 @@ def test_a_frame_of_the_tick_before_is_late(ticks: list[TickRecord]) -> None:
 
 def test_a_refused_frame_is_lost(ticks: list[TickRecord]) -> None:
     entry = ticks[300].tick_in
-    refused = ticks[300]._replace(tick_in=entry._replace(io_events=(IoEvent("enobufs", "can0", 2),)))
+    refused = ticks[300]._replace(
+        tick_in=entry._replace(io_events=(IoEvent("enobufs", "can0", 2),))
+    )
     assert counted([*ticks[:300], refused, *ticks[301:]]) == (0, 2, 0)
 
 
@@ -71,5 +73,7 @@ def test_a_paused_simulator_causes_a_tick_without_frames(ticks: list[TickRecord]
     entry, following = ticks[300].tick_in, ticks[301].tick_in
     ticks = [*ticks]
     ticks[300] = ticks[300]._replace(tick_in=entry._replace(frames=()))
-    ticks[301] = ticks[301]._replace(tick_in=following._replace(frames=(*entry.frames, *following.frames)))
+    ticks[301] = ticks[301]._replace(
+        tick_in=following._replace(frames=(*entry.frames, *following.frames))
+    )
     assert counted(ticks) == (1, 0, 1)

@@ -50,5 +50,9 @@ def test_config_show_graph_prints_or_draws_the_hand(
     assert "left_flexor: j1 +10 mm  j2 +5 mm" in capsys.readouterr().out
     assert main(["config", "show", "--graph", "--hand", "t42", "--output", "t42.svg"]) == 0
     assert "t42.svg: 2 digits, 2 tendons" in capsys.readouterr().out
-    assert "--graph with it" in refused(capsys, "config", "show", "--hand", "t42", "--output", "x.svg")
-    assert ".svg" in refused(capsys, "config", "show", "--graph", "--hand", "t42", "--output", "x.txt")
+    assert "--graph with it" in refused(
+        capsys, "config", "show", "--hand", "t42", "--output", "x.svg"
+    )
+    assert ".svg" in refused(
+        capsys, "config", "show", "--graph", "--hand", "t42", "--output", "x.txt"
+    )

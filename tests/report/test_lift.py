@@ -21,11 +21,15 @@ def log_and_truth_of_lift(sunk_m: float, fallen_m: float) -> tuple[MadeUpLog, Tr
     log = MadeUpLog(JAMIA, TICKS, {0: "close", 100: "carry", ENDS: "release"})
     truth = truth_of(JAMIA, TICKS)
     truth = replace(
-        truth, values=np.column_stack([truth.values, truth.values[:, 0]]), columns=(*truth.columns, "support")
+        truth,
+        values=np.column_stack([truth.values, truth.values[:, 0]]),
+        columns=(*truth.columns, "support"),
     )
     fall = np.interp(np.arange(TICKS), [SINKS, ENDS - 1], [0.0, 1.0])
     set_column(truth, "support", sunk_m * fall)
-    set_column(truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICKS) >= ENDS))  # falls when released
+    set_column(
+        truth, "object/z", -fallen_m * fall - 0.5 * (np.arange(TICKS) >= ENDS)
+    )  # falls when released
     set_column(truth, "object/x", 0.05 * (np.arange(TICKS) < 150))  # pushed before the lift
     return log, truth
 
@@ -57,7 +61,9 @@ def test_without_a_sunk_table_the_lift_fails_and_has_no_object_motion() -> None:
     assert "never lifted" in lift_failure(lift_result(log, truth, "carry"))
     steady = MadeUpLog(JAMIA, TICKS, {0: "hold"})
     steady.fields["contact"][:, 0] = 1.0
-    steady.fields["tension_goal"][:] = steady.fields["tension"][:] = steady.fields["tension_raw"][:] = 9.0
+    steady.fields["tension_goal"][:] = steady.fields["tension"][:] = steady.fields["tension_raw"][
+        :
+    ] = 9.0
     steady.fields["tip_force"][:] = 0.0
     assert np.isnan(summarise_run(steady, JAMIA, truth, 0)["object_motion_mm"])  # type: ignore[arg-type]
     _, sinking = log_and_truth_of_lift(0.2, 0.0)

@@ -45,14 +45,18 @@ def test_figure_depends_on_the_run(tmp_path: Path) -> None:
     assert paths[0].read_bytes() != paths[1].read_bytes()
 
 
-def test_hidden_values_do_not_affect_the_height(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hidden_values_do_not_affect_the_height(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     log = run_of("jamia", True)
     log.mode[60:] = int(Mode.DONE)
     log.fields["q"][:], log.fields["q_goal"][:] = 0.1, np.nan
     log.fields["q"][:60] = np.linspace(0.0, 0.5, 60)[:, None]
     log.fields["q"][90:] = -9.0
     drawn = []
-    monkeypatch.setattr("handctl.report.run_figure.save_figure", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr(
+        "handctl.report.run_figure.save_figure", lambda figure, path: drawn.append(figure)
+    )
     draw_run(tmp_path / "x.png", log, load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
     low, high = drawn[0].axes[0].get_ylim()
     assert -5.0 < low < 0.0

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from handctl.core.types import Mode
-from handctl.report.summary import hold_windows, mean_angles, measured_load, root_mean_square, summarise_run
+from handctl.report.summary import (
+    hold_windows,
+    mean_angles,
+    measured_load,
+    root_mean_square,
+    summarise_run,
+)
 from tests.report.made_up import JAMIA, PERIOD_NS, MadeUpLog, set_column, truth_of
 
 
@@ -36,7 +42,12 @@ def test_ticks_misses_and_lateness() -> None:
     log.k = np.concatenate((np.arange(100), np.arange(103, 203)))
     log.late_ns = np.arange(200) * 1000
     result = summarise_run(log, JAMIA, None, 0)
-    assert (result["hand"], result["ticks"], result["missed"], result["rate_hz"]) == ("jamia", 200, 3, 100.0)
+    assert (result["hand"], result["ticks"], result["missed"], result["rate_hz"]) == (
+        "jamia",
+        200,
+        3,
+        100.0,
+    )
     assert result["late_us"] == pytest.approx({"p50": 99.5, "p99_9": 198.801, "max": 199.0})
 
 
@@ -90,7 +101,9 @@ def test_tracking_error_is_computed_in_free_motion_only() -> None:
     assert result["tracking_rmse_deg"]["index"] == pytest.approx(math.degrees(0.01))
     assert math.isnan(result["tracking_rmse_deg"]["thumb"]), "the thumb had no goal"
     by_joint = result["tracking_rmse_joint_deg"]
-    assert [by_joint[joint] for joint in JAMIA.joints[joints]] == pytest.approx([math.degrees(0.01)] * 3)
+    assert [by_joint[joint] for joint in JAMIA.joints[joints]] == pytest.approx(
+        [math.degrees(0.01)] * 3
+    )
     assert math.isnan(by_joint["thumb_j1"])
 
 
@@ -101,7 +114,9 @@ def test_tension_errors_are_computed_for_estimate_and_raw_load_cell() -> None:
     for name in JAMIA.tendon_names:
         set_column(truth, f"tension/{name}", real)
     log.fields["tension"][:] = real[:, None] + 0.3
-    log.fields["tension_raw"][1:] = real[:-1, None] + np.where(np.arange(199) % 2, 0.5, -0.5)[:, None]
+    log.fields["tension_raw"][1:] = (
+        real[:-1, None] + np.where(np.arange(199) % 2, 0.5, -0.5)[:, None]
+    )
     log.fields["tension_raw"][0] = np.nan
     log.fields["tension_raw"][50] = np.nan
     result = summarise_run(log, JAMIA, truth, 0)

@@ -14,7 +14,9 @@ from tests.report.made_up import JAMIA, set_column, truth_of, write_truth
 @pytest.fixture
 def small() -> TruthRecord:
     rng = np.random.default_rng(1)
-    return TruthRecord({}, np.arange(6) * 1_000_000 + 2**60, rng.normal(size=(6, 3)), ("a", "b/c", "d"))
+    return TruthRecord(
+        {}, np.arange(6) * 1_000_000 + 2**60, rng.normal(size=(6, 3)), ("a", "b/c", "d")
+    )
 
 
 def test_a_written_truth_file_is_read(small: TruthRecord, tmp_path: Path) -> None:
@@ -37,13 +39,19 @@ def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
         rig.step(k * 2_000_000, [])
     rig.close()
     truth = read_truth(path)
-    names = {f"tension/{name}" for name in JAMIA.tendon_names} | {f"q/{name}" for name in JAMIA.joints}
-    names |= {f"contact_force/{name}/{axis}" for name in JAMIA.digit_names for axis in "xyz"} | {"object/x"}
+    names = {f"tension/{name}" for name in JAMIA.tendon_names} | {
+        f"q/{name}" for name in JAMIA.joints
+    }
+    names |= {f"contact_force/{name}/{axis}" for name in JAMIA.digit_names for axis in "xyz"} | {
+        "object/x"
+    }
     assert names <= set(truth.columns)
     np.testing.assert_array_equal(np.diff(truth.t_ns), 1_000_000)
 
 
-def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(small: TruthRecord, tmp_path: Path) -> None:
+def test_a_file_cut_at_any_byte_gives_a_prefix_or_a_one_line_error(
+    small: TruthRecord, tmp_path: Path
+) -> None:
     path = tmp_path / "t.truth"
     write_truth(path, small)
     complete = path.read_bytes()

@@ -75,7 +75,9 @@ def some_frames(count: int, seed: int) -> list[Frame]:
         if kind == 0:
             frames.append(Frame(can_id | REMOTE, bytes(rng.randrange(9))))
         elif kind == 1:
-            frames.append(Frame(can_id, rng.randbytes(rng.choice(FD_SIZES)), FDF | rng.choice((0, BRS))))
+            frames.append(
+                Frame(can_id, rng.randbytes(rng.choice(FD_SIZES)), FDF | rng.choice((0, BRS)))
+            )
         else:
             frames.append(Frame(can_id, rng.randbytes(rng.randrange(9))))
     return frames
@@ -128,7 +130,9 @@ def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
 
 
 @pytest.mark.parametrize(("size", "flags"), [(9, 0), (64, 0), (65, FDF)])
-def test_a_payload_that_does_not_fit_is_refused_and_nothing_is_sent(medium: Medium, size: int, flags: int) -> None:
+def test_a_payload_that_does_not_fit_is_refused_and_nothing_is_sent(
+    medium: Medium, size: int, flags: int
+) -> None:
     sender = medium.open()
     receiver = medium.open()
     with pytest.raises(ValueError, match=f"payload of {size} bytes"):
@@ -158,7 +162,10 @@ def test_python_can_understands_every_frame(medium: Medium) -> None:
         assert message is not None
         assert message.arbitration_id | EXTENDED * message.is_extended_id == frame.can_id & ~REMOTE
         assert message.is_remote_frame == bool(frame.can_id & REMOTE)
-        assert (message.is_fd, message.bitrate_switch) == (bool(frame.flags & FDF), bool(frame.flags & BRS))
+        assert (message.is_fd, message.bitrate_switch) == (
+            bool(frame.flags & FDF),
+            bool(frame.flags & BRS),
+        )
         assert message.dlc == len(frame.data)
         assert bytes(message.data) == (b"" if message.is_remote_frame else frame.data)
 
@@ -170,7 +177,13 @@ def test_every_message_of_python_can_is_understood(medium: Medium) -> None:
         can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\x00\xff"),
         can.Message(arbitration_id=0x1FFFFFFF, is_extended_id=True, data=bytes(range(8))),
         can.Message(arbitration_id=0x10, is_extended_id=False, is_remote_frame=True, dlc=4),
-        can.Message(arbitration_id=0x20, is_extended_id=False, is_fd=True, bitrate_switch=True, data=bytes(48)),
+        can.Message(
+            arbitration_id=0x20,
+            is_extended_id=False,
+            is_fd=True,
+            bitrate_switch=True,
+            data=bytes(48),
+        ),
     ]
     for message in sent:
         theirs.send(message)

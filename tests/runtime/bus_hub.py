@@ -48,5 +48,9 @@ class ScriptedHub:
 
 def record(can_id: int, data: bytes = b"", flags: int = 0, dropped: int = 0) -> bytes:
     """Build a record of the local bus byte by byte."""
-    head = can_id.to_bytes(4, "little") + bytes((len(data), flags)) + (dropped & 0xFFFF).to_bytes(2, "little")
+    head = (
+        can_id.to_bytes(4, "little")
+        + bytes((len(data), flags))
+        + (dropped & 0xFFFF).to_bytes(2, "little")
+    )
     return head + data + bytes(64 - len(data))

@@ -111,7 +111,11 @@ class KillVerdict(NamedTuple):
         """
         on_bus = self.run.on_bus
         in_log = self.run.in_log
-        return not self.run.warning and len(on_bus) - len(in_log) in (0, 1) and on_bus.startswith(in_log)
+        return (
+            not self.run.warning
+            and len(on_bus) - len(in_log) in (0, 1)
+            and on_bus.startswith(in_log)
+        )
 
 
 class Range:
@@ -127,9 +131,14 @@ class Range:
         task.write_text(LONG)
         write_homed(calibration, hand)
         load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
-        self.plan = RunPlan(hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), time_scale=scale, clear=True)
+        self.plan = RunPlan(
+            hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), time_scale=scale, clear=True
+        )
         self.controller: Controller = make_controller(
-            self.plan, TaskProgram(load_task(task)), load_calibration(calibration, hand), arm_at_once=True
+            self.plan,
+            TaskProgram(load_task(task)),
+            load_calibration(calibration, hand),
+            arm_at_once=True,
         )
         self.truth = folder / "hand.truth"
         self.simulator = start_hand(self.truth, "--hand", "jamia", *scaled(scale))
@@ -182,7 +191,9 @@ class Range:
             listener.wait(0.0)
         warning, logged = read_syncs(log)
         log.unlink()
-        return DisturbedRun(how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning)
+        return DisturbedRun(
+            how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning
+        )
 
     def judged(self, runs: list[DisturbedRun]) -> list[KillVerdict]:
         """Compare the runs with the truth file of the simulator. The simulator must have ended."""
@@ -263,8 +274,12 @@ def read_syncs(path: Path) -> tuple[str, bytes]:
 
 def verdict_of_kill(truth: TruthRecord, run: DisturbedRun) -> KillVerdict:
     """Judge how the drives reacted to the signal in one run."""
-    torque = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]]
-    tension = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]]
+    torque = truth.values[
+        :, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]
+    ]
+    tension = truth.values[
+        :, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]
+    ]
     begin = np.searchsorted(truth.t_ns, run.before_ns)
     over = np.searchsorted(truth.t_ns, run.after_ns + run.slipped_ns + int(RELEASE_S * 1e9))
     driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > MIN_TORQUE_N_M)

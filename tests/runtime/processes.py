@@ -32,8 +32,16 @@ HOMED = ("--homed", "--serial", f"{SERIAL:#x}")
 """Options of a simulated hand for which ``write_homed`` writes the right calibration."""
 GO = 'schema = 1\nname = "short"\n'
 MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
-SHORT = GO + MOVE.format(name="bend", angle=25.0, duration=0.5) + MOVE.format(name="open", angle=0.0, duration=0.4)
-LONG = GO + MOVE.format(name="bend", angle=40.0, duration=0.5) + MOVE.format(name="stay", angle=40.0, duration=60.0)
+SHORT = (
+    GO
+    + MOVE.format(name="bend", angle=25.0, duration=0.5)
+    + MOVE.format(name="open", angle=0.0, duration=0.4)
+)
+LONG = (
+    GO
+    + MOVE.format(name="bend", angle=40.0, duration=0.5)
+    + MOVE.format(name="stay", angle=40.0, duration=60.0)
+)
 
 
 def scaled(scale: float) -> tuple[str, str]:
@@ -43,8 +51,20 @@ def scaled(scale: float) -> tuple[str, str]:
 
 def start_hand(truth: Path, *words: str, bus: str = BUS) -> "subprocess.Popen[str]":
     """Start a simulated hand that serves a bus, and wait until it is ready."""
-    command = [sys.executable, "-m", "firmware_sim", "--bus", bus, *HOMED, "--truth", str(truth), *words]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    command = [
+        sys.executable,
+        "-m",
+        "firmware_sim",
+        "--bus",
+        bus,
+        *HOMED,
+        "--truth",
+        str(truth),
+        *words,
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
     assert process.stdout
     assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
     assert process.stdout.readline().startswith("firmware_sim: ready")
@@ -74,13 +94,17 @@ def end(process: "subprocess.Popen[str]") -> None:
     process.communicate()
 
 
-def result_of(process: "subprocess.Popen[str]", timeout_s: float = END_S) -> tuple[int, dict[str, object], str]:
+def result_of(
+    process: "subprocess.Popen[str]", timeout_s: float = END_S
+) -> tuple[int, dict[str, object], str]:
     """Wait for the end of a process, and return its exit code, its JSON output and its standard error."""
     out, err = process.communicate(timeout=timeout_s)
     return process.returncode, json.loads(out) if out else {}, err
 
 
-def wait_for(phase: str, watcher: StatusWatcher, process: "subprocess.Popen[str]", timeout_s: float = 60.0) -> None:
+def wait_for(
+    phase: str, watcher: StatusWatcher, process: "subprocess.Popen[str]", timeout_s: float = 60.0
+) -> None:
     """Wait until a running controller is in a phase."""
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:

@@ -29,7 +29,15 @@ from handctl.runtime.buses.local import connect_to_hub
 from handctl.runtime.confirm import request_action, send_with_confirmation
 from handctl.runtime.mailbox import Mailbox, StatusWatcher
 from handctl.runtime.paths import mailbox_path, run_dir
-from tests.runtime.processes import BUS, end, handctl, modes_of_complete, result_of, start_handctl, wait_for
+from tests.runtime.processes import (
+    BUS,
+    end,
+    handctl,
+    modes_of_complete,
+    result_of,
+    start_handctl,
+    wait_for,
+)
 
 NOBODY = 65534
 SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
@@ -80,7 +88,12 @@ def theirs(shared: Path) -> Path:
 
 def refuses(word: str) -> None:
     """Check that the controller, the simulator and every request refuse the run directory with a given reason."""
-    for refused in (lambda: Mailbox("local:x"), lambda: StatusWatcher("local:x"), lambda: connect_to_hub("x"), run_dir):
+    for refused in (
+        lambda: Mailbox("local:x"),
+        lambda: StatusWatcher("local:x"),
+        lambda: connect_to_hub("x"),
+        run_dir,
+    ):
         with pytest.raises(BusError, match=word) as caught:
             refused()
         assert "\n" not in str(caught.value)
@@ -173,7 +186,9 @@ def test_a_link_of_another_user_above_is_refused(shared, monkeypatch):
 
 
 @SECOND_USER
-def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(shared, short_confirmation_wait):
+def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(
+    shared, short_confirmation_wait
+):
     """The attacker renames the mailbox and binds another socket to its path, to receive the requests for the hand."""
     box = Mailbox("local:x")
     folder = run_dir()
@@ -191,9 +206,9 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
             return link.recv(4096, socket.MSG_DONTWAIT).decode()
 
     assert as_nobody(lambda: mailbox.rename(aside)) == "PermissionError"
-    assert as_nobody(lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))) == (
-        "PermissionError"
-    )
+    assert as_nobody(
+        lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))
+    ) == ("PermissionError")
     for path in (folder, folder.parent):  # now another user has access to the mailbox
         path.chmod(0o777)
     started, ready = os.pipe()
@@ -293,7 +308,9 @@ class AnsweringController:
             ]
             self.taken += [event["text"].split()[1] for event in events]
             line = {"k": k, "t_s": k * 0.002, "mode": mode, "phase": "", "events": events}
-            if mode == "RELAX" and (self.box.watchers or self._deaf):  # until a watcher has subscribed
+            if mode == "RELAX" and (
+                self.box.watchers or self._deaf
+            ):  # until a watcher has subscribed
                 mode = "" if self._deaf == "RELAX" else "DONE"
                 line |= {"mode": mode, "events": [{"name": "mode", "where": "", "text": self._end}]}
             if mode == "ACTIVE" and "stop" in self.taken:
@@ -308,7 +325,12 @@ class AnsweringController:
 def test_stop_ends_when_the_controller_reports_every_drive_off(place, capsys):
     with AnsweringController() as controller:
         assert main(["stop", "--bus", BUS, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"asked": "stop", "bus": BUS, "confirmed": True, "mode": "DONE"}
+    assert json.loads(capsys.readouterr().out) == {
+        "asked": "stop",
+        "bus": BUS,
+        "confirmed": True,
+        "mode": "DONE",
+    }
     assert controller.taken == ["stop"]
 
 
@@ -374,7 +396,9 @@ def fill_mailbox(path: Path) -> int:
 
 @pytest.mark.parametrize("word", ["stop", "cut", "clear"])
 @pytest.mark.parametrize("full", [False, True])
-def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(place, short_confirmation_wait, word, full):
+def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(
+    place, short_confirmation_wait, word, full
+):
     box = Mailbox(BUS)
     if full:
         assert fill_mailbox(box.path)
@@ -388,8 +412,12 @@ def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(place, short_co
 
 
 @pytest.mark.realtime
-def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(place, hand, calibrated, scale):
-    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
+def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(
+    place, hand, calibrated, scale
+):
+    process = start_handctl(
+        "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
+    )
     try:
         watcher = StatusWatcher(BUS)
         wait_for("stay", watcher, process)
@@ -402,7 +430,9 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(place, han
         fill_mailbox(mailbox_path(BUS))
         assert handctl("stop", "--cut", "--bus", BUS).returncode == 71
         process.send_signal(signal.SIGCONT)
-        assert result_of(process)[0] in (0, 1), "the controller paused (H03), and reads the orders after the pause"
+        assert result_of(process)[0] in (0, 1), (
+            "the controller paused (H03), and reads the orders after the pause"
+        )
     finally:
         process.send_signal(signal.SIGCONT)
         end(process)
@@ -410,7 +440,9 @@ def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(place, han
 
 @pytest.mark.realtime
 def test_a_flooded_mailbox_still_takes_a_stop(place, hand, calibrated, scale):
-    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
+    process = start_handctl(
+        "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
+    )
     ended = threading.Event()
 
     def flood():

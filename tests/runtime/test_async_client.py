@@ -78,7 +78,9 @@ def test_a_program_moves_a_hand_with_asyncio(place, hand, calibrated, scale):
 @REALTIME
 def test_an_exception_in_the_block_stops_the_hand(place, hand, calibrated, scale):
     async def fail():
-        async with library.connect_async("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale):
+        async with library.connect_async(
+            "jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+        ):
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -97,8 +99,21 @@ def test_a_controller_that_cannot_start_is_one_error(place):
 
 def test_every_call_has_its_coroutine():
     """Each call of the ordinary client, except for a few, is a coroutine of the asyncio client."""
-    apart = {"open", "close", "end_stream", "state", "wait", "poll_observations", "observe", "observations"}
-    names = {name for name in vars(library.HandClient) if not name.startswith("_")} - apart - {"description"}
+    apart = {
+        "open",
+        "close",
+        "end_stream",
+        "state",
+        "wait",
+        "poll_observations",
+        "observe",
+        "observations",
+    }
+    names = (
+        {name for name in vars(library.HandClient) if not name.startswith("_")}
+        - apart
+        - {"description"}
+    )
     for name in names:
         one, other = getattr(library.HandClient, name), getattr(library.AsyncHandClient, name)
         assert inspect.iscoroutinefunction(other), name

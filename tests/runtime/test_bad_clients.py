@@ -42,7 +42,10 @@ def test_invalid_clients_do_not_disturb_a_run(homed, slower):
         if name != "straining":
             assert row["tension_N"] < min(tendon.tension_max_N for tendon in hand.tendon), name
         faults = {text.split()[0] for text in row["faults"]}
-        assert {fault for fault in faults if fault.startswith("I11")} == FAULTS.get(name, set()), (name, row)
+        assert {fault for fault in faults if fault.startswith("I11")} == FAULTS.get(name, set()), (
+            name,
+            row,
+        )
         assert (row["mode"] == "ACTIVE") == (not name.startswith("killed")), (name, row)
     assert rows["flooding"]["refused"] == rows["flooding"]["late"] == 0
     assert rows["flooding"]["accepted"] > 200

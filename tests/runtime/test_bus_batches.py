@@ -38,7 +38,9 @@ def mixed(count: int, seed: int) -> list[Frame]:
         can_id = rng.choice((number & 0x7FF, number | EXTENDED))
         fd = rng.random() < 0.5
         size = rng.choice(LONG_SIZES if fd else SIZES)
-        frames.append(Frame(can_id, rng.randbytes(size), (FDF | rng.choice((0, BRS))) if fd else 0, INDEX))
+        frames.append(
+            Frame(can_id, rng.randbytes(size), (FDF | rng.choice((0, BRS))) if fd else 0, INDEX)
+        )
     return frames
 
 
@@ -102,7 +104,9 @@ def datagram(frame: Frame, garbage: bytes = b"") -> bytes:
 
 
 @pytest.mark.parametrize("name", BATCHES)
-def test_local_bus_carries_every_batch_both_ways(local: tuple[Bus, socket.socket], name: str) -> None:
+def test_local_bus_carries_every_batch_both_ways(
+    local: tuple[Bus, socket.socket], name: str
+) -> None:
     bus, link = local
     batch = BATCHES[name]
     whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
@@ -119,7 +123,9 @@ def test_local_bus_carries_every_batch_both_ways(local: tuple[Bus, socket.socket
 
 
 @pytest.mark.parametrize("name", BATCHES)
-def test_can_socket_carries_every_batch_both_ways(udp: tuple[SocketCanBus, socket.socket], name: str) -> None:
+def test_can_socket_carries_every_batch_both_ways(
+    udp: tuple[SocketCanBus, socket.socket], name: str
+) -> None:
     bus, far = udp
     batch = BATCHES[name]
     assert bus.send(frames_as_records(batch)) == len(batch)
@@ -139,14 +145,18 @@ def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
         for bus, link in (local, udp):
             assert bus.send(frames_as_records(test_batch)) == len(test_batch)
             if bus is local[0]:
-                whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in test_batch)
+                whole = b"".join(
+                    record(frame.can_id, frame.data, frame.flags) for frame in test_batch
+                )
                 sent = b""
                 while len(sent) < len(whole):
                     sent += link.recv(1 << 20)
                 assert sent == whole
                 link.sendall(whole)
             else:
-                assert [link.recv(100) for _ in test_batch] == [datagram(frame) for frame in test_batch]
+                assert [link.recv(100) for _ in test_batch] == [
+                    datagram(frame) for frame in test_batch
+                ]
                 for frame in test_batch:
                     link.send(datagram(frame))
             got = drained(bus, len(test_batch))
@@ -181,7 +191,11 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     batch = mixed(20, 3)
     bus_off = Frame(ERROR | 0x40, bytes(8))
     bus, link = local
-    link.sendall(b"".join(record(f.can_id, f.data, f.flags) + record(bus_off.can_id, bus_off.data) for f in batch))
+    link.sendall(
+        b"".join(
+            record(f.can_id, f.data, f.flags) + record(bus_off.can_id, bus_off.data) for f in batch
+        )
+    )
     assert contents(drained(bus, len(batch))) == [frame[:4] for frame in batch]
     assert bus.take_events() == [("error_frame", "local:x bus off", 20), ("bus_off", "local:x", 1)]
     can, far = udp
@@ -199,7 +213,9 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     assert can.take_events()
 
 
-def test_a_record_split_within_an_odd_batch_is_reassembled(local: tuple[Bus, socket.socket]) -> None:
+def test_a_record_split_within_an_odd_batch_is_reassembled(
+    local: tuple[Bus, socket.socket],
+) -> None:
     bus, link = local
     batch = mixed(30, 4)
     whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
@@ -227,7 +243,9 @@ def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.1, 3.0])
-def test_the_kernels_stamps_become_the_runs_time(udp: tuple[SocketCanBus, socket.socket], scale: float) -> None:
+def test_the_kernels_stamps_become_the_runs_time(
+    udp: tuple[SocketCanBus, socket.socket], scale: float
+) -> None:
     bus, far = udp
     bus._stamp = lambda t_ns: int((t_ns - 1000) * scale)
     time.sleep(0.3)  # the kernel adds time stamps after a delay

@@ -28,7 +28,9 @@ def kinds(events: BusEvents) -> set[str]:
         (0x044, 0x30, {"error_frame", "bus_off", "error_passive"}),
     ],
 )
-def test_error_frame_gives_the_events_of_its_class(can_id: int, status: int, expected: set[str]) -> None:
+def test_error_frame_gives_the_events_of_its_class(
+    can_id: int, status: int, expected: set[str]
+) -> None:
     """The numbers are CAN_ERR_* and CAN_ERR_CRTL_* of the header ``can/error.h`` of Linux."""
     events = BusEvents("can0")
     events.error_frame(ERROR | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
@@ -54,7 +56,9 @@ def test_passive_lasts_until_the_controller_reports_another_state() -> None:
     events.take()
     for _ in range(3):
         assert events.take() == [("error_passive", "can0", 1)]
-    events.error_frame(ERROR | 0x04, bytes((0, 0x01)))  # an overflow leaves the CAN controller's state
+    events.error_frame(
+        ERROR | 0x04, bytes((0, 0x01))
+    )  # an overflow leaves the CAN controller's state
     assert "error_passive" in kinds(events)
     events.error_frame(ERROR | 0x04, bytes((0, 0x08)))
     events.take()

@@ -18,7 +18,9 @@ SIZE = 72
 
 
 @pytest.fixture
-def scripted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Bus, socket.socket]]:
+def scripted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[Bus, socket.socket]]:
     monkeypatch.setenv(RUN_DIR, str(tmp_path))
     served = ScriptedHub(tmp_path, "x")
     bus = open_bus("local:x", 2, 1_000_000)
@@ -53,7 +55,9 @@ def test_a_record_is_laid_out_as_agreed(scripted: tuple[Bus, socket.socket]) -> 
 
 
 @given(cuts=st.lists(st.integers(1, 200), min_size=1, max_size=40), count=st.integers(1, 20))
-def test_records_split_anywhere_are_reassembled(torn: tuple[Bus, socket.socket], cuts: list[int], count: int) -> None:
+def test_records_split_anywhere_are_reassembled(
+    torn: tuple[Bus, socket.socket], cuts: list[int], count: int
+) -> None:
     bus, link = torn
     stream = b"".join(record(number, bytes([number] * (number % 9))) for number in range(count))
     frames: list[Frame] = []
@@ -65,10 +69,14 @@ def test_records_split_anywhere_are_reassembled(torn: tuple[Bus, socket.socket],
         assert len(frames) == min(at, len(stream)) // SIZE
     link.send(stream[at:])
     frames += bus.drain()
-    assert [(frame.can_id, frame.data) for frame in frames] == [(n, bytes([n] * (n % 9))) for n in range(count)]
+    assert [(frame.can_id, frame.data) for frame in frames] == [
+        (n, bytes([n] * (n % 9))) for n in range(count)
+    ]
 
 
-def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(scripted: tuple[Bus, socket.socket]) -> None:
+def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(
+    scripted: tuple[Bus, socket.socket],
+) -> None:
     bus, link = scripted
     start = time.monotonic()
     accepted = []
@@ -94,7 +102,8 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(scripted: tuple[Bu
 
 
 @pytest.mark.parametrize(
-    ("counters", "expected"), [([0, 0, 0], 0), ([0, 3, 3], 3), ([65_530, 4], 65_540), ([7, 7, 65_535, 1], 65_537)]
+    ("counters", "expected"),
+    [([0, 0, 0], 0), ([0, 3, 3], 3), ([65_530, 4], 65_540), ([7, 7, 65_535, 1], 65_537)],
 )
 def test_frames_dropped_by_the_hub_are_reported_once(
     scripted: tuple[Bus, socket.socket], counters: list[int], expected: int

@@ -67,7 +67,11 @@ def test_frames_that_an_adapter_echoes_are_not_received(bus: PythonCanBus) -> No
         (can.CanOperationError("full", errno.ENOBUFS), ("enobufs", 3), "enobufs"),
         (can.CanOperationError("down", errno.ENETDOWN), ("enetdown", 3), "enetdown"),
         (OSError(errno.ENODEV, "unplugged"), ("enodev", 1), "enodev"),
-        (OSError("device reports readiness to read but returned no data"), ("enobufs", 3), "enodev"),
+        (
+            OSError("device reports readiness to read but returned no data"),
+            ("enobufs", 3),
+            "enodev",
+        ),
         (can.CanOperationError("something"), ("enobufs", 3), "enodev"),
         (can.CanTimeoutError("late"), ("enobufs", 3), "enodev"),
     ],
@@ -117,7 +121,9 @@ def ours(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
 
 
 def test_filters_are_applied(ours: Bus) -> None:
-    filters: list[can.typechecking.CanFilter] = [{"can_id": 0x10, "can_mask": 0x7F0, "extended": False}]
+    filters: list[can.typechecking.CanFilter] = [
+        {"can_id": 0x10, "can_mask": 0x7F0, "extended": False}
+    ]
     with can.Bus("tools", interface="local", can_filters=filters, ignore_config=True) as theirs:
         ours.send([Frame(number, b"") for number in range(0x40)])
         received = [message.arbitration_id for message in iter(lambda: theirs.recv(0.2), None)]
@@ -133,7 +139,9 @@ def test_a_receive_timeout_is_respected(ours: Bus) -> None:
 
 
 def test_own_messages_are_received_on_request(ours: Bus) -> None:
-    with can.Bus("tools", interface="local", receive_own_messages=True, ignore_config=True) as theirs:
+    with can.Bus(
+        "tools", interface="local", receive_own_messages=True, ignore_config=True
+    ) as theirs:
         sent = can.Message(arbitration_id=1, data=b"x", is_extended_id=False)
         theirs.send(sent)
         back = theirs.recv(5.0)
@@ -147,7 +155,9 @@ def test_fd_can_be_disabled(ours: Bus) -> None:
             theirs.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
         ours.send([Frame(0x6F1, bytes(12), 4), Frame(0x6F2, b"old")])
         received = theirs.recv(5.0)
-        while received is not None and received.arbitration_id < 0x6F1:  # skip what an earlier client sent
+        while (
+            received is not None and received.arbitration_id < 0x6F1
+        ):  # skip what an earlier client sent
             received = theirs.recv(5.0)
     assert received is not None
     assert received.arbitration_id == 0x6F2
@@ -220,7 +230,9 @@ def test_a_bus_without_a_hub_is_an_error(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.fixture
-def scripted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[can.BusABC, socket.socket]]:
+def scripted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[tuple[can.BusABC, socket.socket]]:
     monkeypatch.setenv(RUN_DIR, str(tmp_path))
     served = ScriptedHub(tmp_path, "x")
     with can.Bus("x", interface="local", ignore_config=True) as theirs:
@@ -235,7 +247,9 @@ def fill(bus: can.BusABC, message: can.Message) -> None:
         bus.send(message, timeout=0)
 
 
-def test_sending_waits_for_room_until_the_timeout(scripted: tuple[can.BusABC, socket.socket]) -> None:
+def test_sending_waits_for_room_until_the_timeout(
+    scripted: tuple[can.BusABC, socket.socket],
+) -> None:
     theirs, link = scripted
     message = can.Message(arbitration_id=1, data=bytes(8), is_extended_id=False)
     with pytest.raises(can.CanOperationError, match="no more frames"):

@@ -37,7 +37,11 @@ def waited(bus: SocketCanBus, count: int) -> list[Frame]:
 
 def test_sent_frames_have_the_kernels_layout(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
-    frames = [Frame(0x7FF, b"\x01"), Frame(5 | EXTENDED, bytes(range(64)), FDF | BRS), Frame(2, bytes(8))]
+    frames = [
+        Frame(0x7FF, b"\x01"),
+        Frame(5 | EXTENDED, bytes(range(64)), FDF | BRS),
+        Frame(2, bytes(8)),
+    ]
     assert bus.send(frames) == 3
     assert far.recv(100) == CLASSICAL.pack(0x7FF, 1, b"\x01")
     assert far.recv(100) == FD.pack(5 | EXTENDED, 64, FDF | BRS, bytes(range(64)))
@@ -58,17 +62,23 @@ def test_a_short_frame_after_a_long_one_has_none_of_its_bytes(
         assert frame[:4] == (2, bytes(number), 0, 1)
 
 
-def test_the_size_of_a_datagram_distinguishes_fd_from_classical(udp: tuple[SocketCanBus, socket.socket]) -> None:
+def test_the_size_of_a_datagram_distinguishes_fd_from_classical(
+    udp: tuple[SocketCanBus, socket.socket],
+) -> None:
     bus, far = udp
     far.send(FD.pack(1, 8, 0, bytes(8)))  # as kernels before 6.1, without CANFD_FDF
     far.send(CLASSICAL.pack(1, 8, bytes(8)))
     assert [frame.flags for frame in waited(bus, 2)] == [FDF, 0]
 
 
-def test_batches_beyond_the_buffers_keep_their_order(udp: tuple[SocketCanBus, socket.socket]) -> None:
+def test_batches_beyond_the_buffers_keep_their_order(
+    udp: tuple[SocketCanBus, socket.socket],
+) -> None:
     bus, far = udp
     count = 300
-    assert bus.send([Frame(number, number.to_bytes(2, "little")) for number in range(count)]) == count
+    assert (
+        bus.send([Frame(number, number.to_bytes(2, "little")) for number in range(count)]) == count
+    )
     sent = [CLASSICAL.unpack(far.recv(100)) for _ in range(count)]
     assert [can_id for can_id, _, _ in sent] == list(range(count))
     for number in range(count):
@@ -82,7 +92,9 @@ KERNEL_STAMPS_S = 0.3
 """Time after which the kernel adds time stamps [s]. The first request for them patches the code of the kernel."""
 
 
-def test_stamps_are_times_of_arrival_not_of_reading(udp: tuple[SocketCanBus, socket.socket]) -> None:
+def test_stamps_are_times_of_arrival_not_of_reading(
+    udp: tuple[SocketCanBus, socket.socket],
+) -> None:
     bus, far = udp
     time.sleep(KERNEL_STAMPS_S)
     start = time.monotonic_ns()
@@ -131,7 +143,9 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
     assert before - slack <= waited(bus, 1)[0].t_ns <= after + slack
 
 
-def test_frames_that_overflow_the_socket_are_counted(udp: tuple[SocketCanBus, socket.socket]) -> None:
+def test_frames_that_overflow_the_socket_are_counted(
+    udp: tuple[SocketCanBus, socket.socket],
+) -> None:
     bus, far = udp
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -37,7 +37,9 @@ class SimulatedBuses:
     def wait(self, k):
         """Advance time to tick k, and let the drives reply to the frames of the last tick. Return 0 missed ticks."""
         self.t_ns = k * PERIOD_NS
-        self.incoming = [Frame(*frame) for frame in self.rig.step(max(0, k - 1) * PERIOD_NS, self.outgoing)]
+        self.incoming = [
+            Frame(*frame) for frame in self.rig.step(max(0, k - 1) * PERIOD_NS, self.outgoing)
+        ]
         self.outgoing = []
         self.top = max(self.top, *(abs(motor.servo.torque) for motor in self.motors))
         return 0
@@ -80,7 +82,9 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
         watch.tick()
     assert watch.silent() == []
     assert {state.phase for state in watch.states} == {DrivePhase.READY}
-    assert [state.position for state in watch.states] == pytest.approx([m.theta for m in place.motors], abs=0.01)
+    assert [state.position for state in watch.states] == pytest.approx(
+        [m.theta for m in place.motors], abs=0.01
+    )
     assert watch.states[0].position == pytest.approx(TURNED_RAD, abs=0.01)
     assert (
         all(not math.isnan(state.temperature) for state in watch.states) or protocol == "cia402"
@@ -117,7 +121,9 @@ def test_amplifiers_are_set_up_and_read(value, tmp_path):
     place.rig.inject("saturate cell=index_tendon")
     for _ in range(3):
         watch.tick()
-    saturated = [is_saturated(reading.value, watch.sensors.cell_range) for reading in watch.tensions.values()]
+    saturated = [
+        is_saturated(reading.value, watch.sensors.cell_range) for reading in watch.tensions.values()
+    ]
     assert saturated == [True, False, False, False]
 
 
@@ -126,7 +132,9 @@ def test_a_drive_that_falls_silent_is_named_and_its_readings_end():
     for _ in range(120):
         watch.tick()
     lost = watch.drives[1].node_ids
-    place.rig.step = lambda t_ns, frames, step=place.rig.step: [f for f in step(t_ns, frames) if f[0] not in lost]
+    place.rig.step = lambda t_ns, frames, step=place.rig.step: [
+        f for f in step(t_ns, frames) if f[0] not in lost
+    ]
     for _ in range(80):
         watch.tick()
     assert watch.silent() == [watch.drives[1].name]
@@ -138,11 +146,16 @@ def test_another_host_is_noticed():
     _, watch = watched("jamia")
     assert watch.other_host(0.0, lambda bus, for_s, seen: None) == ""
     foreign = Frame(min(watch.drives[0].host_ids), bytes(8))
-    assert watch.other_host(0.0, lambda bus, for_s, seen: seen.append(foreign)) == f"{foreign.can_id:#x}"
+    assert (
+        watch.other_host(0.0, lambda bus, for_s, seen: seen.append(foreign))
+        == f"{foreign.can_id:#x}"
+    )
 
 
 def test_a_load_cell_at_an_end_of_its_range_is_marked():
-    assert [is_saturated(tension, (-6.0, 249.9375)) for tension in (-6.0, -5.9, 249.8, 250.0, math.nan)] == [
+    assert [
+        is_saturated(tension, (-6.0, 249.9375)) for tension in (-6.0, -5.9, 249.8, 250.0, math.nan)
+    ] == [
         True,
         False,
         False,
@@ -176,7 +189,10 @@ def test_a_table_is_printed_into_a_pipe(capsys):
     [
         ([], "--bus: missing"),
         (["--bus", "socketcan:can0"], "no hand is given"),
-        (["--bus", "main=socketcan:can0", "--time-scale", "0.5", "--hand", "jamia"], "may have real motors"),
+        (
+            ["--bus", "main=socketcan:can0", "--time-scale", "0.5", "--hand", "jamia"],
+            "may have real motors",
+        ),
         (["--bus", "local:d", "--for", "-1"], "--for"),
         (["--bus", "local:d", "--for", "nan"], "--for"),
         (["--bus", "local:d", "--time-scale", "0"], "--time-scale"),

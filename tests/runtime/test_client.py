@@ -43,7 +43,9 @@ def test_every_numeric_type_is_accepted(alone, number, monkeypatch):
     assert requests[1] == {"do": "hold", "tension_N": {"index": 3.0}, "rate_N_per_s": 3.0}
 
 
-@pytest.mark.parametrize("number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9])
+@pytest.mark.parametrize(
+    "number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9]
+)
 def test_an_invalid_angle_is_refused_before_it_is_sent(alone, number):
     """The client refuses it, because a controller that refuses three requests within a second relaxes the hand."""
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
@@ -51,10 +53,16 @@ def test_an_invalid_angle_is_refused_before_it_is_sent(alone, number):
 
 
 def status_with_events(*texts):
-    return {"t_s": 1.5, "mode": "ACTIVE", "events": [{"name": "request", "text": text} for text in texts]}
+    return {
+        "t_s": 1.5,
+        "mode": "ACTIVE",
+        "events": [{"name": "request", "text": text} for text in texts],
+    }
 
 
-@pytest.mark.parametrize("theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"])
+@pytest.mark.parametrize(
+    "theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"]
+)
 def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
     """Regression: of two programs that used one hand, one reported refusals of requests of the other."""
     sent = []
@@ -63,7 +71,9 @@ def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
 
     def heard(timeout):
         yield status_with_events("asked: move by somebody", theirs)
-        yield status_with_events(theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs)
+        yield status_with_events(
+            theirs, f"asked: move by {sent[-1]['by']}", reply, "asked: move by somebody", theirs
+        )
 
     monkeypatch.setattr(alone._watcher, "lines", heard)
     reply = "move index 3"
@@ -97,9 +107,13 @@ def test_digits_may_come_as_a_mapping(alone, monkeypatch):
     goals = [one.get("angle_deg", one.get("tension_N")) for one in requests]
     assert goals == [{"index": 10.0, "thumb": 5.0}, {"index": 10.0}]
     for do in (alone.move, alone.hold):
-        with pytest.raises(ConfigError, match=r"(move|hold): 2.0; expected digits by name, as in index=30"):
+        with pytest.raises(
+            ConfigError, match=r"(move|hold): 2.0; expected digits by name, as in index=30"
+        ):
             do(2.0)
-        with pytest.raises(ConfigError, match="index is given twice; expected one value for each digit"):
+        with pytest.raises(
+            ConfigError, match="index is given twice; expected one value for each digit"
+        ):
             do({"index": 1}, index=2)
     with pytest.raises(ConfigError, match="no digit; expected one at least"):
         alone.move({})
@@ -141,14 +155,18 @@ def wait_until(true, timeout_s=60.0):
 
 @REALTIME
 def test_connect_reports_why_the_controller_ends(place, capfd):
-    with pytest.raises(DriveError, match="the controller ended: local:nobody: no simulator serves this bus"):
+    with pytest.raises(
+        DriveError, match="the controller ended: local:nobody: no simulator serves this bus"
+    ):
         library.connect("jamia", "local:nobody").__enter__()
     assert "no simulator serves this bus" in capfd.readouterr().err
 
 
 @REALTIME
 def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scale):
-    with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale) as client:
+    with library.connect(
+        "jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+    ) as client:
         client.move(duration_s=0.4, wait=False, index=30.0)
         client.wait("live", 5.0)
         bent = 0.0
@@ -157,13 +175,17 @@ def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scal
             if bent > 28.0:
                 break
         assert bent == pytest.approx(30.0, abs=2.0)
-        with pytest.raises(ConfigError, match="no digit 'indx', expected one of index, middle, ring, thumb"):
+        with pytest.raises(
+            ConfigError, match="no digit 'indx', expected one of index, middle, ring, thumb"
+        ):
             client.move(indx=30.0)
         with pytest.raises(ConfigError, match="move: duration_s: -1"):
             client.move(duration_s=-1.0, index=30.0)
         before_s = client.state()["t_s"]
         client.move(duration_s=0.5, index=30.0)
-        assert client.state()["t_s"] >= before_s + 0.5, "the duration is in the slower time of the hand"
+        assert client.state()["t_s"] >= before_s + 0.5, (
+            "the duration is in the slower time of the hand"
+        )
         with library.connect("jamia", BUS) as other:
             assert other.state()["phase"] == "live"
         assert client.state()["mode"] == "ACTIVE", "a client without requests does not end the run"
@@ -197,19 +219,26 @@ def test_a_fault_between_two_calls_is_reported_at_the_end(place, hand, calibrate
     client.wait("live", 60.0)
     assert handctl("fault", "inject", "--bus", BUS, "off node=index_motor").returncode == 0
     wait_until(lambda: not is_running(BUS))
-    with pytest.raises(PowerError, match=r"fault .*; REMOVE POWER: not confirmed disabled: index_motor"):
+    with pytest.raises(
+        PowerError, match=r"fault .*; REMOVE POWER: not confirmed disabled: index_motor"
+    ):
         client.close()
 
 
 @REALTIME
 def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, monkeypatch, scale):
     monkeypatch.setattr("handctl.client.hand.ATTACH_TIMEOUT_S", 1.0)
-    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
+    process = start_handctl(
+        "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale
+    )
     processes.append(process)
     watcher = StatusWatcher(BUS)
     wait_for("stay", watcher, process)
     watcher.close()
-    with pytest.raises(DriveError, match=r"not in phase 'live' after 1 s: phase 'stay'"), library.connect("jamia", BUS):
+    with (
+        pytest.raises(DriveError, match=r"not in phase 'live' after 1 s: phase 'stay'"),
+        library.connect("jamia", BUS),
+    ):
         pass
     time.sleep(1.0)
     assert process.poll() is None
@@ -219,7 +248,9 @@ def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, m
 def start_program(processes, *words):
     """Start a program that connects to the hand and holds it for a minute."""
     code = PROGRAM.format(words=words)
-    program = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    program = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     processes.append(program)
     return program
 
@@ -243,4 +274,8 @@ def test_a_program_that_is_killed_leaves_no_armed_hand(place, hand, calibrated, 
     program.kill()
     program.wait()
     wait_until(lambda: not is_running(BUS), 20.0)
-    assert modes_of_complete(place / "live.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
+    assert modes_of_complete(place / "live.mcap")[-3:] == [
+        "ACTIVE -> RELAX",
+        "RELAX -> DISARM",
+        "DISARM -> DONE",
+    ]

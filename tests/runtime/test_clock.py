@@ -36,7 +36,9 @@ class Wall:
 
 @pytest.mark.parametrize("scale", [1.0, 0.1, 10.0, 0.37])
 @pytest.mark.parametrize("spin", [False, True])
-def test_deadlines_are_absolute_and_scaled(monkeypatch: pytest.MonkeyPatch, scale: float, spin: bool) -> None:
+def test_deadlines_are_absolute_and_scaled(
+    monkeypatch: pytest.MonkeyPatch, scale: float, spin: bool
+) -> None:
     wall = Wall(monkeypatch, overshoot=20_000)
     clock = RealClock(PERIOD, scale, spin)
     clock.start()
@@ -46,15 +48,21 @@ def test_deadlines_are_absolute_and_scaled(monkeypatch: pytest.MonkeyPatch, scal
         assert wall.now >= start + int(k * PERIOD / scale), "never early"
         assert 0 <= late <= 30_000 * scale + 200 * scale + 1
         assert abs(clock.now_ns() - (k * PERIOD + late)) <= 1000 * scale + 1
-    assert start - 5_000_000_000 == pytest.approx(PERIOD / scale, rel=0.01), "tick 0 is one period after the start"
+    assert start - 5_000_000_000 == pytest.approx(PERIOD / scale, rel=0.01), (
+        "tick 0 is one period after the start"
+    )
 
 
-def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     wall = Wall(monkeypatch)
     clock = RealClock(PERIOD, 0.1)
     clock.start()
     clock.wait(0)
-    wall.now = clock.start_ns + 25 * PERIOD  # due: tick 1 after 10 periods of wall time, tick 2 after 20
+    wall.now = (
+        clock.start_ns + 25 * PERIOD
+    )  # due: tick 1 after 10 periods of wall time, tick 2 after 20
     assert clock.wait(1) == pytest.approx(1.5 * PERIOD, abs=1000)
     assert clock.wait(2) == pytest.approx(0.5 * PERIOD, abs=1000)
     assert clock.wait(3) < 1000
@@ -94,7 +102,10 @@ def test_the_real_clock_keeps_time() -> None:
 
 def test_the_granted_priority_is_described() -> None:
     assert str(GrantedPriority(True, True)) == "SCHED_FIFO, memory locked"
-    assert str(GrantedPriority(True, True, awake=True)) == "SCHED_FIFO, memory locked, processors kept awake"
+    assert (
+        str(GrantedPriority(True, True, awake=True))
+        == "SCHED_FIFO, memory locked, processors kept awake"
+    )
     assert "not permitted" in str(GrantedPriority(False, False))
 
 
@@ -147,10 +158,14 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
     for k in range(3):
         clock.wait(k)
         frames = bus.drain()
-        assert [(f.can_id, f.t_ns) for f in frames] == ([(0x17, (k - 1) * PERIOD + 300)] if k else [])
+        assert [(f.can_id, f.t_ns) for f in frames] == (
+            [(0x17, (k - 1) * PERIOD + 300)] if k else []
+        )
         bus.send([Frame(7, b"")])
     assert [t for t, _ in peer.steps] == [k * PERIOD for k in range(5)], "every period exactly once"
-    assert [[f.can_id for f in frames] for _, frames in peer.steps[3:]] == [[7], [7]], "no frames of the first run"
+    assert [[f.can_id for f in frames] for _, frames in peer.steps[3:]] == [[7], [7]], (
+        "no frames of the first run"
+    )
     clock = LockstepClock(peer, PERIOD)
     clock.restart()
     assert (clock.offset_ns, len(peer.steps)) == (0, 5), "no tick to finish before the first run"

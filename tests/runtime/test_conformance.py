@@ -27,7 +27,11 @@ def check_results(
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
     place = VirtualBench(protocol, fault, inertia, delay)
     rig = rig_on(place, protocol, LIMIT, options)
-    return {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))}, place, rig
+    return (
+        {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))},
+        place,
+        rig,
+    )
 
 
 @pytest.fixture(params=GUARDED_PROTOCOLS)
@@ -164,7 +168,9 @@ def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answer
     place.bench.faults.inject("error node=33")
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "FAULT", 1.0)
     rig.clear()
-    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0), rig.state.error_text
+    assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0), (
+        rig.state.error_text
+    )
 
 
 @pytest.mark.parametrize("watchdog", ["commands", "frames", "always"])
@@ -189,7 +195,10 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
     place.pass_time(0.3)
     rig.tick(DriveTarget.ENABLE)
     rig.tick(DriveTarget.ENABLE)
-    assert (rig.state.phase.name, rig.state.error_text) == ("FAULT", "communication lost: the drive's watchdog fired")
+    assert (rig.state.phase.name, rig.state.error_text) == (
+        "FAULT",
+        "communication lost: the drive's watchdog fired",
+    )
 
 
 def test_a_motor_whose_watchdog_also_fires_while_disabled_passes_three_times():

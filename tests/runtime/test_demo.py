@@ -7,7 +7,17 @@ from tests.runtime.processes import modes_of_complete, result_of, start_handctl
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
-FAST = ("--task", "short.toml", "--scene", "none", "--log", "run.mcap", "--time-scale", "16", "--json")
+FAST = (
+    "--task",
+    "short.toml",
+    "--scene",
+    "none",
+    "--log",
+    "run.mcap",
+    "--time-scale",
+    "16",
+    "--json",
+)
 """Command-line options of a demo that runs faster than any machine can simulate."""
 
 
@@ -23,7 +33,9 @@ def test_the_clock_of_the_demo_pauses_on_a_slow_machine(place, processes):
     modes_of_complete(place / "run.mcap")
     with RunLog(place / "run.mcap") as log:
         assert int(log.end["clock_pauses"]) == result["clock_pauses"]
-        assert float(log.end["clock_paused_ms"]) == pytest.approx(1e3 * result["clock_paused_s"], abs=0.1)
+        assert float(log.end["clock_paused_ms"]) == pytest.approx(
+            1e3 * result["clock_paused_s"], abs=0.1
+        )
 
 
 def test_a_strict_clock_does_not_pause(place, processes):

@@ -19,14 +19,22 @@ from tests.drives.virtual_bench import NODE, OPTIONS, VirtualBench
 LIMIT = 0.2
 LIMITS = MotionLimits(3.0, 10.0)
 PROTOCOLS = ("mit", "odrive", "cia402")
-MODES = [(protocol, mode) for protocol in PROTOCOLS for mode in (DriveMode.POSITION, DriveMode.VELOCITY)]
+MODES = [
+    (protocol, mode) for protocol in PROTOCOLS for mode in (DriveMode.POSITION, DriveMode.VELOCITY)
+]
 MODES.append(("mit", DriveMode.FORCE_POSITION))
 
 
 def bench_of(protocol, mode, fault="", direction=1, zero=0.0, limits=LIMITS):
     place = VirtualBench(protocol, fault)
-    motor = motor_on_bench(protocol, NODE, LIMIT, OPTIONS[protocol], direction=direction, zero_rad=zero)
-    return place, DriveRig(make_mode_drive(motor, 0, mode, limits), place, place), make_drive(motor, 0)
+    motor = motor_on_bench(
+        protocol, NODE, LIMIT, OPTIONS[protocol], direction=direction, zero_rad=zero
+    )
+    return (
+        place,
+        DriveRig(make_mode_drive(motor, 0, mode, limits), place, place),
+        make_drive(motor, 0),
+    )
 
 
 def goal_of(mode, target, for_s=2.0, travel=10.0):
@@ -41,7 +49,9 @@ def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, directio
     result = jog_drive(rig, goal_of(mode, 2.0 * sign))
     assert result.failure == ""
     expected = 2.0 * sign if mode != DriveMode.VELOCITY else 2.0 * sign * 2.0
-    assert result.moved_rad == pytest.approx(expected, rel=0.15 if mode == DriveMode.VELOCITY else 0.02)
+    assert result.moved_rad == pytest.approx(
+        expected, rel=0.15 if mode == DriveMode.VELOCITY else 0.02
+    )
     assert direction * motor.theta == pytest.approx(result.moved_rad, abs=0.05)
     assert result.fastest < 1.1 * LIMITS.speed
     assert result.final_speed < 0.05
@@ -53,7 +63,9 @@ def test_a_drive_moves_in_its_own_mode_and_ends_at_rest(protocol, mode, directio
 @pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402", "moteus", "robstride", "cubemars"])
 def test_every_protocol_has_the_torque_mode(protocol):
     place, rig, torque_drive = bench_of(protocol, DriveMode.TORQUE)
-    result = jog_drive(rig, JogGoal(DriveMode.TORQUE, 0.05, 0.3, MotionLimits(200.0, 10.0), LIMIT, 500.0))
+    result = jog_drive(
+        rig, JogGoal(DriveMode.TORQUE, 0.05, 0.3, MotionLimits(200.0, 10.0), LIMIT, 500.0)
+    )
     assert result.failure == ""
     assert result.moved_rad > 0.01
     assert place.top <= 0.06
@@ -109,7 +121,9 @@ def test_a_shaft_driven_too_fast_stops_the_drive(protocol, mode):
     wait = place.wait
 
     def wait_with_fast_shaft(k):
-        place.bench.motors[0].omega = 20.0 if place.bench.t_ns > 2_000_000_000 else place.bench.motors[0].omega
+        place.bench.motors[0].omega = (
+            20.0 if place.bench.t_ns > 2_000_000_000 else place.bench.motors[0].omega
+        )
         return wait(k)
 
     place.wait = wait_with_fast_shaft
@@ -138,7 +152,9 @@ def test_a_drive_that_sends_nothing_is_not_enabled(protocol, mode):
 def test_a_target_beyond_the_range_is_refused_before_it_is_enabled():
     place, rig, _ = bench_of("mit", DriveMode.POSITION)
     place.bench.motors[0].theta = 11.0
-    assert "beyond its range of 12.5 rad" in jog_drive(rig, goal_of(DriveMode.POSITION, 2.0)).failure
+    assert (
+        "beyond its range of 12.5 rad" in jog_drive(rig, goal_of(DriveMode.POSITION, 2.0)).failure
+    )
     assert rig.state.phase == DrivePhase.READY
 
 
@@ -164,7 +180,9 @@ def test_a_blocked_cia402_drive_reports_its_following_error():
     assert result.moved_rad == pytest.approx(0.0, abs=0.01)
 
 
-@pytest.mark.parametrize(("distance", "speed", "acceleration"), [(3.0, 1.0, 2.0), (-3.0, 10.0, 2.0), (0.0, 1.0, 1.0)])
+@pytest.mark.parametrize(
+    ("distance", "speed", "acceleration"), [(3.0, 1.0, 2.0), (-3.0, 10.0, 2.0), (0.0, 1.0, 1.0)]
+)
 def test_the_host_ramp_has_no_jump_and_keeps_its_limits(distance, speed, acceleration):
     step = 1e-3
     positions = [distance_at(i * step, distance, speed, acceleration) for i in range(6000)]
@@ -175,7 +193,9 @@ def test_the_host_ramp_has_no_jump_and_keeps_its_limits(distance, speed, acceler
     assert max(map(abs, slopes)) <= acceleration * 1.01
 
 
-@pytest.mark.parametrize("limits", [MotionLimits(0.0, 1.0), MotionLimits(1.0, math.nan), MotionLimits(-1.0, 1.0)])
+@pytest.mark.parametrize(
+    "limits", [MotionLimits(0.0, 1.0), MotionLimits(1.0, math.nan), MotionLimits(-1.0, 1.0)]
+)
 def test_limits_are_positive(limits):
     with pytest.raises(ConfigError, match="more than 0"):
         bench_of("mit", DriveMode.VELOCITY, limits=limits)

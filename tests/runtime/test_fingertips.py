@@ -29,7 +29,10 @@ def test_tips_and_angles_are_inverse_to_each_other():
     ("positions", "text"),
     [
         (np.zeros((2, 3)), r"positions of shape \(2, 3\); expected \(4, 3\)"),
-        ({"pinky": (0.0, 0.0, 0.0)}, "no 'pinky'; expected some of index, middle, ring, thumb|no 'pinky'"),
+        (
+            {"pinky": (0.0, 0.0, 0.0)},
+            "no 'pinky'; expected some of index, middle, ring, thumb|no 'pinky'",
+        ),
         ({"index": (0.0, np.nan, 0.0)}, r"for index; expected x, y, z \[m\]|nan.* for index"),
         ({"index": (0.0, 0.0)}, "for index"),
         ({"index": 3.0}, "for index"),
@@ -77,7 +80,9 @@ def test_a_stream_of_positions_sends_joint_angles():
     goal = {"stream": "1-1", "space": "joint", "names": list(tips.joints), "rate_Hz": 50.0}
     stream = FingertipStream(Owner(), sender, goal, tips, 0.03, 1.0)
     assert stream.names == ("index", "thumb")
-    positions = Fingertips(HAND, ["index", "thumb"]).tips(dict.fromkeys(tips.joints, np.radians(30.0)))
+    positions = Fingertips(HAND, ["index", "thumb"]).tips(
+        dict.fromkeys(tips.joints, np.radians(30.0))
+    )
     stream.send(positions)
     stream.send({"thumb": positions[1]})
     first, second = np.array(sender.sent)

@@ -15,7 +15,15 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute_log
 from handctl.runtime.mailbox import StatusWatcher
-from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for, write_homed
+from tests.runtime.processes import (
+    BUS,
+    end,
+    handctl,
+    start_hand,
+    start_handctl,
+    wait_for,
+    write_homed,
+)
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 ROOM = "96m"
@@ -64,20 +72,34 @@ def seconds_until(process, word, timeout_s=20.0):
 
 def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, scale):
     simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
-    words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", *scale)
+    words = (
+        "--hand",
+        "jamia",
+        "--bus",
+        BUS,
+        "--calibration",
+        "c.toml",
+        "--task",
+        "long.toml",
+        *scale,
+    )
     process = start_handctl("run", *words, "--log", str(disk / "run.mcap"))
     watcher = StatusWatcher(BUS)
     try:
         wait_for("stay", watcher, process)
         full_at = watcher.fresh_line(2.0)["k"]
         fill(disk / "other")
-        assert seconds_until(process, b"H08 the disk is full") < 2.5, "the recorder checks the disk every second"
+        assert seconds_until(process, b"H08 the disk is full") < 2.5, (
+            "the recorder checks the disk every second"
+        )
         after = None
         until = time.monotonic() + 1.0
         while time.monotonic() < until:
             after = watcher.fresh_line(0.2) or after
         assert after["k"] > full_at
-        assert (after["mode"], after["phase"]) == ("ACTIVE", "stay"), "a warning does not stop the hand"
+        assert (after["mode"], after["phase"]) == ("ACTIVE", "stay"), (
+            "a warning does not stop the hand"
+        )
         assert min(after["tension_N"]) > 4.0
         assert handctl("stop", "--bus", BUS).returncode == 0
         _, err = process.communicate(timeout=30.0)
@@ -92,5 +114,7 @@ def test_a_full_disk_is_reported_and_the_hand_continues_to_hold(place, disk, sca
         assert execute_log(log).differing == 0, (
             "missing ticks were skipped by a slow host, and not lost by the recorder"
         )
-        assert int(log.k[-1]) >= full_at - 200, "only ticks in the pipe and in the last chunk are missing"
+        assert int(log.k[-1]) >= full_at - 200, (
+            "only ticks in the pipe and in the last chunk are missing"
+        )
         assert len(list(log.ticks())) == len(log)

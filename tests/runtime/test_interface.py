@@ -12,7 +12,9 @@ def ip_output(nominal: int | None, data: int | None) -> str:
     """Return a shortened output of iproute2 6.1 about a CAN interface with given bit rates."""
     info = {} if nominal is None else {"state": "ERROR-ACTIVE", "bittiming": {"bitrate": nominal}}
     info |= {} if data is None else {"data_bittiming": {"bitrate": data}}
-    return json.dumps([{"ifname": "can0", "mtu": 72, "linkinfo": {"info_kind": "can", "info_data": info}}])
+    return json.dumps(
+        [{"ifname": "can0", "mtu": 72, "linkinfo": {"info_kind": "can", "info_data": info}}]
+    )
 
 
 @pytest.mark.parametrize(
@@ -22,7 +24,12 @@ def ip_output(nominal: int | None, data: int | None) -> str:
         (1_000_000, None, None, ""),
         (1_000_000, 5_000_000, 5_000_000, ""),
         (1_000_000, 5_000_000, None, ""),
-        (500_000, None, None, "can0 has a bit rate of 500000 bit/s, the hand file asks for 1000000 bit/s"),
+        (
+            500_000,
+            None,
+            None,
+            "can0 has a bit rate of 500000 bit/s, the hand file asks for 1000000 bit/s",
+        ),
         (1_000_000, None, 5_000_000, "without CAN FD"),
         (1_000_000, 2_000_000, 5_000_000, "a data bit rate of 2000000 bit/s"),
     ],

@@ -9,7 +9,11 @@ import pytest
 
 from handctl.runtime.buses.adapter import UsbAdapter, read_adapter
 from handctl.runtime.buses.link import parse_link
-from handctl.runtime.diagnostics.link_findings import adapter_findings, interface_findings, missing_interface_finding
+from handctl.runtime.diagnostics.link_findings import (
+    adapter_findings,
+    interface_findings,
+    missing_interface_finding,
+)
 
 MEGABIT = 1_000_000
 
@@ -33,7 +37,11 @@ def link_json(**changes) -> str:
 def bad(text, data_bitrate=None):
     link = parse_link(text)
     assert link is not None
-    return [finding for finding in interface_findings("can0", link, MEGABIT, data_bitrate) if not finding.good]
+    return [
+        finding
+        for finding in interface_findings("can0", link, MEGABIT, data_bitrate)
+        if not finding.good
+    ]
 
 
 def test_a_good_interface_has_only_good_findings():
@@ -46,13 +54,21 @@ def test_a_good_interface_has_only_good_findings():
     ("changes", "what", "fix"),
     [
         ({"link": {"flags": ["NOARP"]}}, "is down", "sudo ip link set can0 up"),
-        ({"data": {"bittiming": {"bitrate": 500_000}}}, "500000, the hand needs 1000000", "bitrate 1000000"),
+        (
+            {"data": {"bittiming": {"bitrate": 500_000}}},
+            "500000, the hand needs 1000000",
+            "bitrate 1000000",
+        ),
         ({"data": {"bittiming": {}}}, "not set", "bitrate 1000000"),
         ({"link": {"txqlen": 10}}, "queue of 10", 'ATTR{tx_queue_len}="128"'),
         ({"data": {"state": "BUS-OFF"}}, "BUS-OFF", "sudo ip link set can0 type can restart"),
         ({"data": {"berr_counter": {"tx": 128, "rx": 0}}}, "128 sending", "120 ohm"),
         ({"data": {"restart_ms": 0}}, "0 ms after bus-off", "restart-ms 100"),
-        ({"xstats": {"error_passive": 3, "arbitration_lost": 7}}, "3 times error passive", "120 ohm"),
+        (
+            {"xstats": {"error_passive": 3, "arbitration_lost": 7}},
+            "3 times error passive",
+            "120 ohm",
+        ),
         ({"link": {"stats64": {"tx": {"dropped": 9}}}}, "9 dropped transmit frames", "after a run"),
     ],
 )

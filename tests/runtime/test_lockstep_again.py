@@ -24,7 +24,11 @@ RUNS = 2
 
 CASES = [
     ("cia402", None),  # its drives still get frames after they are off
-    *(pytest.param(name, None, marks=pytest.mark.nightly) for name in sorted(PROTOCOL_ENTRIES) if name != "cia402"),
+    *(
+        pytest.param(name, None, marks=pytest.mark.nightly)
+        for name in sorted(PROTOCOL_ENTRIES)
+        if name != "cia402"
+    ),
     *(pytest.param(name, [], marks=pytest.mark.nightly) for name in GUARDED_PROTOCOLS),
 ]
 
@@ -43,5 +47,7 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     with SimulatorSettings(path, homed=True, wire=wire).clock(plan.period_ns) as clock:
         for number in range(RUNS):
             controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
-            failures.append(run_lockstep(plan, controller, tmp_path / f"{number}.mcap", clock).state.failure)
+            failures.append(
+                run_lockstep(plan, controller, tmp_path / f"{number}.mcap", clock).state.failure
+            )
     assert failures == [""] * RUNS

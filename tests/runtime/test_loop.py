@@ -160,7 +160,9 @@ def test_only_ticks_run_with_realtime_priority() -> None:
     run.loop.urgent = urgency
     run.fail = lambda entry: seen.append(urgent[0])
     run.go()
-    assert seen + urgent == [False, True, True, True, True, True, False], "the first value is of the warm-up"
+    assert seen + urgent == [False, True, True, True, True, True, False], (
+        "the first value is of the warm-up"
+    )
 
 
 @pytest.mark.parametrize(
@@ -183,7 +185,9 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
     assert [entry.late_ns for entry, _ in run.recorded] == left
     assert run.loop.stats.missed == missed
     assert run.loop.stats.ticks == 4
-    assert list(run.loop.stats.late_ns) == (late + [0] * 4)[:4], "the statistics have the measured lateness"
+    assert list(run.loop.stats.late_ns) == (late + [0] * 4)[:4], (
+        "the statistics have the measured lateness"
+    )
     waits = run.clock.waits
     assert all(b > a for a, b in pairwise(waits)), "each deadline is waited for at most once"
 
@@ -194,7 +198,12 @@ def test_received_frames_enter_one_tick_in_order() -> None:
     second = Frame(2, b"2", bus=1)
     left = FakeBus(waiting=[[old], [first], []], happened=[("dropped", "a", 3)])
     right = FakeBus(1, waiting=[[], [second]])
-    run = Run(3, buses=[left, right], requests=[("x", "y"), (), ("z",)], host=[[IoEvent("recorder", "gone")]])
+    run = Run(
+        3,
+        buses=[left, right],
+        requests=[("x", "y"), (), ("z",)],
+        host=[[IoEvent("recorder", "gone")]],
+    )
     run.go()
     entries = [entry for entry, _ in run.recorded]
     assert entries[0].frames == (first, second), "frames from before the run are discarded"
@@ -236,7 +245,9 @@ def raise_error(*_: object) -> None:
     raise StageError
 
 
-@pytest.mark.parametrize("stage", ["tick", "record", "show", "requests", "host_events", "send", "drain", "take_events"])
+@pytest.mark.parametrize(
+    "stage", ["tick", "record", "show", "requests", "host_events", "send", "drain", "take_events"]
+)
 def test_any_error_cuts_the_drives_and_is_raised_again(stage: str) -> None:
     left = FakeBus()
     right = FakeBus(1)
@@ -264,7 +275,9 @@ def poll_times(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
     """
     times: list[int] = []
 
-    def let_go(state: int, t_ns: int, heard: list[Frame]) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
+    def let_go(
+        state: int, t_ns: int, heard: list[Frame]
+    ) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
         times.append(t_ns)
         return state, (Frame(3, b"off"),), answers.pop(0) if answers else ("index", "thumb")
 
@@ -285,7 +298,9 @@ def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:
 
 def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
     run = Run(5)
-    with pytest.raises(PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb") as message:
+    with pytest.raises(
+        PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb"
+    ) as message:
         poll_times(run, [])
     assert isinstance(message.value.__cause__, StageError)
     assert len(run.clock.waits) == 3 + 501, "half a second of ticks"
@@ -343,7 +358,8 @@ def test_garbage_collection_is_off_in_the_loop_only(failing: bool) -> None:
     seen = []
     run = Run(3)
     run.fail = lambda entry: (
-        seen.append((gc.isenabled(), gc.get_freeze_count() > 0)) or (raise_error() if failing and entry.k else None)
+        seen.append((gc.isenabled(), gc.get_freeze_count() > 0))
+        or (raise_error() if failing and entry.k else None)
     )
     before = gc.get_freeze_count()
     assert gc.isenabled()
@@ -357,7 +373,9 @@ def test_garbage_collection_is_off_in_the_loop_only(failing: bool) -> None:
     assert gc.get_freeze_count() == before == 0
 
 
-def test_garbage_collection_is_restored_when_the_clock_does_not_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_garbage_collection_is_restored_when_the_clock_does_not_begin(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     run = Run(3)
     monkeypatch.setattr(run.clock, "start", raise_error)
     with pytest.raises(StageError):

@@ -55,18 +55,23 @@ def wait_for_end(client, seconds):
 
 @REALTIME
 @pytest.mark.parametrize(
-    "how", ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]]
+    "how",
+    ["suspended", *[pytest.param(how, marks=pytest.mark.nightly) for how in ("killed", "hangs")]],
 )
 def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how):
     """Regression: the hand kept the tension of a lost client without a time limit."""
     factor = float(scale[1])
-    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale).open()
+    client = library.connect(
+        "jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale
+    ).open()
     try:
         other = hold(lease_s=LEASE_S, **({"watchdog_s": LEASE_S} if how == "hangs" else {}))
         try:
             if how != "hangs":
                 time.sleep(3.0 * LEASE_S / factor)
-                assert client.observe(wait=True).named("tension_N")["index_tendon"] == pytest.approx(HELD_N, abs=2.0)
+                assert client.observe(wait=True).named("tension_N")[
+                    "index_tendon"
+                ] == pytest.approx(HELD_N, abs=2.0)
                 other.send_signal(signal.SIGKILL if how == "killed" else signal.SIGSTOP)
             said = wait_for_end(client, 8.0 * LEASE_S)
         finally:
@@ -78,8 +83,13 @@ def test_a_lost_client_makes_the_hand_relax(place, hand, calibrated, scale, how)
     assert client.result["failure"] in said
     with RunLog(place / "live.mcap") as log:
         assert not log.warning
-        assert [row.event.level for row in log.events if row.event.name == "lease"] == ["warn", "error"]
-        assert not [row for row in log.events if row.event.name == "request" and "alive" in row.event.text]
+        assert [row.event.level for row in log.events if row.event.name == "lease"] == [
+            "warn",
+            "error",
+        ]
+        assert not [
+            row for row in log.events if row.event.name == "request" and "alive" in row.event.text
+        ]
     tension = read_truth(hand).column("tension/index_tendon")
     assert tension.max() > HELD_N - 3.0
     assert tension[-10:].max() < 6.0

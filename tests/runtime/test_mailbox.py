@@ -157,7 +157,10 @@ else:
 """
     start = time.monotonic() + 1.5
     command = [sys.executable, "-c", code, str(start)]
-    children = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    children = [
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        for _ in range(4)
+    ]
     words = [child.stdout.readline().strip() for child in children if child.stdout]
     for child in children:
         child.communicate("")
@@ -176,7 +179,9 @@ def test_a_request_without_a_controller_is_one_line() -> None:
     watcher.close()
 
 
-def test_a_folder_that_cannot_hold_sockets_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_hold_sockets_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
     for folder in (blocked / "below", tmp_path / ("x" * 120)):
@@ -226,7 +231,10 @@ def test_a_program_may_watch_two_controllers() -> None:
         watcher.fresh_line(0.0)
         box.read()
         box.publish({"name": watcher.name})
-    assert [watcher.next_line(1.0) for watcher in watchers] == [{"name": "local:x"}, {"name": "local:y"}]
+    assert [watcher.next_line(1.0) for watcher in watchers] == [
+        {"name": "local:x"},
+        {"name": "local:y"},
+    ]
     for one in (*watchers, *boxes):
         one.close()
 
@@ -270,9 +278,13 @@ def test_a_watcher_gets_only_lines_published_after_it_starts() -> None:
     box.close()
 
 
-def test_paths_differ_for_each_bus_and_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_differ_for_each_bus_and_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     specs = ["local:x", "local:y", "socketcan:can0", "slcan:/dev/ttyACM0"]
-    paths = {path(spec) for spec in specs for path in (mailbox_path, truth_path)} | {local_bus_path("x")}
+    paths = {path(spec) for spec in specs for path in (mailbox_path, truth_path)} | {
+        local_bus_path("x")
+    }
     assert len(paths) == 9
     assert all(path.parent == run_dir() for path in paths), "all sockets are in the run folder"
     monkeypatch.delenv("HANDCTL_RUN_DIR")

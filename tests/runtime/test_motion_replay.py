@@ -52,7 +52,9 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     # their limits.
     single = 6.0
     assert {name for name, row in result["joint_deg"].items() if row["peak"] > single} == set()
-    assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, "as in lockstep, tests/replay/test_drive.py"
+    assert max(row["rms"] for row in result["joint_deg"].values()) < 1.0, (
+        "as in lockstep, tests/replay/test_drive.py"
+    )
     with RunLog(GOLDEN) as before, RunLog(place / "again.mcap") as after:
         apart = mean_angle_differences(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
@@ -63,7 +65,18 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
 
 def test_an_interrupted_replay_reports_its_progress(place, scale):
     simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
-    words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *scale, "--log", "half.mcap", "--json")
+    words = (
+        "--hand",
+        "jamia",
+        "--bus",
+        BUS,
+        "--calibration",
+        "c.toml",
+        *scale,
+        "--log",
+        "half.mcap",
+        "--json",
+    )
     try:
         driving = start_handctl("replay", "drive", str(GOLDEN), *words)
         watcher = StatusWatcher(BUS)

@@ -11,7 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Mode, PackedTelemetry, TickIn, TickOut
+from handctl.core.types import (
+    TELEMETRY_AXES,
+    TELEMETRY_FIELDS,
+    Mode,
+    PackedTelemetry,
+    TickIn,
+    TickOut,
+)
 from handctl.errors import BusError
 from handctl.programs.requests import parse_target
 from handctl.programs.streams import StreamStatus
@@ -73,7 +80,11 @@ def test_a_record_comes_back_with_every_field() -> None:
     record = reader.latest()
     assert record is not None
     assert (record["k"], record["t_ns"], record["late_ns"]) == (41, 82_000_000, 7)
-    assert (record["mode"], record["action"], record["phase"]) == (Mode.ACTIVE, Action.WARN, b"live")
+    assert (record["mode"], record["action"], record["phase"]) == (
+        Mode.ACTIVE,
+        Action.WARN,
+        b"live",
+    )
     assert [record[name].item() for name in record.dtype.names or () if name.startswith("stream_")] == [
         5, 0.25, 6, 7, 8, 9, 10,
     ]  # fmt: skip
@@ -149,7 +160,9 @@ def test_the_file_is_private_and_is_removed_after_the_run() -> None:
     assert reader.ended
     assert not path.exists()
     reader.close()
-    with pytest.raises(BusError, match="bus local:x: no observations; expected a running handctl run"):
+    with pytest.raises(
+        BusError, match="bus local:x: no observations; expected a running handctl run"
+    ):
         ObservationReader("local:x")
 
 
@@ -170,7 +183,9 @@ def test_targets_arrive_in_order_with_the_time_of_the_run() -> None:
         assert sender.send(index, 5000 + index, np.array([0.1, math.nan, 1e308]))
     texts = box.read()
     targets = [parse_target(text) for text in texts]
-    assert [target and target[:3] for target in targets] == [("17-3", index, 4000 + index) for index in range(3)]
+    assert [target and target[:3] for target in targets] == [
+        ("17-3", index, 4000 + index) for index in range(3)
+    ]
     assert targets[0] is not None
     assert targets[0].values[0] == 0.1
     assert math.isnan(targets[0].values[1])
@@ -193,7 +208,9 @@ def test_a_flood_neither_blocks_nor_delays_a_stop() -> None:
         assert len(texts) <= MAX_TARGETS_PER_TICK
         last = parse_target(texts[-1])
         assert last is not None
-        assert last.number == min(read + MAX_DATAGRAMS_PER_TICK, sent) - 1, "the newest message of those read"
+        assert last.number == min(read + MAX_DATAGRAMS_PER_TICK, sent) - 1, (
+            "the newest message of those read"
+        )
         read += MAX_DATAGRAMS_PER_TICK
     assert mail.read() == ()
     sender.close()
@@ -213,12 +230,16 @@ def test_a_datagram_of_another_form_is_dropped(data: bytes) -> None:
     box, sender = TargetBox("local:x", int), TargetSender("local:x", 1, 1)
     sender._socket.send(data)
     assert box.read() == ()
-    sender._socket.send(HEADER_STRUCT.pack(MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0))
+    sender._socket.send(
+        HEADER_STRUCT.pack(MAGIC, 1, 1, 1, 2**63 - 1, -(2**63)) + struct.pack("<d", 5.0)
+    )
     assert json.loads(box.read()[0])["values"] == [5.0]
     sender.close()
     box.close()
 
 
 def test_a_sender_without_a_controller_reports_it() -> None:
-    with pytest.raises(BusError, match="bus local:x: no controller accepts targets; expected a running handctl run"):
+    with pytest.raises(
+        BusError, match="bus local:x: no controller accepts targets; expected a running handctl run"
+    ):
         TargetSender("local:x", os.getpid(), 1)

@@ -10,7 +10,9 @@ from handctl.cli.main import main
 from handctl.runtime.clocks import priority
 from handctl.runtime.clocks.priority import restore_priority, take_priority
 
-pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="real-time scheduling is Linux's")
+pytestmark = pytest.mark.skipif(
+    not sys.platform.startswith("linux"), reason="real-time scheduling is Linux's"
+)
 
 
 def policy() -> int:

@@ -63,7 +63,9 @@ def test_a_run_commissions_moves_and_reports_its_result(place, processes, scale)
 
 def start_long(processes, calibrated, *more):
     """Start a run that stays in its last phase until it is stopped, and wait until it has reached this phase."""
-    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more)
+    process = start_handctl(
+        "run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more
+    )
     processes.append(process)
     watcher = StatusWatcher(BUS)
     try:
@@ -83,7 +85,11 @@ def test_a_stop_from_another_process_ends_the_run(place, hand, calibrated, proce
     assert stop.returncode == 0
     code, _, err = result_of(process)
     assert code == 0, err
-    assert modes_of_complete(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
+    assert modes_of_complete(place / "run.mcap")[-3:] == [
+        "ACTIVE -> RELAX",
+        "RELAX -> DISARM",
+        "DISARM -> DONE",
+    ]
 
 
 def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated, processes, scale):
@@ -91,7 +97,11 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated,
     process.send_signal(signal.SIGINT)
     code, result, err = result_of(process)
     assert (code, result["failure"]) == (0, ""), err
-    assert modes_of_complete(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
+    assert modes_of_complete(place / "run.mcap")[-3:] == [
+        "ACTIVE -> RELAX",
+        "RELAX -> DISARM",
+        "DISARM -> DONE",
+    ]
     with RunLog(place / "run.mcap") as run:
         before = run.field("tension")[-400:].max()
         phases = run.field("drive_phase")[-1]
@@ -106,7 +116,11 @@ def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes, scale):
     process.send_signal(signal.SIGTERM)  # the kernel may merge two SIGINT signals
     code, _, err = result_of(process)
     assert code == 0, err
-    assert modes_of_complete(place / "run.mcap")[-3:] == ["RELAX -> CUT", "CUT -> DISARM", "DISARM -> DONE"]
+    assert modes_of_complete(place / "run.mcap")[-3:] == [
+        "RELAX -> CUT",
+        "CUT -> DISARM",
+        "DISARM -> DONE",
+    ]
 
 
 def test_a_missing_motor_is_named(place, hand, processes, scale):
@@ -119,4 +133,10 @@ def test_a_missing_motor_is_named(place, hand, processes, scale):
     assert refused.returncode == 1
     assert refused.stderr == "handctl: no answer from ring_motor\n"
     truth = read_truth(hand)
-    assert max(truth.values[:, truth.columns.index(f"motor/{name}_motor")].max() for name in ("index", "ring")) < 0.05
+    assert (
+        max(
+            truth.values[:, truth.columns.index(f"motor/{name}_motor")].max()
+            for name in ("index", "ring")
+        )
+        < 0.05
+    )

@@ -31,11 +31,14 @@ def test_the_program_in_the_readme_runs_beside_busy_ones(place, processes, busy)
     simulator = start_handctl(*shlex.split(line.split("#")[0])[1:])
     processes.append(simulator)
     processes.extend(
-        subprocess.Popen([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True) for _ in range(busy)
+        subprocess.Popen([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True)
+        for _ in range(busy)
     )
     (place / "example.py").write_text(program)
     ready(simulator)
-    ran = subprocess.run([sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0)
+    ran = subprocess.run(
+        [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0
+    )
     assert ran.returncode == 0, ran.stderr[-2000:]
     forces, log = ran.stdout.splitlines()
     assert len(forces.strip("[]").split(",")) == 4

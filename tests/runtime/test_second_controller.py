@@ -9,7 +9,17 @@ from tests.runtime.kills import Listener, read_syncs
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, write_homed
 
 pytestmark = pytest.mark.realtime
-WORDS = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--json")
+WORDS = (
+    "--hand",
+    "jamia",
+    "--bus",
+    BUS,
+    "--calibration",
+    "c.toml",
+    "--task",
+    "long.toml",
+    "--json",
+)
 
 
 def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):

@@ -64,7 +64,9 @@ def test_both_sides_agree_on_the_file(tmp_path) -> None:
         "INTEGER_COUNT", "OPEN_GATE_NS",
     )  # fmt: skip
     assert [getattr(shared, name) for name in names] == [getattr(simulated, name) for name in names]
-    assert shared.CONTROLLER_LIMIT_NS < simulated.MAX_GATE_WAIT_NS, "a pause must end before the limit of the simulator"
+    assert shared.CONTROLLER_LIMIT_NS < simulated.MAX_GATE_WAIT_NS, (
+        "a pause must end before the limit of the simulator"
+    )
 
 
 def test_a_fast_machine_needs_no_pause(machine) -> None:
@@ -154,7 +156,9 @@ def test_a_simulator_behind_its_time_is_waited_for(machine) -> None:
 
     def behind() -> None:
         machine.simulator.note_answered(machine.simulator.ticks_sent())
-        machine.simulator.note_reached(reached if machine.now < until else machine.simulator.now_ns())
+        machine.simulator.note_reached(
+            reached if machine.now < until else machine.simulator.now_ns()
+        )
 
     machine.between = behind
     clock.wait(1)
@@ -209,7 +213,9 @@ def test_the_time_of_the_simulator_never_runs_backwards(tmp_path, monkeypatch, s
 
     machine.between = advance
     if machine.controller.spin:
-        monkeypatch.setattr(time, "monotonic_ns", lambda: setattr(machine, "now", machine.now + 500) or machine.now)
+        monkeypatch.setattr(
+            time, "monotonic_ns", lambda: setattr(machine, "now", machine.now + 500) or machine.now
+        )
     machine.controller.start()
     k = 0
     for _ in range(300):
@@ -238,7 +244,9 @@ def test_a_short_stop_of_a_process_is_no_fault(hand, calibrated, processes, vict
 
     Without the shared clock, each stop would delay ten ticks.
     """
-    processes.append(start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json"))
+    processes.append(
+        start_handctl("run", *calibrated, "--task", "short.toml", "--log", "run.mcap", "--json")
+    )
     simulator, controller = processes[-2:]
     with closing(StatusWatcher(BUS)) as watcher:
         wait_for("bend", watcher, controller)

@@ -22,13 +22,17 @@ PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "python.md").read_text()
 @pytest.fixture
 def live(place, hand, calibrated, scale):
     """Return a client that has started the controller of a simulated hand."""
-    with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale) as client:
+    with library.connect(
+        "jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+    ) as client:
         yield client
 
 
 @REALTIME
 def test_a_stream_is_followed_observed_logged_and_repeated(place, hand, calibrated, scale):
-    with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale) as client:
+    with library.connect(
+        "jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale
+    ) as client:
         client.move(index=30.0)
         seen, ready = [], threading.Event()
 
@@ -74,7 +78,9 @@ def test_only_one_of_several_clients_commands_the_hand(live):
     live.move(index=10.0, duration_s=0.3)
     with library.connect("jamia", BUS) as other:
         assert other.observe().mode == "ACTIVE"
-        with pytest.raises(ConfigError, match=f"{live.name} commands this hand, expected take_over"):
+        with pytest.raises(
+            ConfigError, match=f"{live.name} commands this hand, expected take_over"
+        ):
             other.move(thumb=5.0)
         other.take_over()
         other.move(thumb=5.0, duration_s=0.3)
@@ -90,7 +96,9 @@ def test_only_one_of_several_clients_commands_the_hand(live):
         except library.HandctlError as error:
             errors.append(error)
 
-    threads = [threading.Thread(target=move, kwargs={name: 10.0}) for name in ("index", "middle", "ring")]
+    threads = [
+        threading.Thread(target=move, kwargs={name: 10.0}) for name in ("index", "middle", "ring")
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -160,6 +168,8 @@ def test_the_programs_of_the_page_run(place, processes, scale, example):
     processes.append(simulator)
     assert select.select([simulator.stdout], [], [], READY_S)[0]
     (place / "example.py").write_text(programs[example])
-    ran = subprocess.run([sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0)
+    ran = subprocess.run(
+        [sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0
+    )
     assert ran.returncode == 0, ran.stderr[-2000:]
     assert ran.stdout

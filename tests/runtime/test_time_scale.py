@@ -21,7 +21,9 @@ def time_scale_of(**choice):
 def test_a_run_has_the_time_scale_of_the_simulator_on_its_bus(slow_hand):
     assert time_scale_of() == 0.3
     assert time_scale_of(time_scale=0.3) == 0.3
-    with pytest.raises(ConfigError, match=r"--time-scale: 1; expected 0\.3, as the simulator on local:t has"):
+    with pytest.raises(
+        ConfigError, match=r"--time-scale: 1; expected 0\.3, as the simulator on local:t has"
+    ):
         time_scale_of(time_scale=1.0)
 
 

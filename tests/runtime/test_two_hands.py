@@ -27,7 +27,17 @@ def test_a_stop_of_one_hand_leaves_the_other_moving(place, processes, scale):
     runs = []
     for side, bus in zip(SIDES, buses, strict=True):
         processes.append(start_hand(place / f"{side}.truth", "--hand", "jamia", *scale, bus=bus))
-        words = ("--calibration", "c.toml", "--task", "long.toml", "--json", "--log", f"{side}.mcap", *RATE, *scale)
+        words = (
+            "--calibration",
+            "c.toml",
+            "--task",
+            "long.toml",
+            "--json",
+            "--log",
+            f"{side}.mcap",
+            *RATE,
+            *scale,
+        )
         runs.append(start_handctl("run", "--hand", "jamia", "--bus", bus, *words))
         processes.append(runs[-1])
     watchers = [StatusWatcher(bus) for bus in buses]

@@ -7,7 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.core.detectors.residuals import BALANCE, COMMAND_DIFFERENCE, EXCESS_FRICTION, JERK, SLIP, TENSION
+from handctl.core.detectors.residuals import (
+    BALANCE,
+    COMMAND_DIFFERENCE,
+    EXCESS_FRICTION,
+    JERK,
+    SLIP,
+    TENSION,
+)
 from handctl.core.types import Mode
 from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase
@@ -73,7 +80,13 @@ def frame_ages(field: str, **late: int) -> TickInput:
     (j1=...).
     """
     first = COUNT if field == "group_ns" and min(late)[0] == "j" else 0
-    return rows(**{field: {first + int(name[1:]): NOW_NS - ticks * PERIOD_NS for name, ticks in late.items()}})
+    return rows(
+        **{
+            field: {
+                first + int(name[1:]): NOW_NS - ticks * PERIOD_NS for name, ticks in late.items()
+            }
+        }
+    )
 
 
 def motors(**late: int) -> TickInput:
@@ -86,7 +99,12 @@ def sensors(**late: int) -> TickInput:
 
 def lost(**number: int) -> TickInput:
     """Return an input with lost frames of nodes (m1=..., cells=...) in the last ticks before the present one."""
-    return rows(lost={(0, CELLS if name == "cells" else int(name[1:])): (1 << n) - 1 for name, n in number.items()})
+    return rows(
+        lost={
+            (0, CELLS if name == "cells" else int(name[1:])): (1 << n) - 1
+            for name, n in number.items()
+        }
+    )
 
 
 def misshapen(node: int, before: int) -> TickInput:
@@ -108,7 +126,11 @@ def heat(**values: float) -> TickInput:
 
 
 def error(motor: int, cause: DriveFaultCause, code: int = 9) -> TickInput:
-    return rows(phase={motor: int(DrivePhase.FAULT)}, fault_cause={motor: int(cause)}, fault_code={motor: code})
+    return rows(
+        phase={motor: int(DrivePhase.FAULT)},
+        fault_cause={motor: int(cause)},
+        fault_code={motor: code},
+    )
 
 
 def io(kind: str, where: str = "can0", number: int = 1) -> TickInput:
@@ -134,7 +156,9 @@ def without_torque(shown: TickInput) -> TickInput:
 
 def slack_tendon(before: int, tendon: int = 3) -> TickInput:
     """Return an input with a tendon that is slack now and was slack in the ``before`` ticks before."""
-    return rows(slack_ticks={tendon: before}, taut_ago={tendon: 5}, residual={(TENSION, tendon): 0.0})
+    return rows(
+        slack_ticks={tendon: before}, taut_ago={tendon: 5}, residual={(TENSION, tendon): 0.0}
+    )
 
 
 def derailed(tendon: int, deg: float) -> TickInput:
@@ -178,7 +202,9 @@ AFTER_CUT = {"mode": {...: int(Mode.CUT)}, "cut_ticks": {...: 49}}
 
 
 def pulled(tension: float) -> TickInput:
-    return TickInput({**AFTER_CUT, "measured_tension": {...: 5.0, 0: tension}, "cut_from": {0: 30.0}})
+    return TickInput(
+        {**AFTER_CUT, "measured_tension": {...: 5.0, 0: tension}, "cut_from": {0: 30.0}}
+    )
 
 
 def swinging(tendon: int, before: float) -> TickInput:
@@ -187,7 +213,11 @@ def swinging(tendon: int, before: float) -> TickInput:
 
 def report_fractions(motor: int, part: float) -> TickInput:
     """Return an input with a motor that reports the fraction ``part`` of each change of its command by 1 N."""
-    return rows(report_moments={(row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))})
+    return rows(
+        report_moments={
+            (row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))
+        }
+    )
 
 
 PASS, WARN, HOLD, RELAX, CUT = Action

@@ -16,7 +16,12 @@ from handctl.core.constants import AXES, ELEMENTS, HAND, KINDS, ConstantTables, 
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.hand_constants import low_pass_fractions
 from handctl.core.types import Mode
-from handctl.safety.faults.fault import JOINT_INSTANCE, MOTOR_INSTANCE, NODE_INSTANCE, TENDON_INSTANCE
+from handctl.safety.faults.fault import (
+    JOINT_INSTANCE,
+    MOTOR_INSTANCE,
+    NODE_INSTANCE,
+    TENDON_INSTANCE,
+)
 from handctl.safety.faults.table import DETECTOR_ROWS
 from handctl.safety.judge import (
     CountedFault,
@@ -60,7 +65,9 @@ class Monitor:
         latched, reported_faults: latched and reported faults, as ``safety.judge`` keeps them.
     """
 
-    def __init__(self, limits: SafetyLimits, motor_period: Any = T, joint_period: float = T, **constants: Any) -> None:
+    def __init__(
+        self, limits: SafetyLimits, motor_period: Any = T, joint_period: float = T, **constants: Any
+    ) -> None:
         compile_kernels()
         n = len(limits.tendons)
         self.limits = limits
@@ -154,7 +161,9 @@ class Monitor:
         reported: dict[str, dict[str, float]] = {}
         for row, i in zip(*np.nonzero(~np.isnan(self.found)), strict=True):
             fault, kind = DETECTOR_ROWS[row]
-            reported.setdefault(fault.id, {})[self.name(kind, i) or fault.name] = float(self.found[row, i])
+            reported.setdefault(fault.id, {})[self.name(kind, i) or fault.name] = float(
+                self.found[row, i]
+            )
         return reported
 
     def observe(self, rows: Rows | None = None) -> None:
@@ -214,7 +223,11 @@ def _python(function: Any) -> Any:
         return function
     code = function.py_func
     known = dict(code.__globals__)
-    known |= {name: _python(known[name]) for name in code.__code__.co_names if hasattr(known.get(name), "py_func")}
+    known |= {
+        name: _python(known[name])
+        for name in code.__code__.co_names
+        if hasattr(known.get(name), "py_func")
+    }
     return FunctionType(code.__code__, known, code.__name__, code.__defaults__)
 
 

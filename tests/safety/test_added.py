@@ -50,19 +50,31 @@ def add_fault_of_page(package: Path) -> None:
 
 
 @pytest.mark.parametrize("interpreted", ["1", pytest.param("0", marks=pytest.mark.nightly)])
-def test_a_fault_is_declared_once_and_found_by_one_detector(tmp_path: Path, interpreted: str) -> None:
+def test_a_fault_is_declared_once_and_found_by_one_detector(
+    tmp_path: Path, interpreted: str
+) -> None:
     package = tmp_path / "handctl"
     shutil.copytree(ROOT / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__"))
     add_fault_of_page(package)
     path = os.pathsep.join(map(str, (tmp_path, ROOT)))
-    more = {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": interpreted, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    more = {
+        "PYTHONPATH": path,
+        "NUMBA_DISABLE_JIT": interpreted,
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+    }
     words = [sys.executable, "-W", "ignore", "-c", TRIED]
-    done = subprocess.run(words, env=os.environ | more, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        words, env=os.environ | more, cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     result = json.loads(done.stdout)
-    assert result["table"] == ["| T10 | a heavy load | The tension is above 100 N | WARN | by itself |"]
+    assert result["table"] == [
+        "| T10 | a heavy load | The tension is above 100 N | WARN | by itself |"
+    ]
     protocols = " | ".join(["detected"] * 5)
-    assert result["page"] == [f"| T10 | heavy load | T10 WARN | {protocols} | 4 ms, 2 ticks | campaign |"]
+    assert result["page"] == [
+        f"| T10 | heavy load | T10 WARN | {protocols} | 4 ms, 2 ticks | campaign |"
+    ]
     assert result["actions"] == [0, 1, 1]
     text = "T10 a heavy load: t1 (100.5): WARN"
     assert result["events"] == [[], [["warn", "fault", "t1", text]], []]

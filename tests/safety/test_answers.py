@@ -26,13 +26,22 @@ class OpenRequests(Monitor):
     @property
     def outstanding(self) -> Outstanding:
         """Return the ticks of the open requests of each motor."""
-        numbers, ticks = self.view("open_questions"), self.view("question").reshape(MAX_REQUESTS, -1)
+        numbers, ticks = (
+            self.view("open_questions"),
+            self.view("question").reshape(MAX_REQUESTS, -1),
+        )
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
     def ask(self, k: int, able: tuple[bool, ...] | None = None) -> None:
         """Send one request to every motor. A motor that is not able may leave its request unanswered."""
         if able:
-            self.set({"phase_before": [int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in able]})
+            self.set(
+                {
+                    "phase_before": [
+                        int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in able
+                    ]
+                }
+            )
         call_interpreted(add_requests, self.state_tables, k)
 
     def answer(self, came: list[int]) -> list[int]:

@@ -25,7 +25,9 @@ class Motors(Monitor):
     @property
     def parts(self) -> list[float]:
         """Return for each motor the fraction of a command change that its reports show."""
-        return [call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)]
+        return [
+            call_interpreted(fraction_of_command_reported, self.state_tables, n) for n in range(2)
+        ]
 
 
 def after(commanded: np.ndarray, reported: np.ndarray, torque_step: float = 0.078) -> Motors:
@@ -75,7 +77,11 @@ def test_a_report_in_coarse_steps_is_never_doubted(seed: int, fraction: float) -
 @pytest.mark.parametrize("fault", ["swapped", "late"])
 def test_a_report_of_another_motor_or_of_another_time_is_found(seed: int, fault: str) -> None:
     commanded = noisy_commands(seed)
-    made = delayed_reports(commanded)[:, ::-1] if fault == "swapped" else delayed_reports(commanded, 26)
+    made = (
+        delayed_reports(commanded)[:, ::-1]
+        if fault == "swapped"
+        else delayed_reports(commanded, 26)
+    )
     assert doubted_motors(commanded, made).all()
 
 
@@ -121,7 +127,11 @@ def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
     commanded, made = noisy_commands(seed), np.full((TICKS, 2), np.nan)
     obeyed, standstill = commanded[0].copy(), 0
     for k in range(1, TICKS):
-        standstill = standstill - 1 if standstill else int(random.integers(1, 6)) * int(random.random() < 0.04)
+        standstill = (
+            standstill - 1
+            if standstill
+            else int(random.integers(1, 6)) * int(random.random() < 0.04)
+        )
         if standstill:
             commanded[k:] += random.choice((-2.0, 2.0))
         else:

@@ -23,11 +23,16 @@ def test_causes_of_a_drive_s_error() -> None:
     assert len(ROW_OF_CAUSE) == len(DriveFaultCause)
     assert PHASE_FAULT == DrivePhase.FAULT
     shown = merge_inputs(
-        error(0, DriveFaultCause.OTHER, 9), error(1, DriveFaultCause.HOT, 11), error(2, DriveFaultCause.LOST, 12)
+        error(0, DriveFaultCause.OTHER, 9),
+        error(1, DriveFaultCause.HOT, 11),
+        error(2, DriveFaultCause.LOST, 12),
     )
     assert rested_monitor().tick(shown.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
     assert "N11" not in rested_monitor().tick(without_torque(shown).rows)
-    rows = {cause: DETECTOR_ROWS[row][0].id for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)}
+    rows = {
+        cause: DETECTOR_ROWS[row][0].id
+        for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)
+    }
     assert rows[DriveFaultCause.DROPPED_OUT] == "N01"
     assert rows[DriveFaultCause.WATCHDOG] == "N08"
     assert rows[DriveFaultCause.VOLTAGE] == "N10"
@@ -39,10 +44,15 @@ def test_a_tension_above_its_limit_is_detected() -> None:
     nan = float("nan")
     assert rested_monitor().tick(tensions(t0=140.0, t1=50.5).rows)["T03"] == {"t1": 50.5}
     assert "T03" not in rested_monitor().tick(tensions(t0=140.0, t1=50.0).rows)
-    assert rested_monitor().tick(tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {"t0": 150.0, "t2": 140.5}
+    assert rested_monitor().tick(tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {
+        "t0": 150.0,
+        "t2": 140.5,
+    }
 
 
-ONE = Fault("X01b", "a title", "a sign", Action.HOLD, "by itself", "Why.", "Do.", debounce=3, reports=("x",))
+ONE = Fault(
+    "X01b", "a title", "a sign", Action.HOLD, "by itself", "Why.", "Do.", debounce=3, reports=("x",)
+)
 
 
 def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
@@ -64,13 +74,18 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
 def test_catalogue_row_has_all_columns(entry: CatalogueRow, last: str) -> None:
     head, line, row = catalogue_markdown((entry,)).splitlines()
     protocols = [PROTOCOL_TRAITS[name].title for name in GUARDED_PROTOCOLS]
-    assert head == f"| id | fault | judged by | {' | '.join(protocols)} | latest reaction | tested by |"
+    assert (
+        head
+        == f"| id | fault | judged by | {' | '.join(protocols)} | latest reaction | tested by |"
+    )
     assert line == "|---|---|---" + "|---" * len(protocols) + "|---|---|"
     assert row == f"| B12 | t | B12 CUT | {'detected | ' * len(protocols)}{last}"
 
 
 def test_a_fault_that_no_tick_judges_names_its_place() -> None:
-    assert "| H12 | t | before arming |" in catalogue_markdown((CatalogueRow("H12", "t", "before arming"),))
+    assert "| H12 | t | before arming |" in catalogue_markdown(
+        (CatalogueRow("H12", "t", "before arming"),)
+    )
     assert "| B11a RELAX, B11b CUT |".strip("| ") in catalogue_markdown(
         (CatalogueRow("B11", "t", "fault table", ticks=3),)
     )
@@ -82,9 +97,17 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
         CatalogueRow("B", "t", "fault table", ticks=3, required=3),
     )
     longer = CatalogueRow("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
-    free = CatalogueRow("D", "t", "fault table", ticks=9)  # a fault without a required time is never late
+    free = CatalogueRow(
+        "D", "t", "fault table", ticks=9
+    )  # a fault without a required time is never late
     at_once = CatalogueRow("E", "t", "fault table", ticks=2, required=1)
-    assert [is_late(one) for one in (soon, just, longer, free, at_once)] == [False, False, True, False, True]
+    assert [is_late(one) for one in (soon, just, longer, free, at_once)] == [
+        False,
+        False,
+        True,
+        False,
+        True,
+    ]
     assert late_rows((soon, just, longer, free)).splitlines() == [
         "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
@@ -94,5 +117,9 @@ def test_rows_later_than_required_are_listed_with_reasons() -> None:
 
 def test_hardware_checklist_lists_the_tests_in_order() -> None:
     lines = hardware_checklist().splitlines()
-    assert lines[:3] == ["| id | what to do |", "|---|---|", "| B12 | short CANH to CANL in motion |"]
+    assert lines[:3] == [
+        "| id | what to do |",
+        "|---|---|",
+        "| B12 | short CANH to CANL in motion |",
+    ]
     assert lines[-1].startswith("| H05 | kill -9 in a grasp")

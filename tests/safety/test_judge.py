@@ -13,12 +13,27 @@ from handctl.core.types import Mode
 from handctl.safety.action import Action
 from handctl.safety.faults.table import FAULT_TABLE
 from handctl.safety.judge import LatchedFault
-from tests.safety.cases import CASES, REST, TickInput, io, merge_inputs, motors, rested_monitor, rows, show, tensions
+from tests.safety.cases import (
+    CASES,
+    REST,
+    TickInput,
+    io,
+    merge_inputs,
+    motors,
+    rested_monitor,
+    rows,
+    show,
+    tensions,
+)
 from tests.safety.monitor import Monitor
 from tests.safety.test_table import check_ticks
 
-ARMED = [id_ for id_ in CASES if CASES[id_].present.rows.get("mode", {...: Mode.ACTIVE})[...] in (4, 5)]
-PAIRS = list(pairwise([*ARMED, ARMED[0]])) + [(a, b) for a in ("B02", "T03", "N09b") for b in ARMED if a != b]
+ARMED = [
+    id_ for id_ in CASES if CASES[id_].present.rows.get("mode", {...: Mode.ACTIVE})[...] in (4, 5)
+]
+PAIRS = list(pairwise([*ARMED, ARMED[0]])) + [
+    (a, b) for a in ("B02", "T03", "N09b") for b in ARMED if a != b
+]
 
 
 def judged(monitor: Monitor, shown: TickInput):
@@ -30,7 +45,9 @@ def test_every_fault_of_the_active_mode_is_paired() -> None:
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
-def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_reported(first: str, second: str) -> None:
+def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_reported(
+    first: str, second: str
+) -> None:
     a, b = CASES[first], CASES[second]
     both = merge_inputs(a.present, b.present)
     monitor, verdicts = check_ticks(*[both] * max(a.debounce, b.debounce))
@@ -41,7 +58,9 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
         assert (LatchedFault(id_, case.instance) in monitor.latched) == case.latched
 
 
-@pytest.mark.parametrize(("first", "second"), [*PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")])
+@pytest.mark.parametrize(
+    ("first", "second"), [*PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")]
+)
 def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str) -> None:
     """The first fault ends before the second begins. The first stays latched, and the second is still reported."""
     a, b = CASES[first], CASES[second]
@@ -75,7 +94,9 @@ def test_instances_do_not_share_their_debounce_counts() -> None:
 
 
 def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
-    twice = TickInput(reports=(*io("enobufs", "can0", 1).reports, *io("enobufs", "can0", 2).reports))
+    twice = TickInput(
+        reports=(*io("enobufs", "can0", 1).reports, *io("enobufs", "can0", 2).reports)
+    )
     _, verdicts = check_ticks(twice)
     assert verdicts[0].action == Action.PASS
     _, verdicts = check_ticks(twice, twice)
@@ -92,7 +113,9 @@ course_of_faults = st.lists(st.tuples(faulty, several, st.booleans()), max_size=
 
 
 @given(course_of_faults)
-def test_additional_faults_never_weaken_the_action(ticks: list[tuple[TickInput, list[str], bool]]) -> None:
+def test_additional_faults_never_weaken_the_action(
+    ticks: list[tuple[TickInput, list[str], bool]],
+) -> None:
     """Of two runs with the same clear requests, one has additional faults in some ticks.
 
     Its action is never weaker.
@@ -109,7 +132,9 @@ def test_additional_faults_never_weaken_the_action(ticks: list[tuple[TickInput, 
 
 
 @given(course_of_faults)
-def test_latches_only_grow_between_clearings(ticks: list[tuple[TickInput, list[str], bool]]) -> None:
+def test_latches_only_grow_between_clearings(
+    ticks: list[tuple[TickInput, list[str], bool]],
+) -> None:
     monitor, reported = rested_monitor(), list[tuple[str, str]]()
     for shown, _, cleared in ticks:
         before = () if cleared else monitor.latched
@@ -119,9 +144,13 @@ def test_latches_only_grow_between_clearings(ticks: list[tuple[TickInput, list[s
         assert monitor.latched[: len(before)] == before, "in the order in which they came"
         assert len(set(monitor.latched)) == len(monitor.latched)
         actions = {fault.id: fault.action for fault in FAULT_TABLE}
-        assert verdict.action >= max((actions[mark.id] for mark in monitor.latched), default=Action.PASS)
+        assert verdict.action >= max(
+            (actions[mark.id] for mark in monitor.latched), default=Action.PASS
+        )
         reported += [(f.fault.id, f.instance) for f in verdict.findings]
-        assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(reported), "nothing latches in silence"
+        assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(reported), (
+            "nothing latches in silence"
+        )
 
 
 def test_actions_are_ordered() -> None:

@@ -12,7 +12,15 @@ from handctl.core.detectors import losses, stuck
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import TickEvent
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
-from tests.safety.monitor import NOW_NS, PERIOD_NS, SPOOL_M, Monitor, Rows, call_interpreted, synthetic_limits
+from tests.safety.monitor import (
+    NOW_NS,
+    PERIOD_NS,
+    SPOOL_M,
+    Monitor,
+    Rows,
+    call_interpreted,
+    synthetic_limits,
+)
 
 NAN = np.nan
 
@@ -33,18 +41,29 @@ class Window(Monitor):
     def __init__(self, motor: int = 0, cells: int = 0, **constants: Any) -> None:
         super().__init__(synthetic_limits(1), **constants)
         pairs = (words(motor), words(cells))
-        self.set({"lost": {(half, node): pair[half] for node, pair in enumerate(pairs) for half in (0, 1)}})
+        self.set(
+            {
+                "lost": {
+                    (half, node): pair[half] for node, pair in enumerate(pairs) for half in (0, 1)
+                }
+            }
+        )
 
     def count(self, motor: bool = False, cells: bool = False, **rows: Any) -> tuple[int, int]:
         """Run one tick in which the given nodes have not replied, and return their windows of losses."""
-        self.tick({"feedback_ns": NOW_NS - motor * PERIOD_NS, "group_ns": NOW_NS - cells * PERIOD_NS}, **rows)
+        self.tick(
+            {"feedback_ns": NOW_NS - motor * PERIOD_NS, "group_ns": NOW_NS - cells * PERIOD_NS},
+            **rows,
+        )
         return self.windows
 
     @property
     def windows(self) -> tuple[int, int]:
         """Return the losses of motor and load cells, one bit per tick."""
         lost = self.view("lost")
-        return tuple(int(lost[1, node]) << losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1))  # type: ignore
+        return tuple(
+            int(lost[1, node]) << losses.BITS_PER_WORD | int(lost[0, node]) for node in (0, 1)
+        )  # type: ignore
 
 
 HALF_WINDOW = LOSS_WINDOW_TICKS // 2
@@ -68,11 +87,18 @@ def test_window_shifts_by_one_bit_per_tick(before, now, after):
 
 def test_lost_replies_are_counted_per_window():
     window = Window(0b1011, (1 << LOSS_WINDOW_TICKS) - 1)
-    assert [call_interpreted(losses.count_lost_replies, window.state_tables, node) for node in (0, 1)] == [
+    assert [
+        call_interpreted(losses.count_lost_replies, window.state_tables, node) for node in (0, 1)
+    ] == [
         3,
         LOSS_WINDOW_TICKS,
     ]
-    for number, ones in ((0b1011, 3), (0, 0), (1 << (MALFORMED_WINDOW_TICKS - 1), 1), ((1 << 62) - 1, 62)):
+    for number, ones in (
+        (0b1011, 3),
+        (0, 0),
+        (1 << (MALFORMED_WINDOW_TICKS - 1), 1),
+        ((1 << 62) - 1, 62),
+    ):
         assert call_interpreted(losses.count_set_bits, number) == ones
     window.set({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
     window.tick({"misread_now": 1})
@@ -87,7 +113,9 @@ def test_lost_replies_are_counted_per_window():
     ("11" + "01" * 8 + "0000", True), ("01010010101010010101", True),
 ])  # fmt: skip
 def test_missing_every_second_tick_is_detected(pattern, half):
-    assert call_interpreted(losses.misses_every_second, Window(bits(pattern)).state_tables, 0) is half
+    assert (
+        call_interpreted(losses.misses_every_second, Window(bits(pattern)).state_tables, 0) is half
+    )
 
 
 def test_the_count_of_unknown_frames_decays_in_a_second():
@@ -114,7 +142,9 @@ def refusal_counter(rate: float) -> Any:
 
     def step(refused: int, k: int) -> tuple[int, ...]:
         window.set({"k": k})
-        Controller._count_refusals(controller, state, (TickEvent("warn", "request", "", ""),) * refused)
+        Controller._count_refusals(
+            controller, state, (TickEvent("warn", "request", "", ""),) * refused
+        )
         lately = state.decisions.refusals
         assert int(window.view("refused").item()) == len(lately)
         return lately
@@ -185,7 +215,9 @@ def test_a_missing_position_is_no_jump():
 
 
 def test_tick_without_measurements_changes_nothing():
-    positions = Positions([0.1] * 2, accepted=[1.0, 2.0], accepted_gap=[0.0, 3.0], dropped=[0.0, 2.0])
+    positions = Positions(
+        [0.1] * 2, accepted=[1.0, 2.0], accepted_gap=[0.0, 3.0], dropped=[0.0, 2.0]
+    )
     positions.screen([NAN, NAN])
     assert (positions.get("accepted"), positions.get("accepted_gap")) == ([1.0, 2.0], [1.0, 4.0])
     assert positions.get("dropped") == [0.0, 2.0]
@@ -193,7 +225,15 @@ def test_tick_without_measurements_changes_nothing():
 
 def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
     positions, dropped = Positions([0.125] * 2, accepted=[0.0, 0.0]), []
-    for both in [(1.0, 0.0), (NAN, 0.0), (1.0, NAN), (NAN, 0.0), (0.1, NAN), (1.5, 2.0), (0.1, 0.0)]:
+    for both in [
+        (1.0, 0.0),
+        (NAN, 0.0),
+        (1.0, NAN),
+        (NAN, 0.0),
+        (0.1, NAN),
+        (1.5, 2.0),
+        (0.1, 0.0),
+    ]:
         positions.screen(list(both))
         dropped.append(positions.get("dropped"))
     assert [int(a) for a, _ in dropped] == [1, 1, 2, 2, 0, 1, 0]
@@ -224,7 +264,9 @@ def test_a_missing_reading_after_skipped_ticks_increases_the_allowed_step():
     assert positions.get("accepted_gap") == [5.0]
 
 
-def add_reading(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[int, float, float]:
+def add_reading(
+    monitor: Monitor, value: float, goal: float, tension: float
+) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
     Return the number of ticks without a change of the reading, and the motion of target and tension
@@ -233,7 +275,10 @@ def add_reading(monitor: Monitor, value: float, goal: float, tension: float) -> 
     rows: Rows = {"measured_position": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
-    away = [call_interpreted(stuck.motion_since_reading, *pair) for pair in zip((goal, tension), anchor, strict=True)]
+    away = [
+        call_interpreted(stuck.motion_since_reading, *pair)
+        for pair in zip((goal, tension), anchor, strict=True)
+    ]
     return int(monitor.view("motor_stuck")[0]), *away
 
 
@@ -243,7 +288,9 @@ def ticks_and_motion(values, witnesses):
     The correlated signals of a reading are its target and its tension.
     """
     monitor = Monitor(synthetic_limits(1), residual_fraction=0.0)
-    return monitor, [add_reading(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)]
+    return monitor, [
+        add_reading(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)
+    ]
 
 
 def test_constant_reading_counts_while_its_references_move():
@@ -284,14 +331,23 @@ def test_goal_jump_moves_the_reference_of_the_stuck_test():
         "motor_value": 0.5, "excursion": [0.0, 11e-3, 2.3e-3], "q_goal": [0.0, 11e-3 / 0.02, 2.3e-3 / 0.02],
     }  # fmt: skip
     monitor.remember(rows)
-    np.testing.assert_allclose(monitor.view("motor_anchor"), [[1.0, 2.010, 3.0], [4.0, 5.0, 6.0]], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        monitor.view("motor_anchor"), [[1.0, 2.010, 3.0], [4.0, 5.0, 6.0]], rtol=0, atol=1e-12
+    )
     assert monitor.get("followed") == rows["excursion"]
     assert (monitor.get("motor_value"), monitor.get("motor_stuck")) == ([0.5] * 3, [7, 8, 9])
 
 
 def test_no_history_is_known_at_first():
     monitor = Monitor(synthetic_limits(2))
-    for name in ("motor_anchor", "cell_anchor", "joint_anchor", "motor_value", "cell_value", "joint_value"):
+    for name in (
+        "motor_anchor",
+        "cell_anchor",
+        "joint_anchor",
+        "motor_value",
+        "cell_value",
+        "joint_value",
+    ):
         assert np.isnan(monitor.view(name)).all()
     for name in ("motor_stuck", "cell_stuck", "joint_stuck"):
         assert monitor.get(name) == [0, 0]

@@ -36,7 +36,9 @@ def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
     monitor = Monitor(synthetic_limits(rows.shape[1]))
     for k, row in enumerate(rows):
         if found := monitor.tick(measured_tension=row).get("T05b"):
-            return k, [(monitor.limits.tendons.index(name), int(age)) for name, age in found.items()]
+            return k, [
+                (monitor.limits.tendons.index(name), int(age)) for name, age in found.items()
+            ]
     return -1, []
 
 
@@ -58,7 +60,9 @@ def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise: float) 
     assert first_found(readings(seed, 20_000 if NIGHTLY else 3_000, noise)) == (-1, [])
 
 
-@pytest.mark.parametrize("cycle", [[3.0], [3.0, 2.9375], [2.9375, 3.0, 3.0], [3.0, 3.0625, 3.0, 2.9375, 3.0]])
+@pytest.mark.parametrize(
+    "cycle", [[3.0], [3.0, 2.9375], [2.9375, 3.0, 3.0], [3.0, 3.0625, 3.0, 2.9375, 3.0]]
+)
 def test_limit_cycle_of_a_few_counts_is_no_repetition(cycle: list[float]) -> None:
     """A tension loop with coarse load cells has a limit cycle without noise.
 
@@ -98,7 +102,12 @@ def test_a_swing_of_twenty_newtons_is_found_in_a_third_of_a_second(rate: float, 
 @pytest.mark.parametrize("rate", [100.0, 500.0])
 def test_step_and_small_swing_are_no_oscillation(rate: float) -> None:
     t = np.arange(0.0, 2.0, 1.0 / rate)
-    assert first_oscillation(75.0 * np.clip(1.0 - t / 0.015, 0.0, 1.0) + 75.0 * np.exp(-t / 0.03), 1.0 / rate)[0] < 0.0
+    assert (
+        first_oscillation(
+            75.0 * np.clip(1.0 - t / 0.015, 0.0, 1.0) + 75.0 * np.exp(-t / 0.03), 1.0 / rate
+        )[0]
+        < 0.0
+    )
     assert first_oscillation(9.0 * np.sin(2.0 * math.pi * 20.0 * t), 1.0 / rate)[0] < 0.0
     assert first_oscillation(60.0 * np.sin(2.0 * math.pi * 0.5 * t), 1.0 / rate)[0] < 0.0, "slow"
     assert first_oscillation(np.full(len(t), np.nan), 1.0 / rate)[0] < 0.0
@@ -118,7 +127,9 @@ def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, see
     with homed_run(hand, default_rate(hand), seed) as course:
         advance_to(course, GRASP_STAGE)
         which = seed % 4
-        course.peer.inject(fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name))
+        course.peer.inject(
+            fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name)
+        )
         assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), seconds)
         assert {mark.id for mark in course.state.latched} <= rows
         assert course.peer.fault_states()[0]["felt"]

@@ -13,7 +13,10 @@ def test_bus_events_become_faults() -> None:
     assert found(("bus_on", "can0", 1.0)) == []
     two = (("enodev", "can0", 1.0), ("other", "x", 2.0), ("ebadf", "can1", 3.0))
     assert found(*two) == [("B16", "can0", 1.0), ("B16", "can1", 3.0)]
-    assert found(("error_passive", "can0", 1.0)) == [("B13a", "can0", 1.0), ("B13b", "can0", 1.0)], "two stages"
+    assert found(("error_passive", "can0", 1.0)) == [
+        ("B13a", "can0", 1.0),
+        ("B13b", "can0", 1.0),
+    ], "two stages"
     assert found() == []
 
 
@@ -24,9 +27,14 @@ def test_recorder_events_become_faults() -> None:
 
 
 def test_only_missing_acknowledges_mean_alone_on_the_bus() -> None:
-    unheard, other = ("error_frame", "can0 no acknowledge", 3.0), ("error_frame", "can0 overload", 2.0)
+    unheard, other = (
+        ("error_frame", "can0 no acknowledge", 3.0),
+        ("error_frame", "can0 overload", 2.0),
+    )
     found = locate_reports(filter_error_frames([other, unheard, unheard], heard=False))
-    assert [(fault.id, name, value) for fault, name, value in found] == [("B18", "can0 no acknowledge", 3.0)]
+    assert [(fault.id, name, value) for fault, name, value in found] == [
+        ("B18", "can0 no acknowledge", 3.0)
+    ]
     other_kind = filter_error_frames([other, ("enobufs", "protocol", 1.0)], heard=False)
     assert [fault.id for fault, _, _ in locate_reports(other_kind)] == ["B15"]
     assert locate_reports(filter_error_frames([unheard], heard=True)) == []
@@ -37,6 +45,11 @@ def test_missing_acknowledges_are_reported_only_until_a_node_has_answered() -> N
     unheard = ("error_frame", "can0 no acknowledge", 3.0)
     for word in ("no acknowledge", "bus error", "protocol"):
         one = ("error_frame", f"can0 {word}", 1.0)
-        assert filter_error_frames([one, ("enobufs", "can0", 1.0), one], heard=False) == [("enobufs", "can0", 1.0), one]
-    assert filter_error_frames([unheard, ("enobufs", "can0", 1.0)], heard=True) == [("enobufs", "can0", 1.0)]
+        assert filter_error_frames([one, ("enobufs", "can0", 1.0), one], heard=False) == [
+            ("enobufs", "can0", 1.0),
+            one,
+        ]
+    assert filter_error_frames([unheard, ("enobufs", "can0", 1.0)], heard=True) == [
+        ("enobufs", "can0", 1.0)
+    ]
     assert filter_error_frames([("error_frame", "can0 overload", 2.0)], heard=False) == []

@@ -33,10 +33,14 @@ class Rotor(Monitor):
     """One motor and its tendon, with residuals that start at zero."""
 
     def __init__(self, **rows: Any) -> None:
-        super().__init__(synthetic_limits(1), motor_mass=MASS, motor_damping=DAMPING, coulomb=COULOMB)
+        super().__init__(
+            synthetic_limits(1), motor_mass=MASS, motor_damping=DAMPING, coulomb=COULOMB
+        )
         self.set({"residual": 0.0, **rows})
 
-    def step(self, tension: float, force: float, speed: float = 0.0, asked: float | None = None) -> None:
+    def step(
+        self, tension: float, force: float, speed: float = 0.0, asked: float | None = None
+    ) -> None:
         """Run one tick with a measured tension, a reported motor force, a speed, and a commanded force."""
         commanded = force if asked is None else asked
         self.tick(speed=speed, measured_tension=tension, measured_force=force, asked=commanded)
@@ -48,7 +52,9 @@ class Rotor(Monitor):
     @property
     def unexplained(self) -> float:
         """Return the part of the tension that motor, inertia, friction and tolerances do not explain [N]."""
-        return float(call_interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0))
+        return float(
+            call_interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0)
+        )
 
     @property
     def friction(self) -> float:
@@ -125,7 +131,9 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
         return a * np.sin(w * t)
 
     def force(t):
-        return 20.0 + 5.2 * a * w * np.cos(w * t) + 40.0 * speed(t) + 11.0 * np.tanh(speed(t) / 1e-3)
+        return (
+            20.0 + 5.2 * a * w * np.cos(w * t) + 40.0 * speed(t) + 11.0 * np.tanh(speed(t) / 1e-3)
+        )
 
     moving = residuals_after(15.0, lambda t: 20.0, force, speed)
     assert moving.friction > 3.0
@@ -146,7 +154,12 @@ def test_missing_torque_is_detected():
 
 def test_noise_causes_no_fault_in_ten_thousand_hours():
     """The filtered noise of a hand at rest stays below all warning limits, even with load cells of triple noise."""
-    left = np.array([residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).low(BALANCE) for _ in range(40)])
+    left = np.array(
+        [
+            residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).low(BALANCE)
+            for _ in range(40)
+        ]
+    )
     chance = 1.0 / (10_000.0 * 3600.0 / T)
     rare = NormalDist(sigma=float(left.std())).inv_cdf(1.0 - chance / 2.0)
     assert 0.5 < rare < 1.5, "the noise was felt"
@@ -192,7 +205,9 @@ def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
         monitor = Monitor(synthetic_limits(1), residual_fraction=0.0)
         monitor.tick(wanted=24.0)
         for _ in range(ticks):
-            found = monitor.tick(residual={TENSION: 0.0}, wanted=24.0, measured_tension=cell, speed=speed)
+            found = monitor.tick(
+                residual={TENSION: 0.0}, wanted=24.0, measured_tension=cell, speed=speed
+            )
         return found.get("T01", {})
 
     assert after(1) == {"t0": 0.05}
@@ -220,7 +235,8 @@ def test_the_residual_filter_takes_the_exact_share_per_tick(speed):
 
 
 @pytest.mark.parametrize(
-    ("speed", "counts"), [(FULL_FRICTION_SPEED, False), (np.nextafter(FULL_FRICTION_SPEED, 1.0), True)]
+    ("speed", "counts"),
+    [(FULL_FRICTION_SPEED, False), (np.nextafter(FULL_FRICTION_SPEED, 1.0), True)],
 )
 def test_friction_is_judged_above_the_speed_of_full_friction(speed, counts):
     rotor = Rotor(last_speed=speed)

@@ -44,9 +44,13 @@ def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:
 def test_a_finding_has_its_measured_value() -> None:
     _, verdicts = check_ticks(io("bus_off", number=7))
     assert [finding.value for verdict in verdicts for finding in verdict.findings] == [7.0]
-    assert readings("N15", TickInput({"lost": {(0, 0): 0b1010101010101}})) == [("m0", 0.5)], "half of its answers"
+    assert readings("N15", TickInput({"lost": {(0, 0): 0b1010101010101}})) == [("m0", 0.5)], (
+        "half of its answers"
+    )
     reports = second_controller_reports(["0x123"])
-    assert [(f.id, name, value) for f, name, value in locate_reports(reports)] == [("H13", "0x123", 1.0)]
+    assert [(f.id, name, value) for f, name, value in locate_reports(reports)] == [
+        ("H13", "0x123", 1.0)
+    ]
 
 
 def test_no_replies_are_expected_in_ticks_missed_by_the_host() -> None:
@@ -64,7 +68,9 @@ def test_a_node_without_reply_is_reported_after_the_stated_number_of_ticks() -> 
 
 def test_losses_of_a_hundred_ticks_are_reported_with_their_number() -> None:
     assert readings("B03a", lost(m1=21)) == [("m1", 21.0)]
-    assert readings("B03b", merge_inputs(lost(m1=20), TickInput({"lost": {(1, 1): (1 << 21) - 1}}))) == [("m1", 41.0)]
+    assert readings(
+        "B03b", merge_inputs(lost(m1=20), TickInput({"lost": {(1, 1): (1 << 21) - 1}}))
+    ) == [("m1", 41.0)]
 
 
 def test_a_tension_at_the_rail_is_a_load_cell_fault_and_below_it_a_tendon_fault() -> None:

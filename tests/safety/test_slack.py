@@ -165,7 +165,9 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, foun
     reported = tendons.cut([0.0, now])
     if math.isnan(before):
         assert tendons.get("cut_from") == [0.0, 30.0]
-        assert reported == {"t1": now}, "a reading of 100 ms after the cut is one of a tendon that is pulled"
+        assert reported == {"t1": now}, (
+            "a reading of 100 ms after the cut is one of a tendon that is pulled"
+        )
     else:
         assert reported == ({"t1": now} if found else {})
 

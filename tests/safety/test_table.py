@@ -40,7 +40,9 @@ from tests.safety.monitor import Monitor, call_interpreted
 SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 
 
-def check_ticks(*ticks: TickInput, monitor: Monitor | None = None) -> tuple[Monitor, list[TickVerdict]]:
+def check_ticks(
+    *ticks: TickInput, monitor: Monitor | None = None
+) -> tuple[Monitor, list[TickVerdict]]:
     """Judge several ticks one after the other, and return the monitor and the verdicts."""
     monitor = monitor or rested_monitor()
     return monitor, [monitor.judge(show(monitor, shown), shown.reports) for shown in ticks]
@@ -59,7 +61,9 @@ def check_fault_alone(
         found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
         present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
         present += [one.ticks for one in verdict.reported_faults if one.id == id_]
-        counts = max(present, default=0) >= FAULT_BY_ID[id_].debounce or id_ in {mark.id for mark in verdict.latched}
+        counts = max(present, default=0) >= FAULT_BY_ID[id_].debounce or id_ in {
+            mark.id for mark in verdict.latched
+        }
         actions.append(FAULT_BY_ID[id_].action if counts else Action.PASS)
         assert verdict.action >= actions[-1], "the largest wins"
         reported += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == id_]
@@ -160,22 +164,48 @@ def test_each_row_is_one_line_for_the_operator() -> None:
         assert fault.action < Action.RELAX or fault.latched, "only a person ends a relax or a cut"
 
 
-DOUBT_THE_LOOP = {"N04", "N05b", "N06b", "N12", "N13", "N14", "N14b", "N17", "T04b", "T05b", "B06", "H13"}
+DOUBT_THE_LOOP = {
+    "N04",
+    "N05b",
+    "N06b",
+    "N12",
+    "N13",
+    "N14",
+    "N14b",
+    "N17",
+    "T04b",
+    "T05b",
+    "B06",
+    "H13",
+}
 """Faults that cast doubt on the tension loop. Its measurements may be wrong, or a drive may not obey it."""
 
 
 def test_faults_of_the_tension_loop_relax_without_it() -> None:
     relaxing = {one.id: one.relax_method for one in FAULT_TABLE if one.action >= Action.RELAX}
-    assert {one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP} == DOUBT_THE_LOOP
-    assert {one for one, release in relaxing.items() if release is RelaxMethod.FAST_LOOP} == {"T03", "T06"}
+    assert {
+        one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP
+    } == DOUBT_THE_LOOP
+    assert {one for one, release in relaxing.items() if release is RelaxMethod.FAST_LOOP} == {
+        "T03",
+        "T06",
+    }
 
 
 def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
-    rows = [line.split("|") for line in SAFETY_PAGE.read_text().splitlines() if line.startswith("| RELAX ")]
+    rows = [
+        line.split("|")
+        for line in SAFETY_PAGE.read_text().splitlines()
+        if line.startswith("| RELAX ")
+    ]
     listed = {row[1].strip(): set(re.findall(r"[A-Z]\d\d[a-c]?", row[3])) for row in rows}
     for release in (RelaxMethod.FAST_LOOP, RelaxMethod.OPEN_LOOP):
         # A fault that cuts the torque does not relax.
-        relaxing = {one.id for one in FAULT_TABLE if one.relax_method is release and one.action is Action.RELAX}
+        relaxing = {
+            one.id
+            for one in FAULT_TABLE
+            if one.relax_method is release and one.action is Action.RELAX
+        }
         assert listed[release.value] == relaxing
 
 
@@ -188,7 +218,9 @@ def test_a_fault_is_either_found_or_reported() -> None:
         assert bool(fault.per) != bool(fault.reports), fault.id
         assert [kind for one, kind in DETECTOR_ROWS if one is fault] == list(fault.per)
         assert fault.name or "hand" not in fault.per
-    assert len(DETECTOR_ROWS) <= len(rested_monitor().view("fault_ticks")), "there is room for how long each is present"
+    assert len(DETECTOR_ROWS) <= len(rested_monitor().view("fault_ticks")), (
+        "there is room for how long each is present"
+    )
     assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE_TICKS.tolist()
     assert [fault.action for fault, _ in DETECTOR_ROWS] == ACTION_NUMBERS.tolist()
     assert {fault.id for ones in FAULTS_BY_EVENT_KIND.values() for fault in ones} == {
@@ -215,7 +247,9 @@ def trace(id_: str) -> list[tuple[Action, int]]:
         monitor.tick(rows)
         monitor.set({"fault_ticks": before})
         monitor.found[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = math.nan
-        demanded = call_interpreted(compiled_judge.debounce_faults, monitor.state_tables, monitor.found)
+        demanded = call_interpreted(
+            compiled_judge.debounce_faults, monitor.state_tables, monitor.found
+        )
         reports = shown.reports if judgement.FAULT_BY_ID[id_].reports else ()
         verdict = monitor.conclude(demanded, reports)
         seen.append((verdict.action, len(verdict.findings)))
@@ -227,7 +261,9 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """Return a function that replaces the declaration of a fault by a changed one."""
 
     def declare(other: Fault) -> None:
-        found = tuple((other if fault.id == other.id else fault, kind) for fault, kind in DETECTOR_ROWS)
+        found = tuple(
+            (other if fault.id == other.id else fault, kind) for fault, kind in DETECTOR_ROWS
+        )
         monkeypatch.setattr(judgement, "DETECTOR_ROWS", found)
         monkeypatch.setattr(judgement, "FAULT_BY_ID", FAULT_BY_ID | {other.id: other})
         monkeypatch.setattr(judgement, "FAULTS_BY_EVENT_KIND", {
@@ -250,11 +286,18 @@ def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
     other = ENDED_BY_ITSELF if fault.latched else ENDED_BY_OPERATOR
     changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]
     changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
-    changed += [replace(fault, action=Action(fault.action + step)) for step in (-1, 1) if 0 <= fault.action + step <= 4]
+    changed += [
+        replace(fault, action=Action(fault.action + step))
+        for step in (-1, 1)
+        if 0 <= fault.action + step <= 4
+    ]
     declare_changed(fault)
     right = trace(id_)
     for mutant in changed:
-        if (mutant.action, mutant.latched) == (Action.PASS, True) or fault.action == mutant.action == Action.PASS:
+        if (mutant.action, mutant.latched) == (
+            Action.PASS,
+            True,
+        ) or fault.action == mutant.action == Action.PASS:
             continue  # a latched fault without an action has no effect
         declare_changed(mutant)
         assert trace(id_) != right, mutant

@@ -22,7 +22,15 @@ from handctl.core.detectors.residuals import (
     TIME_CONSTANTS_S,
 )
 from handctl.core.types import Mode
-from tests.safety.monitor import NOW_NS, PERIOD_NS, SPOOL_M, Monitor, T, call_interpreted, synthetic_limits
+from tests.safety.monitor import (
+    NOW_NS,
+    PERIOD_NS,
+    SPOOL_M,
+    Monitor,
+    T,
+    call_interpreted,
+    synthetic_limits,
+)
 
 N = np.nan
 LIMITS = replace(
@@ -56,7 +64,15 @@ def resting_tick(**given: Any) -> dict[str, Any]:
 
     A single number is for both tendons.
     """
-    facts = {"tension": 20.0, "travel": 0.0, "speed": 0.0, "force": 20.0, "excursion": N, "joints": N, "read": False}
+    facts = {
+        "tension": 20.0,
+        "travel": 0.0,
+        "speed": 0.0,
+        "force": 20.0,
+        "excursion": N,
+        "joints": N,
+        "read": False,
+    }
     facts |= given
     # Travel and position come from the same encoder. The travel is the position times the radius of
     # the spool.
@@ -78,7 +94,9 @@ def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Mo
     """
     monitor, found = monitor or monitor_at_20_newton(), {}
     for k in range(number):
-        found = monitor.tick(resting_tick(**{name: v(k) if callable(v) else v for name, v in given.items()}))
+        found = monitor.tick(
+            resting_tick(**{name: v(k) if callable(v) else v for name, v in given.items()})
+        )
     return monitor, found
 
 
@@ -138,11 +156,16 @@ def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut()
 
 def unexplained(monitor: Monitor) -> list[float]:
     return [
-        call_interpreted(residuals.unexplained_tension, monitor.state_tables, monitor.hand_tables, n) for n in (0, 1)
+        call_interpreted(
+            residuals.unexplained_tension, monitor.state_tables, monitor.hand_tables, n
+        )
+        for n in (0, 1)
     ]
 
 
-@pytest.mark.parametrize(("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)])
+@pytest.mark.parametrize(
+    ("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)]
+)
 def test_lasting_residual_is_a_fault(tension, residual):
     """Friction explains 3 N of the residual. The tolerance of the torque constant explains a tenth of 20 N."""
     monitor, found = ticks(1200, tension=tension)
@@ -174,7 +197,10 @@ def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
 
 def test_a_noisy_encoder_is_detected():
     """An encoder whose position alternates by d in each tick has a mean squared second difference of 16 d^2."""
-    for size, expected in ((2.4e-3, {}), (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02)))):
+    for size, expected in (
+        (2.4e-3, {}),
+        (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02))),
+    ):
         _, found = ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
         assert found.get("N07", {}) == expected
 
@@ -232,7 +258,11 @@ def run_sparse_joints(number: int, monitor: Monitor, **given: Any) -> list[Evide
     """Run ticks of a hand whose joints are read in every fourth tick, and return the findings of each tick."""
     reported = []
     for k in range(number):
-        read = {"read": True} | given if k % EVERY == 0 else {n: v for n, v in given.items() if n == "travel"}
+        read = (
+            {"read": True} | given
+            if k % EVERY == 0
+            else {n: v for n, v in given.items() if n == "travel"}
+        )
         reported.append(monitor.tick(resting_tick(**read)))
     return reported
 
@@ -245,7 +275,9 @@ def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
     assert [k for k, found in enumerate(reported) if "T08" in found] == [8]
     assert reported[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
     reported = run_sparse_joints(8, monitor, **off)
-    assert [k for k, found in enumerate(reported) if "T08" in found] == [0, 4], "in ticks in which joints are read"
+    assert [k for k, found in enumerate(reported) if "T08" in found] == [0, 4], (
+        "in ticks in which joints are read"
+    )
 
 
 def test_good_reading_restarts_the_count_of_derailed_readings():
@@ -264,20 +296,30 @@ def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
         ticks(100, monitor, excursion=0.0, read=True)
         begun = None
         for k in range(400):
-            read = {"excursion": [-0.02 * np.radians(3.5), 0.0], "read": True} if k % every == 0 else {}
+            read = (
+                {"excursion": [-0.02 * np.radians(3.5), 0.0], "read": True}
+                if k % every == 0
+                else {}
+            )
             found = monitor.tick(resting_tick(**read))
             begun = k * T if begun is None and "N06a" in found else begun
         assert begun == pytest.approx(0.584, abs=0.01)
 
 
 def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
-    monitor = monitor_at_20_newton(make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T))
+    monitor = monitor_at_20_newton(
+        make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T)
+    )
     run_sparse_joints(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
     run_sparse_joints(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
-    reported = run_sparse_joints(56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3)
+    reported = run_sparse_joints(
+        56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3
+    )
     joint = [k for k, found in enumerate(reported) if "ja" in found.get("N04", {})]
     assert joint[0] == 48, "100 ms are 12.5 readings after one"
-    monitor = monitor_after_motion(make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T))
+    monitor = monitor_after_motion(
+        make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T)
+    )
     monitor.set({"followed": [0.51e-3, 0.0]})
     first = None
     for k in range(60):
@@ -288,7 +330,9 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
 
 def monitor_after_motion(monitor: Monitor | None = None, **given: Any) -> Monitor:
     """Return the monitor of a hand whose filters have settled and whose motors moved in the last tick."""
-    return ticks(1, ticks(150, monitor_at_20_newton(monitor), **given)[0], **{"travel": 1e-5} | given)[0]
+    return ticks(
+        1, ticks(150, monitor_at_20_newton(monitor), **given)[0], **{"travel": 1e-5} | given
+    )[0]
 
 
 @pytest.mark.parametrize(("number", "goal", "is_reported"), [
@@ -304,7 +348,9 @@ def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, is_r
 
 def test_constant_motor_reading_is_stuck_while_the_tension_changes():
     for tension, expected in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
-        _, found = ticks(200, monitor_after_motion(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension])
+        _, found = ticks(
+            200, monitor_after_motion(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension]
+        )
         assert list(found.get("N04", {})) == expected
 
 
@@ -329,7 +375,9 @@ def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
         return [name for name in found.get("N04", {}) if name[0] == "j"]
 
     slack = {"tension": 0.5, "force": 0.5}
-    monitor, reported = ticks(200, None, **slack, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints)
+    monitor, reported = ticks(
+        200, None, **slack, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints
+    )
     assert stuck(reported) == []
     _, reported = ticks(200, monitor, travel=[3.0 * turn, 0.0], **joints)
     assert stuck(reported) == [], "that it has become taut moves nothing"
@@ -342,7 +390,9 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, e
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
     monitor, _ = ticks(200, None, tension=2.6, force=2.6, **joints)
     ticks(200, monitor, tension=tension, force=tension, **joints)
-    _, found = ticks(60, monitor, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints)
+    _, found = ticks(
+        60, monitor, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints
+    )
     assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected
 
 

@@ -31,7 +31,10 @@ def monitor() -> Monitor:
 
 def turned(monitor: Monitor, **given: Any) -> list[float]:
     monitor.set(resting_tick(**given) | {"bears": 1})
-    return [call_interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j) for j in (0, 1)]
+    return [
+        call_interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j)
+        for j in (0, 1)
+    ]
 
 
 def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None:
@@ -40,13 +43,17 @@ def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: Monitor) -> None
     wound = turned(monitor, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ)
     np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
     monitor.set({"bears": [0, 1]})
-    angle = call_interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, 0)
+    angle = call_interpreted(
+        stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, 0
+    )
     assert math.isnan(angle), "it says nothing"
 
 
 @pytest.mark.parametrize(("tension", "taut"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),
                                                (TAUT_N + 1e-9, 1.0 + T)])  # fmt: skip
-def test_the_taut_time_does_not_change_between_slack_and_taut(monitor: Monitor, tension: float, taut: float) -> None:
+def test_the_taut_time_does_not_change_between_slack_and_taut(
+    monitor: Monitor, tension: float, taut: float
+) -> None:
     monitor.tick(resting_tick(tension=tension, **READ), taut_s=1.0)
     assert monitor.get("taut_s") == [taut, taut]
 
@@ -61,7 +68,9 @@ def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(monitor:
         assert slipped[1] == pytest.approx((-2.2 / SOFT - 1e-3) / 0.01 * DEG_PER_RAD)
 
 
-def stuck_names(monitor: Monitor, before: int, value: float, away: dict[str, list[float]]) -> dict[str, list[str]]:
+def stuck_names(
+    monitor: Monitor, before: int, value: float, away: dict[str, list[float]]
+) -> dict[str, list[str]]:
     """Return the names of the stuck sensors after one more equal reading.
 
     ``away`` is the motion of the signals that are correlated with their readings.
@@ -93,11 +102,15 @@ def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(monitor: Mo
     assert stuck_names(monitor, long - 1, 20.0, beyond) == all_names | {"motor": [], "joint": []}
 
 
-def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(monitor: Monitor) -> None:
+def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(
+    monitor: Monitor,
+) -> None:
     pushed = {"pushed": [9.0, 9.0]}
     assert stuck_names(monitor, CELL_TICKS - 1, 20.0, pushed)["cell"] == ["a", "b"]
     assert stuck_names(monitor, CELL_TICKS - 2, 20.0, pushed)["cell"] == []
-    assert stuck_names(monitor, CELL_TICKS - 1, TAUT_N, pushed)["cell"] == [], "a slack tendon's cell may rest"
+    assert stuck_names(monitor, CELL_TICKS - 1, TAUT_N, pushed)["cell"] == [], (
+        "a slack tendon's cell may rest"
+    )
 
 
 def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:

@@ -32,11 +32,15 @@ def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
     text = load_hand(hand).to_toml()
     assert THUMB in text
     path = folder / f"{hand}-{thumb_mm}.toml"
-    path.write_text(text.replace(THUMB, f"mount_position_m = [0.0, {thumb_mm / 1e3 - 0.025:.3f}, 0.0]"))
+    path.write_text(
+        text.replace(THUMB, f"mount_position_m = [0.0, {thumb_mm / 1e3 - 0.025:.3f}, 0.0]")
+    )
     return str(path)
 
 
-def identify_touching_finger(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, TendonResult]:
+def identify_touching_finger(
+    hand: str, thumb_mm: int, seed: int, folder: Path
+) -> dict[str, TendonResult]:
     """Return the identification results of a middle finger that touches the thumb in its sweeps."""
     path = with_near_thumb(hand, thumb_mm, folder)
     found, row = excite_and_fit(path, "middle", seed, {"spring": SPRING}, Gains(), folder)
@@ -51,7 +55,9 @@ UNDISTURBED = [(hand, seed) for seed in range(20) for hand in ("jamia", "jamia11
 UNDISTURBED_SAMPLE = {("jamia", 5)}
 
 
-@pytest.mark.parametrize(("hand", "thumb_mm", "seed"), [one for one in NEAR_THUMBS if NIGHTLY or one in SAMPLE])
+@pytest.mark.parametrize(
+    ("hand", "thumb_mm", "seed"), [one for one in NEAR_THUMBS if NIGHTLY or one in SAMPLE]
+)
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
 ) -> None:
@@ -60,18 +66,31 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     for one in found.values():
         assert one.contact or one.blocked
         assert not set(one.names) & set(SWEEP_PARAMETERS)
-    real = truth(load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0))
+    real = truth(
+        load_hand(hand), next(iter(found)), draw_plant(0) | dict.fromkeys(draw_plant(0), 1.0)
+    )
     for one in found.values():  # others stay correct
-        for name in set(one.names) & {"torque_gain", "motor_inertia", "motor_coulomb", "tendon_stiffness"}:
+        for name in set(one.names) & {
+            "torque_gain",
+            "motor_inertia",
+            "motor_coulomb",
+            "tendon_stiffness",
+        }:
             assert abs(one.fit.values[name] - real[name]) < 2.0 * one.fit.half_widths[name], name
 
 
-@pytest.mark.parametrize(("hand", "seed"), [one for one in UNDISTURBED if NIGHTLY or one in UNDISTURBED_SAMPLE])
-def test_parameters_of_a_digit_without_contact_are_kept(tmp_path: Path, hand: str, seed: int) -> None:
+@pytest.mark.parametrize(
+    ("hand", "seed"), [one for one in UNDISTURBED if NIGHTLY or one in UNDISTURBED_SAMPLE]
+)
+def test_parameters_of_a_digit_without_contact_are_kept(
+    tmp_path: Path, hand: str, seed: int
+) -> None:
     """No contact is reported for simulated hands whose parameters differ by up to 30 % from the file."""
     found, row = excite_and_fit(hand, DIGITS[seed % 4], seed, draw_plant(seed), Gains(), tmp_path)
     assert "failure" not in row
-    assert [(one.contact, one.blocked) for one in found.values() if one.contact or one.blocked] == []
+    assert [
+        (one.contact, one.blocked) for one in found.values() if one.contact or one.blocked
+    ] == []
 
 
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
@@ -79,7 +98,9 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 
     The fit reports no contact all the same.
     """
-    found, row = excite_and_fit("jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path)
+    found, row = excite_and_fit(
+        "jamia", "index", 8, draw_plant(8), draw_gains(Gains(), 8), tmp_path
+    )
     assert "failure" not in row
     one = found["index_tendon"]
     assert (one.contact, one.blocked) == ("", "")
@@ -100,7 +121,9 @@ def unexplained_ramp_of_line(seed: int, kink: float, begin: float = 0.3) -> Resi
 
 
 def test_noise_without_contact_has_no_kink() -> None:
-    scores = [abs(found.score) for seed in range(1000) if (found := unexplained_ramp_of_line(seed, 0.0))]
+    scores = [
+        abs(found.score) for seed in range(1000) if (found := unexplained_ramp_of_line(seed, 0.0))
+    ]
     assert max(scores) < CONTACT_SCORE
     assert np.mean(np.array(scores) < CLEAR_SCORE) > 0.97
 

@@ -46,8 +46,12 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     """The margins of a tendon limit only the force weight of this tendon, not those of other tendons."""
     hand = load_hand("t42")
     left, right = hand.digit
-    heavy = left.model_copy(update={"link_mass_kg": tuple(20.0 * mass for mass in left.link_mass_kg)})
-    model = HandModel.of(hand.model_copy(update={"digit": (heavy, right)}), packaged_gains("t42"), 500.0)
+    heavy = left.model_copy(
+        update={"link_mass_kg": tuple(20.0 * mass for mass in left.link_mass_kg)}
+    )
+    model = HandModel.of(
+        hand.model_copy(update={"digit": (heavy, right)}), packaged_gains("t42"), 500.0
+    )
     plants = (PlantFactors(),)
     both = design_gains(HandModel.of(hand, packaged_gains("t42"), 500.0), plants)
     assert both.gains.tendon == ()
@@ -59,9 +63,13 @@ def test_a_heavy_digit_does_not_make_a_light_one_slow() -> None:
     assert found.gains.motion.force_N < 0.5 * both.gains.motion.force_N
     # Without separate force weights, both tendons would have the weight of the heavy digit.
     shared = found.gains.model_copy(update={"tendon": ()})
-    assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * found_stiffness(model, found.gains)
+    assert model_with_gains(model, shared).motion.stiffness[1] < 0.6 * found_stiffness(
+        model, found.gains
+    )
     same = model_with_gains(model, found.as_weights())
-    assert np.allclose(same.motion.stiffness, model_with_gains(model, found.gains).motion.stiffness, rtol=1e-6)
+    assert np.allclose(
+        same.motion.stiffness, model_with_gains(model, found.gains).motion.stiffness, rtol=1e-6
+    )
 
 
 def found_stiffness(model: HandModel, gains: Gains) -> float:
@@ -79,11 +87,17 @@ def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel
     assert not found.worst_before.are_sufficient
     assert keeps_required_margins(model_with_gains(jamia, found.gains), plants)
     bolder = found.gains.model_copy(
-        update={"tension": found.gains.tension.model_copy(update={"force_N": 1.3 * found.gains.tension.force_N})}
+        update={
+            "tension": found.gains.tension.model_copy(
+                update={"force_N": 1.3 * found.gains.tension.force_N}
+            )
+        }
     )
     assert not keeps_required_margins(model_with_gains(jamia, bolder), plants)
     same = model_with_gains(jamia, found.as_weights())
-    assert np.allclose(same.motion.stiffness, model_with_gains(jamia, found.gains).motion.stiffness, rtol=1e-6)
+    assert np.allclose(
+        same.motion.stiffness, model_with_gains(jamia, found.gains).motion.stiffness, rtol=1e-6
+    )
 
 
 def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
@@ -142,7 +156,10 @@ def identification_of_tendon(stiffness: float, half: float) -> IdentifiedParamet
 
 def test_an_uncertain_identification_widens_the_ensemble_to_its_intervals() -> None:
     spread = ensemble_widths(
-        {"index_tendon": identification_of_tendon(5e4, 1.5e4), "thumb_tendon": identification_of_tendon(5e4, 2e4)}
+        {
+            "index_tendon": identification_of_tendon(5e4, 1.5e4),
+            "thumb_tendon": identification_of_tendon(5e4, 2e4),
+        }
     )
     assert spread == {"stiffness": pytest.approx(0.4)}
     drawn = [one["stiffness"] for one in draw_ensemble(65, 0, spread)]

@@ -26,7 +26,9 @@ def present(store: GainsStore) -> float:
 
 
 def test_a_file_reads_back_with_its_provenance(tmp_path: Path) -> None:
-    provenance = GainsProvenance(log=("a.mcap", "b.mcap"), fit="c.toml", study="s", note="käse", number=3, restores=0)
+    provenance = GainsProvenance(
+        log=("a.mcap", "b.mcap"), fit="c.toml", study="s", note="käse", number=3, restores=0
+    )
     path = tmp_path / "g.toml"
     path.write_text(gains_text(force(31.0), provenance))
     assert load_gains_file(path).provenance == provenance
@@ -94,7 +96,10 @@ def test_a_damaged_file_is_set_aside_and_not_lost(store: GainsStore) -> None:
         assert aside is not None
         renamed.append((aside.name, aside.read_text()))
         assert store.rollback(to=1).gains == force(21.0)
-    assert renamed == [("jamia.gains.damaged.toml", "schema = ["), ("jamia.gains.damaged1.toml", "nonsense = 1")]
+    assert renamed == [
+        ("jamia.gains.damaged.toml", "schema = ["),
+        ("jamia.gains.damaged1.toml", "nonsense = 1"),
+    ]
 
 
 def test_a_history_with_a_gap_is_not_used_for_a_rollback(store: GainsStore) -> None:
@@ -109,7 +114,13 @@ def test_a_history_with_a_gap_is_not_used_for_a_rollback(store: GainsStore) -> N
 
 def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
     provenance = store.apply(force(21.0), GainsProvenance(study="s.db", log=("a.mcap",))).provenance
-    assert (provenance.study, provenance.log, provenance.hand, provenance.identity, provenance.number) == (
+    assert (
+        provenance.study,
+        provenance.log,
+        provenance.hand,
+        provenance.identity,
+        provenance.number,
+    ) == (
         "s.db",
         ("a.mcap",),
         "jamia",

@@ -9,7 +9,12 @@ from matplotlib.figure import Figure
 
 from benchmarks.identify import TOLERANCES, measure_digit, summary
 from handctl.cli.tuning.tune_files import load_tuned_hand
-from handctl.core.identified import PARAMETER_UNITS, IdentifiedParameters, identified_hand, torque_gain
+from handctl.core.identified import (
+    PARAMETER_UNITS,
+    IdentifiedParameters,
+    identified_hand,
+    torque_gain,
+)
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
 from handctl.hand.load import load_hand
@@ -19,7 +24,13 @@ from handctl.tune.identify.excitation import excitation_steps, lift_off_tension
 from handctl.tune.identify.figure import _draw_parameters
 from handctl.tune.identify.fit import PARAMETER_NAMES
 from handctl.tune.identify.fit_load import DigitLoad, LoadParameters, SignalBins
-from handctl.tune.identify.fit_motor import HALF_WINDOW_S, _cumulative, _window, _window_curvature, _window_slope
+from handctl.tune.identify.fit_motor import (
+    HALF_WINDOW_S,
+    _cumulative,
+    _window,
+    _window_curvature,
+    _window_slope,
+)
 from handctl.tune.identify.identifiability import _reason_not_identified
 
 SPRUNG = TOLERANCES.keys() - {"moment_arm", "pretension"}
@@ -35,7 +46,10 @@ WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
     ("seed", "digit"),
     [
         WEAK_MOTOR,
-        *(pytest.param(*hand, marks=pytest.mark.nightly) for hand in (STIFF_MOTOR, (60, "index"), (4, "index"))),
+        *(
+            pytest.param(*hand, marks=pytest.mark.nightly)
+            for hand in (STIFF_MOTOR, (60, "index"), (4, "index"))
+        ),
     ],
 )
 def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
@@ -50,7 +64,9 @@ def test_parameters_wrong_by_thirty_percent_are_identified_with_detuned_gains(
     assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
     assert [parameter for parameter in row["parameters"] if not parameter["within"]] == []
     assert [
-        parameter for parameter in row["parameters"] if abs(parameter["error"]) > 1.6 * parameter["half_width"]
+        parameter
+        for parameter in row["parameters"]
+        if abs(parameter["error"]) > 1.6 * parameter["half_width"]
     ] == []
 
 
@@ -62,20 +78,32 @@ def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path
     row = measure_digit(3, "thumb", tmp_path, "jamia11")
     assert {parameter["name"] for parameter in row["parameters"]} == SPRUNG
     assert [
-        parameter for parameter in row["parameters"] if abs(parameter["error"]) > 1.6 * parameter["half_width"]
+        parameter
+        for parameter in row["parameters"]
+        if abs(parameter["error"]) > 1.6 * parameter["half_width"]
     ] == []
-    assert [parameter["within"] for parameter in row["parameters"] if parameter["name"] == "spring_stiffness"] == [True]
+    assert [
+        parameter["within"]
+        for parameter in row["parameters"]
+        if parameter["name"] == "spring_stiffness"
+    ] == [True]
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
 def test_intervals_cover_the_parameters_of_a_hundred_hands(tmp_path: Path) -> None:
     digits = load_hand("jamia").digit_names
-    figures = summary([measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)])
+    figures = summary(
+        [measure_digit(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)]
+    )
     assert figures["failed"] == []
     parameters = {name: figures["parameters"][name] for name in SPRUNG}
-    assert {name: found["covered"] for name, found in parameters.items() if found["covered"] < COVERED} == {}
-    assert {name: found["within"] for name, found in parameters.items() if found["within"] < COVERED} == {}
+    assert {
+        name: found["covered"] for name, found in parameters.items() if found["covered"] < COVERED
+    } == {}
+    assert {
+        name: found["within"] for name, found in parameters.items() if found["within"] < COVERED
+    } == {}
     assert figures["all_covered_all_at_once"] >= COVERED
 
 
@@ -94,13 +122,19 @@ def test_the_load_model_balances_every_joint() -> None:
     digit = DigitModel.of(load_hand("jamia"), "index")
     load = DigitLoad.of(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
-    seen = SignalBins(np.zeros(2), np.array([4e-3, 4e-3]), np.zeros(2), np.array([0.01, -0.01]), np.zeros(2), 5)
+    seen = SignalBins(
+        np.zeros(2), np.array([4e-3, 4e-3]), np.zeros(2), np.array([0.01, -0.01]), np.zeros(2), 5
+    )
     for tension, sign in zip(load.tension(p, seen).tolist(), (1.0, -1.0), strict=True):
         angle, excursion = float(digit.wrap[0]), 0.0
         for arm, k, pre, b in zip(load.arms, load.spring, load.preload, load.damping, strict=True):
             rate = sign * 0.01 / load.arms.sum()
             grid = np.linspace(0.0, 1.5, 150001)
-            balance = arm * tension * np.exp(-0.1 * sign * (angle + grid)) - 1.1 * k * (grid + 0.9 * pre) - b * rate
+            balance = (
+                arm * tension * np.exp(-0.1 * sign * (angle + grid))
+                - 1.1 * k * (grid + 0.9 * pre)
+                - b * rate
+            )
             q = float(grid[np.abs(balance).argmin()])
             angle, excursion = angle + q, excursion + arm * q
         assert excursion + tension / 1e5 + 2e-4 == pytest.approx(4e-3, abs=2e-6)
@@ -112,7 +146,10 @@ def test_the_excitation_keeps_within_the_hand_s_limits() -> None:
     for digit in hand.digit_names:
         digit_steps = [step for step in steps if step.digit == digit]
         assert sum(step.duration_s for step in digit_steps) < 21.0
-        assert max(step.target for step in digit_steps if step.kind in ("tension", "taut")) <= 0.5 * 110.0
+        assert (
+            max(step.target for step in digit_steps if step.kind in ("tension", "taut"))
+            <= 0.5 * 110.0
+        )
         stretch = [step.target for step in digit_steps if step.name == "stretch"]
         assert max(stretch) < 0.7 * lift_off_tension(hand, digit)
     with pytest.raises(ConfigError, match="pinky"):
@@ -123,14 +160,20 @@ def identified_with(**values: float) -> IdentifiedParameters:
     n = len(values)
     rows = tuple(tuple(1e-6 if i == j else 0.0 for j in range(n)) for i in range(n))
     return IdentifiedParameters(
-        names=tuple(values), values=tuple(values.values()), half_widths=(0.1,) * n, covariance=rows, log=("a.mcap",)
+        names=tuple(values),
+        values=tuple(values.values()),
+        half_widths=(0.1,) * n,
+        covariance=rows,
+        log=("a.mcap",),
     )
 
 
 def test_the_controller_s_hand_is_the_identified_one() -> None:
     hand = load_hand("jamia")
     known = {
-        "thumb_tendon": identified_with(tendon_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9)
+        "thumb_tendon": identified_with(
+            tendon_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9
+        )
     }
     real = identified_hand(hand, known)
     assert real.tendon[3].stiffness_N_per_m == 8e4
@@ -153,7 +196,11 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
     rows = dict.fromkeys(hand.tendon_names, nothing)
     known = {"ring_tendon": identified_with(capstan=0.09, delay=1e-4)}
     made = Calibration(
-        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows, identified=known
+        hand="jamia",
+        identity=hand.identity,
+        made="2026-01-01T00:00:00+00:00",
+        tendon=rows,
+        identified=known,
     )
     path = tmp_path / "c.toml"
     write_calibration(path, made)
@@ -169,9 +216,16 @@ def test_tuning_uses_the_identified_hand(tmp_path: Path) -> None:
     The gains belong to the hand of the file.
     """
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
-    rows = dict.fromkeys(hand.tendon_names, TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0))
-    made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
-    write_calibration(path, made.model_copy(update={"identified": {"ring_tendon": identified_with(capstan=0.04)}}))
+    rows = dict.fromkeys(
+        hand.tendon_names,
+        TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0),
+    )
+    made = Calibration(
+        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows
+    )
+    write_calibration(
+        path, made.model_copy(update={"identified": {"ring_tendon": identified_with(capstan=0.04)}})
+    )
     known = load_tuned_hand("jamia", path)
     assert known.hand.identity == hand.identity != known.twin.identity
     assert [rope.friction_coefficient for rope in known.twin.tendon] == [0.08, 0.08, 0.04, 0.08]
@@ -188,7 +242,10 @@ def test_delay_is_judged_by_an_absolute_limit() -> None:
     A fraction of zero is no limit.
     """
     rows = np.ones((3, len(PARAMETER_NAMES)))
-    assert _reason_not_identified(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"
+    assert (
+        _reason_not_identified(rows, "delay")
+        == "the 95 % interval is wider than 0.5 ms to either side"
+    )
     assert "50 % of the value" in _reason_not_identified(rows, "capstan")
     assert "no data depend" in _reason_not_identified(0.0 * rows, "delay")
 
@@ -197,10 +254,15 @@ def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
     nominal = np.ones(len(PARAMETER_NAMES))
     known = dict.fromkeys(PARAMETER_NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
     fit = SimpleNamespace(
-        values=known, half_widths=dict.fromkeys(PARAMETER_NAMES, 0.1), problem=SimpleNamespace(nominal=nominal)
+        values=known,
+        half_widths=dict.fromkeys(PARAMETER_NAMES, 0.1),
+        problem=SimpleNamespace(nominal=nominal),
     )
     axis = Figure().subplots()
-    _draw_parameters(axis, SimpleNamespace(fit=fit, identifiability=SimpleNamespace(names=("capstan", "torque_gain"))))
+    _draw_parameters(
+        axis,
+        SimpleNamespace(fit=fit, identifiability=SimpleNamespace(names=("capstan", "torque_gain"))),
+    )
     assert axis.get_xlim() == pytest.approx((0.2, 2.6))
     rows = [*axis.get_yticks()]
     assert min(rows) > min(axis.get_ylim())
@@ -211,12 +273,19 @@ def test_parameters_missing_in_a_new_run_keep_their_earlier_values() -> None:
     old = identified_with(tendon_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
         update={"covariance": ((4.0, 0.5, 0.25), (0.5, 1.0, 0.0), (0.25, 0.0, 9.0))}
     )
-    new = identified_with(motor_inertia=2e-4, torque_gain=0.9).model_copy(update={"log": ("b.mcap",)})
+    new = identified_with(motor_inertia=2e-4, torque_gain=0.9).model_copy(
+        update={"log": ("b.mcap",)}
+    )
     both = IdentifiedParameters.model_validate(new.beside(old).model_dump())
     assert dict(zip(both.names, both.values, strict=True)) == {
         "motor_inertia": 2e-4, "torque_gain": 0.9, "tendon_stiffness": 8e4, "capstan": 0.2,
     }  # fmt: skip
-    assert both.covariance == ((1e-6, 0, 0, 0), (0, 1e-6, 0, 0), (0, 0, 4.0, 0.25), (0, 0, 0.25, 9.0))
+    assert both.covariance == (
+        (1e-6, 0, 0, 0),
+        (0, 1e-6, 0, 0),
+        (0, 0, 4.0, 0.25),
+        (0, 0, 0.25, 9.0),
+    )
     assert both.log == ("b.mcap", "a.mcap")
     assert new.beside(None) is new
     assert both.beside(old) is both

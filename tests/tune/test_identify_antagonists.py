@@ -18,7 +18,11 @@ from handctl.hand.load import load_hand
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.safety.action import Action
 from handctl.tune.identify.excitation import excitation_steps
-from handctl.tune.identify.excitation_antagonists import PAIR_HIGH_FRACTION, STRETCH_FRACTION, sweep_range
+from handctl.tune.identify.excitation_antagonists import (
+    PAIR_HIGH_FRACTION,
+    STRETCH_FRACTION,
+    sweep_range,
+)
 from handctl.tune.identify.fit_pair import stretch_of_pair, tension_of_pair
 from handctl.tune.identify.identifiability import unobservable_parameters
 
@@ -42,7 +46,9 @@ OF_EVERY_PAIR = {"motor_coulomb", "tendon_stiffness", "moment_arm"}
         ("orca_like", "pinky", {"torque_gain", "spring_stiffness", "spring_preload"}),
     ],
 )
-def test_a_digit_returned_by_its_tendons_is_identified(tmp_path: Path, hand: str, digit: str, unseen: set[str]) -> None:
+def test_a_digit_returned_by_its_tendons_is_identified(
+    tmp_path: Path, hand: str, digit: str, unseen: set[str]
+) -> None:
     row = measure_digit(1, digit, tmp_path, hand)
     described = load_hand(hand)
     assert "failure" not in row
@@ -115,7 +121,9 @@ def test_both_tendons_of_a_pair_balance_its_joint(passed: float) -> None:
     """
     nets = np.linspace(-40.0, 40.0, 81)
     spool = tension_of_pair(nets, 10.0, np.full(81, passed))
-    first, second = (np.maximum(np.maximum(10.0 + 0.5 * side * spool, side * spool), 0.0) for side in (1.0, -1.0))
+    first, second = (
+        np.maximum(np.maximum(10.0 + 0.5 * side * spool, side * spool), 0.0) for side in (1.0, -1.0)
+    )
     np.testing.assert_allclose(first * passed - second / passed, nets, atol=1e-9)
 
 

@@ -11,7 +11,13 @@ from control import frd, stability_margins
 
 from handctl.core.model import HandModel
 from handctl.tune.loops import linear
-from handctl.tune.loops.linear import LoopKind, PlantFactors, controller_system, open_loop, plant_system
+from handctl.tune.loops.linear import (
+    LoopKind,
+    PlantFactors,
+    controller_system,
+    open_loop,
+    plant_system,
+)
 from handctl.tune.loops.margins import frequency_grid, margins_of_loop, step_response
 
 KINDS = list(LoopKind)
@@ -31,7 +37,9 @@ def test_the_linear_controller_predicts_the_running_one(
         moved = steps * random.normal(size=len(state))
         reading_step = np.array([1e-7, 1e-2, 1e-7]) * random.normal(size=3)
         after = tick(state + moved, reading + reading_step) - centre
-        predicted = np.concatenate([K.A @ moved + K.B @ reading_step, K.C @ moved + K.D @ reading_step])
+        predicted = np.concatenate(
+            [K.A @ moved + K.B @ reading_step, K.C @ moved + K.D @ reading_step]
+        )
         scale = np.append(steps, 1e-6)
         assert np.abs((predicted - after) / scale).max() < 1e-3 * np.abs(after / scale).max()
 
@@ -39,7 +47,11 @@ def test_the_linear_controller_predicts_the_running_one(
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: LoopKind) -> None:
     """The impulse response of the loop equals that of plant and controller, stepped in the order of the bus."""
-    P, K, L = plant_system(jamia, 0, kind), controller_system(jamia, 0, kind), open_loop(jamia, 0, kind)
+    P, K, L = (
+        plant_system(jamia, 0, kind),
+        controller_system(jamia, 0, kind),
+        open_loop(jamia, 0, kind),
+    )
     p, state_of_controller, sample, state = P.B[:, 0], np.zeros(len(K.A)), np.zeros(3), L.B[:, 0]
     for k in range(1, 30):
         back = float((K.C @ state_of_controller + K.D @ sample)[0])
@@ -51,25 +63,35 @@ def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: L
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_margins_are_those_of_control(hand: str, kind: LoopKind, request: pytest.FixtureRequest) -> None:
+def test_margins_are_those_of_control(
+    hand: str, kind: LoopKind, request: pytest.FixtureRequest
+) -> None:
     model: HandModel = request.getfixturevalue(hand)
     system = open_loop(model, 0, kind)
     omega = frequency_grid(system.period)
     found = margins_of_loop(system)
-    gain, phase, _, _, _, _ = stability_margins(frd(system.response(omega)[:, 0, 0], omega, smooth=True))
+    gain, phase, _, _, _, _ = stability_margins(
+        frd(system.response(omega)[:, 0, 0], omega, smooth=True)
+    )
     assert found.gain_db == pytest.approx(20.0 * abs(math.log10(gain)), abs=0.02)
     assert found.phase_deg == pytest.approx(phase, abs=0.05)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_gain_margin_is_where_the_loop_becomes_unstable(jamia: HandModel, kind: LoopKind) -> None:
+def test_the_gain_margin_is_where_the_loop_becomes_unstable(
+    jamia: HandModel, kind: LoopKind
+) -> None:
     """A torque slightly above the gain margin makes the loop unstable.
 
     A torque slightly below the margin does not.
     """
     margin = 10.0 ** (margins_of_loop(open_loop(jamia, 0, kind)).gain_db / 20.0)
-    assert margins_of_loop(open_loop(jamia, 0, kind, PlantFactors(torque_constant=0.97 * margin))).stable
-    assert not margins_of_loop(open_loop(jamia, 0, kind, PlantFactors(torque_constant=1.03 * margin))).stable
+    assert margins_of_loop(
+        open_loop(jamia, 0, kind, PlantFactors(torque_constant=0.97 * margin))
+    ).stable
+    assert not margins_of_loop(
+        open_loop(jamia, 0, kind, PlantFactors(torque_constant=1.03 * margin))
+    ).stable
 
 
 def test_closed_loop_responds_to_a_force_step(jamia: HandModel) -> None:

@@ -33,7 +33,9 @@ TRIALS = 3
 @pytest.fixture(scope="session")
 def plan() -> SearchPlan:
     """Return the plan of a search with few trials on the nominal plant."""
-    return SearchPlan(load_hand("jamia").to_toml(), 500.0, Gains(), draw_ensemble(1, 0), seed=5, trials=TRIALS)
+    return SearchPlan(
+        load_hand("jamia").to_toml(), 500.0, Gains(), draw_ensemble(1, 0), seed=5, trials=TRIALS
+    )
 
 
 def _nothing(found: SearchResult) -> None:
@@ -46,7 +48,9 @@ def found(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> SearchR
     return run_search(plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _nothing)
 
 
-def test_search_result_does_not_depend_on_the_processes(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
+def test_search_result_does_not_depend_on_the_processes(
+    plan: SearchPlan, found: SearchResult, tmp_path: Path
+) -> None:
     workers = ProcessPool(2)
     try:
         assert run_search(plan, tmp_path / "two", workers, _nothing) == found
@@ -61,8 +65,12 @@ def test_the_sampler_knows_which_trials_keep_their_margins(
 ) -> None:
     """The sampler gets the margins of random trials too as constraints. Optuna warns of nothing."""
     run_search(plan, tmp_path / "study", RecordedWorkers(found), _nothing)
-    finished = [one for one in _open_study(plan, tmp_path / "study").trials if one.state.is_finished()]
-    assert [one.constraints for one in finished] == [{"margins": one.score.shortfall} for one in found.trials]
+    finished = [
+        one for one in _open_study(plan, tmp_path / "study").trials if one.state.is_finished()
+    ]
+    assert [one.constraints for one in finished] == [
+        {"margins": one.score.shortfall} for one in found.trials
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("error", FutureWarning)
         _make_sampler(plan.seed, RANDOM_BATCHES)
@@ -100,13 +108,20 @@ class InterruptedWorkers:
 
 
 @pytest.mark.nightly
-def test_interrupted_search_gives_the_same_result(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
+def test_interrupted_search_gives_the_same_result(
+    plan: SearchPlan, found: SearchResult, tmp_path: Path
+) -> None:
     workers: SearchWorkers = InterruptedWorkers(2)
     seen: list[int] = []
     with pytest.raises(KeyboardInterrupt):
         run_search(plan, tmp_path / "study", workers, lambda now: seen.append(len(now.trials)))
     assert seen == [1, 2]
-    assert run_search(plan, tmp_path / "study", InProcessWorkers(), lambda now: seen.append(len(now.trials))) == found
+    assert (
+        run_search(
+            plan, tmp_path / "study", InProcessWorkers(), lambda now: seen.append(len(now.trials))
+        )
+        == found
+    )
     assert seen == [1, 2, 3]
 
 
@@ -116,7 +131,11 @@ class FakeWorkers:
     def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
         for i, job in enumerate(jobs):
             motion, tension = job["gains"]["motion"], job["gains"]["tension"]
-            parts = (motion["position_error_m"], tension["tension_error_N"], motion["speed_error_m_s"])
+            parts = (
+                motion["position_error_m"],
+                tension["tension_error_N"],
+                motion["speed_error_m_s"],
+            )
             yield i, asdict(GainScore(*parts, 50.0, motion["disturbance_rejection"] - 0.8))
 
     def close(self) -> None:
@@ -124,9 +143,13 @@ class FakeWorkers:
 
 
 @pytest.fixture(scope="module")
-def long_search(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> tuple[SearchPlan, SearchResult, bytes]:
+def long_search(
+    plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[SearchPlan, SearchResult, bytes]:
     """Return the plan of a search with more than random batches, its result, and the bytes of its journal."""
-    longer = replace(plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),))
+    longer = replace(
+        plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),)
+    )
     path = tmp_path_factory.mktemp("study") / "whole"
     return longer, run_search(longer, path, FakeWorkers(), _nothing), path.read_bytes()
 
@@ -148,7 +171,14 @@ def test_an_extended_search_equals_one_long_search(
     long_search: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path
 ) -> None:
     longer, found, _ = long_search
-    assert len(run_search(replace(longer, trials=10), tmp_path / "study", FakeWorkers(), _nothing).trials) == 10
+    assert (
+        len(
+            run_search(
+                replace(longer, trials=10), tmp_path / "study", FakeWorkers(), _nothing
+            ).trials
+        )
+        == 10
+    )
     assert run_search(longer, tmp_path / "study", FakeWorkers(), _nothing) == found
 
 
@@ -191,10 +221,14 @@ def test_a_killed_worker_loses_no_result(plan: SearchPlan, found: SearchResult) 
 
 
 @pytest.mark.nightly
-def test_a_dask_cluster_finds_what_one_process_finds(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
+def test_a_dask_cluster_finds_what_one_process_finds(
+    plan: SearchPlan, found: SearchResult, tmp_path: Path
+) -> None:
     from distributed import LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
         workers = DaskCluster(cluster.scheduler_address)
         try:
             assert run_search(plan, tmp_path / "dask", workers, _nothing) == found
@@ -211,7 +245,10 @@ def test_two_searches_do_not_share_a_journal(plan: SearchPlan, tmp_path: Path) -
                 run_search(plan, tmp_path / "one", InProcessWorkers(), _nothing)
             yield from super().scores(jobs)
 
-    assert len(run_search(replace(plan, trials=1), tmp_path / "one", Meanwhile(), _nothing).trials) == 1
+    assert (
+        len(run_search(replace(plan, trials=1), tmp_path / "one", Meanwhile(), _nothing).trials)
+        == 1
+    )
 
 
 def test_journal_of_another_study_is_refused(plan: SearchPlan, tmp_path: Path) -> None:
@@ -231,7 +268,10 @@ def test_only_good_trials_are_chosen() -> None:
 
     first = trial(0, 2.0, 4.0, 100.0, 60.0, 0.5)
     best, front = trial(1, 1.0, 2.0, 10.0, 60.0, -0.1), trial(2, 0.5, 5.0, 10.0, 60.0, -0.1)
-    short, failed = trial(3, 0.1, 0.1, 0.1, 60.0, 0.1), trial(4, 0.1, 0.1, 0.1, 60.0, -1.0, failure="not taut")
+    short, failed = (
+        trial(3, 0.1, 0.1, 0.1, 60.0, 0.1),
+        trial(4, 0.1, 0.1, 0.1, 60.0, -1.0, failure="not taut"),
+    )
     beaten = trial(5, 1.1, 2.1, 11.0, 60.0, -0.1)
     found = SearchResult.of((first, best, front, short, failed, beaten))
     assert found.best == best
@@ -255,11 +295,17 @@ def test_first_trial_keeps_gains_outside_the_search_space(plan: SearchPlan) -> N
     assert bold.gains_of(0, clamped_gains(bold.gains)) == bold.gains
     assert bold.job(0, clamped_gains(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
     assert (
-        bold.gains_of(1, clamped_gains(bold.gains)).motion.speed_error_m_s == GAIN_RANGES["motion.speed_error_m_s"].low
+        bold.gains_of(1, clamped_gains(bold.gains)).motion.speed_error_m_s
+        == GAIN_RANGES["motion.speed_error_m_s"].low
     )
 
 
 def test_every_key_of_the_space_is_a_gain_and_the_packaged_ones_are_inside() -> None:
-    assert all(one.low <= clamped_gains(Gains())[key] <= one.high for key, one in GAIN_RANGES.items())
+    assert all(
+        one.low <= clamped_gains(Gains())[key] <= one.high for key, one in GAIN_RANGES.items()
+    )
     wild = Gains(motion=MotionGains(position_error_m=0.09))
-    assert clamped_gains(wild)["motion.position_error_m"] == GAIN_RANGES["motion.position_error_m"].high
+    assert (
+        clamped_gains(wild)["motion.position_error_m"]
+        == GAIN_RANGES["motion.position_error_m"].high
+    )

@@ -37,7 +37,10 @@ def test_a_block_with_large_residuals_leaves_the_degrees_of_freedom(seed: int) -
     Regression: it left three of them, and intervals 1.5 times as wide.
     """
     random = np.random.default_rng(seed)
-    jacobian, times = random.normal(size=(2000, 3)), np.linspace(0.0, 20.0 * BLOCK_S, 2000, endpoint=False)
+    jacobian, times = (
+        random.normal(size=(2000, 3)),
+        np.linspace(0.0, 20.0 * BLOCK_S, 2000, endpoint=False),
+    )
     residual = random.normal(size=2000)
     unlucky = residual * np.where((times > BLOCK_S) & (times < 2.0 * BLOCK_S), 6.0, 1.0)
     _, freedom = _parameter_covariance(jacobian, residual, times)
@@ -54,6 +57,8 @@ def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
     """
     jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
     with np.errstate(all="raise", under="ignore"):
-        covariance, freedom = _parameter_covariance(jacobian, np.ones(102), np.linspace(0.0, 5.0, 100))
+        covariance, freedom = _parameter_covariance(
+            jacobian, np.ones(102), np.linspace(0.0, 5.0, 100)
+        )
     assert np.isfinite(covariance).all()
     assert freedom[0] < 30.0 < 1e6 < freedom[1] < np.inf

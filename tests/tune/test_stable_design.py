@@ -10,8 +10,20 @@ from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 from handctl.tune.loops.design import GainDesign, design_gains, distinct_tendons, linear_factors
-from handctl.tune.loops.linear import LinearSystem, LoopKind, _half_closed, controller_system, open_loop
-from handctl.tune.loops.margins import MAX_GAIN_DB, LoopMargins, confirmed_margins, is_stable, margins_of_loop
+from handctl.tune.loops.linear import (
+    LinearSystem,
+    LoopKind,
+    _half_closed,
+    controller_system,
+    open_loop,
+)
+from handctl.tune.loops.margins import (
+    MAX_GAIN_DB,
+    LoopMargins,
+    confirmed_margins,
+    is_stable,
+    margins_of_loop,
+)
 from handctl.tune.loops.steps import RestTest, StepOscillation, is_loop_ringing, simulate_swing
 from handctl.tune.search.ensemble import draw_ensemble
 from tests.conftest import NIGHTLY
@@ -42,7 +54,11 @@ def random_gains(seed: int, wide: float = 10.0) -> Gains:
             "disturbance_rejection": float(random.uniform()),
             "tension_feedback": off(0.3) / wide,
         },
-        "tension": {"tension_error_N": off(4.0), "speed_error_m_s": off(0.03), "integral_per_s": off(3.0)},
+        "tension": {
+            "tension_error_N": off(4.0),
+            "speed_error_m_s": off(0.03),
+            "integral_per_s": off(3.0),
+        },
         "filter": {"motor_disturbance_N": off(0.12), "motor_acceleration_noise_N": off(0.03)},
     }
     return Gains.model_validate(table)
@@ -77,9 +93,17 @@ def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
 
 
 def test_a_loop_without_gain_has_no_margin() -> None:
-    still = LinearSystem(np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002)
+    still = LinearSystem(
+        np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002
+    )
     for found in (margins_of_loop(still), confirmed_margins(still)):
-        assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.are_sufficient) == (
+        assert (
+            found.gain_db,
+            found.phase_deg,
+            found.disk,
+            found.delay_s,
+            found.are_sufficient,
+        ) == (
             0.0,
             0.0,
             0.0,
@@ -93,7 +117,13 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
     lost = LinearSystem(system.A, 10.0 * system.B, system.C, system.D, system.period)
     assert not is_stable(lost)
     for found in (margins_of_loop(lost), confirmed_margins(lost)):
-        assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.stable) == (0.0, 0.0, 0.0, 0.0, False)
+        assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.stable) == (
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            False,
+        )
 
 
 def brute_force(system: LinearSystem) -> tuple[float, float]:
@@ -106,8 +136,14 @@ def brute_force(system: LinearSystem) -> tuple[float, float]:
         return float(np.abs(np.linalg.eigvals(system.A - factor * (system.B @ system.C))).max())
 
     decibels = np.arange(0.0, MAX_GAIN_DB, 0.1)
-    gain = next((x for x in decibels if max(radius(10 ** (x / 20)), radius(10 ** (-x / 20))) >= 1.0), MAX_GAIN_DB)
-    phase = next((x for x in np.arange(0.0, 180.0, 0.5) if radius(np.exp(1j * math.radians(x))) >= 1.0), 180.0)
+    gain = next(
+        (x for x in decibels if max(radius(10 ** (x / 20)), radius(10 ** (-x / 20))) >= 1.0),
+        MAX_GAIN_DB,
+    )
+    phase = next(
+        (x for x in np.arange(0.0, 180.0, 0.5) if radius(np.exp(1j * math.radians(x))) >= 1.0),
+        180.0,
+    )
     return float(gain), float(phase)
 
 
@@ -136,7 +172,9 @@ def judged_stable(model: HandModel, found: GainDesign, seed: int) -> HandModel:
     after = HandModel.of(model.hand, found.gains, 1.0 / model.period)
     for factors in draw_ensemble(2, seed):
         for i in distinct_tendons(after):
-            assert all(is_stable(open_loop(after, i, kind, linear_factors(factors))) for kind in LoopKind)
+            assert all(
+                is_stable(open_loop(after, i, kind, linear_factors(factors))) for kind in LoopKind
+            )
     return after
 
 
@@ -199,7 +237,8 @@ def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: 
 
 @pytest.mark.parametrize("hand", HANDS)
 @pytest.mark.parametrize(
-    ("swing_N", "chatter_N", "accepted"), [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (9.3, 4.0, False)]
+    ("swing_N", "chatter_N", "accepted"),
+    [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (9.3, 4.0, False)],
 )
 def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
@@ -207,7 +246,9 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     """The gains are refused although all other plants come to rest."""
     model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
 
-    def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> StepOscillation:
+    def fake(
+        hand: object, tried: HandModel, factors: dict[str, float], seed: int
+    ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
         hold = chatter_N if tried.gains.tension.integral_per_s == 0.0 else swing_N
         return StepOscillation(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
@@ -219,14 +260,19 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
 
 
 def rest_test_with(
-    monkeypatch: pytest.MonkeyPatch, model: HandModel, chatter: tuple[float, ...], found: tuple[float, ...]
+    monkeypatch: pytest.MonkeyPatch,
+    model: HandModel,
+    chatter: tuple[float, ...],
+    found: tuple[float, ...],
 ) -> RestTest:
     """Return a rest test with invented oscillations of each tendon [N].
 
     ``chatter`` is that of the plant without feedback, ``found`` that with the gains.
     """
 
-    def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> StepOscillation:
+    def fake(
+        hand: object, tried: HandModel, factors: dict[str, float], seed: int
+    ) -> StepOscillation:
         is_least_friction = factors == {"friction": 0.5}
         hold = chatter if tried.gains.tension.integral_per_s == 0.0 else found
         return StepOscillation(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
@@ -235,7 +281,9 @@ def rest_test_with(
     return rest_test_of(model)
 
 
-def test_chatter_of_a_tendon_does_not_hide_swings_of_others(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
+def test_chatter_of_a_tendon_does_not_hide_swings_of_others(
+    monkeypatch: pytest.MonkeyPatch, jamia: HandModel
+) -> None:
     """With little friction and no feedback, two digits of jamia oscillate.
 
     Index and ring oscillate by 2 to 5 N, middle and thumb by less than 0.1 N.
@@ -247,7 +295,9 @@ def test_chatter_of_a_tendon_does_not_hide_swings_of_others(monkeypatch: pytest.
     assert "0.5 of the friction swings" in proof.reason
 
 
-def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
+def test_an_oscillating_loop_is_not_hidden_by_chatter(
+    monkeypatch: pytest.MonkeyPatch, jamia: HandModel
+) -> None:
     """The oscillation is no larger than that of the plant without feedback.
 
     The eigenvalues show that the loop oscillates.
@@ -256,7 +306,10 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.Monkey
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
     ringing = HandModel.of(jamia.hand, Gains.model_validate(slow), 500.0)
     assert is_stable(open_loop(ringing, 0, LoopKind.TENSION))
-    assert all(is_loop_ringing(model, linear_factors({"friction": 0.5})) for model in (ringing, with_force(393.0)))
+    assert all(
+        is_loop_ringing(model, linear_factors({"friction": 0.5}))
+        for model in (ringing, with_force(393.0))
+    )
     assert not is_loop_ringing(jamia, linear_factors({"friction": 0.5}))
     proof = rest_test_with(monkeypatch, ringing, chatter, chatter)
     assert not proof(ringing)
@@ -264,12 +317,15 @@ def test_an_oscillating_loop_is_not_hidden_by_chatter(monkeypatch: pytest.Monkey
     assert rest_test_with(monkeypatch, jamia, chatter, chatter)(jamia)
 
 
-def test_gains_that_fail_at_the_least_friction_are_refused(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
+def test_gains_that_fail_at_the_least_friction_are_refused(
+    monkeypatch: pytest.MonkeyPatch, jamia: HandModel
+) -> None:
     """If the run without feedback fails too, the oscillation of the plant is unknown, and the gains are refused."""
     lost = StepOscillation(math.inf, math.inf, (math.inf,) * 4, "N14b")
     still = StepOscillation(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
-        "handctl.tune.loops.steps.simulate_swing", lambda hand, m, f, s: lost if f == {"friction": 0.5} else still
+        "handctl.tune.loops.steps.simulate_swing",
+        lambda hand, m, f, s: lost if f == {"friction": 0.5} else still,
     )
     proof = rest_test_of(jamia)
     assert not proof(jamia)
@@ -280,7 +336,9 @@ COUPLED = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,)
 
 
 @pytest.mark.parametrize("column", COUPLED)
-def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(column: tuple[tuple[float], ...]) -> None:
+def test_a_coupled_digit_is_linearised_at_a_posture_that_it_can_have(
+    column: tuple[tuple[float], ...],
+) -> None:
     """The joint angles of the posture obey the coupling of the digit and are inside their ranges."""
     hand = load_hand("jamia")
     content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}

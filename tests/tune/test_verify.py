@@ -15,7 +15,9 @@ from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import SimulatorSettings
 from handctl.tune.verify import VerifyObserver, scores_by_round
 
-CALM = Gains(motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7))
+CALM = Gains(
+    motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7)
+)
 UNSTABLE_GAINS = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300.0))
 
 
@@ -26,12 +28,19 @@ def _verified(new: Gains, log: Path) -> VerifyObserver:
     amplitudes = (0.2, 0.2)
     observer = VerifyObserver(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
     with SimulatorSettings(hand, homed=True).clock(plan.period_ns) as clock:
-        run_lockstep(plan, make_controller(plan, ExerciseProgram(amplitudes), None, True), log, clock, observer)
+        run_lockstep(
+            plan,
+            make_controller(plan, ExerciseProgram(amplitudes), None, True),
+            log,
+            clock,
+            observer,
+        )
     return observer
 
 
 @pytest.mark.parametrize(
-    ("new", "goes_back"), [pytest.param(CALM, False, marks=pytest.mark.nightly), (UNSTABLE_GAINS, True)]
+    ("new", "goes_back"),
+    [pytest.param(CALM, False, marks=pytest.mark.nightly), (UNSTABLE_GAINS, True)],
 )
 def test_ringing_gains_are_rolled_back(new: Gains, goes_back: bool, tmp_path: Path) -> None:
     observer = _verified(new, tmp_path / "run.mcap")

@@ -41,11 +41,15 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     if item.path.is_relative_to(INSIDE):
         item.add_marker("vcan")
         if not REPORTS_FILE:
-            item.add_marker(pytest.mark.timeout(0), append=False)  # the first test waits for all of its guest
+            item.add_marker(
+                pytest.mark.timeout(0), append=False
+            )  # the first test waits for all of its guest
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     report = yield
     if REPORTS_FILE:
         data = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
@@ -73,10 +77,14 @@ def _run_inside(items: Sequence[pytest.Item]) -> Reports:
     """Run tests, each in the guest that runs its file, and return their reports."""
     kind, reason = uml.vcan_access()
     if not kind:
-        return {item.nodeid: [_report(item, "skipped", (str(item.path), 0, reason))] for item in items}
+        return {
+            item.nodeid: [_report(item, "skipped", (str(item.path), 0, reason))] for item in items
+        }
     parts_of: dict[int, list[pytest.Item]] = defaultdict(list)
     for item in items:
-        group = next((i for i, names in enumerate(GUEST_FILES) if item.path.name in names), len(GUEST_FILES))
+        group = next(
+            (i for i, names in enumerate(GUEST_FILES) if item.path.name in names), len(GUEST_FILES)
+        )
         parts_of[group].append(item)
     groups = list(parts_of.values())
     with ThreadPoolExecutor(len(groups)) as guests:
@@ -89,10 +97,14 @@ def _run_in_guest(items: Sequence[pytest.Item]) -> Reports:
     output: list[str] = []
     with tempfile.TemporaryDirectory(prefix="handctl-vcan-reports-") as folder:
         file = Path(folder) / "reports"
-        status = uml.run(_pytest(items), {"HANDCTL_VCAN_REPORTS": str(file)}, GUEST_TIMEOUT_S, output.append)
+        status = uml.run(
+            _pytest(items), {"HANDCTL_VCAN_REPORTS": str(file)}, GUEST_TIMEOUT_S, output.append
+        )
         lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     reports = _read(lines, items[0].config)
-    tail = "\n".join([f"the guest ended with status {status} and without a word about this test", *output[-50:]])
+    tail = "\n".join(
+        [f"the guest ended with status {status} and without a word about this test", *output[-50:]]
+    )
     for item in items:
         if not any(report.when == "teardown" for report in reports[item.nodeid]):
             reports[item.nodeid].append(_report(item, "failed", tail))
@@ -109,13 +121,22 @@ def _read(lines: Sequence[str], config: pytest.Config) -> Reports:
     for line in lines:
         report = config.hook.pytest_report_from_serializable(config=config, data=json.loads(line))
         if report.skipped and isinstance(report.longrepr, list):
-            report.longrepr = tuple(report.longrepr)  # JSON has no tuple, and pytest's summary takes no list
+            report.longrepr = tuple(
+                report.longrepr
+            )  # JSON has no tuple, and pytest's summary takes no list
         reports[report.nodeid].append(report)
     return reports
 
 
-def _report(item: pytest.Item, outcome: str, reason: str | tuple[str, int, str]) -> pytest.TestReport:
-    data = {"nodeid": item.nodeid, "location": item.location, "outcome": outcome, "longrepr": reason}
+def _report(
+    item: pytest.Item, outcome: str, reason: str | tuple[str, int, str]
+) -> pytest.TestReport:
+    data = {
+        "nodeid": item.nodeid,
+        "location": item.location,
+        "outcome": outcome,
+        "longrepr": reason,
+    }
     return pytest.TestReport(**data, keywords={}, when="call", sections=[])  # type: ignore[arg-type]
 
 

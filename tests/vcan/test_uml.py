@@ -33,7 +33,9 @@ def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end:
     monkeypatch.setattr(uml, "INTERFACES", "true\n")  # as if the kernel had vcan
     monkeypatch.setattr(uml, "_namespace", lambda: ["env"])
     output: list[str] = []
-    status = uml.run(["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, report_line=output.append)
+    status = uml.run(
+        ["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, report_line=output.append
+    )
     assert uml.vcan_access() == ("native", "")
     assert output[:2] == ["a b", str(Path.cwd())]
     assert status == {"exit 7": 7, "kill -SEGV $$": 128 + 11}[end]
@@ -43,7 +45,9 @@ def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end:
 def test_output_and_status_are_returned() -> None:
     output: list[str] = []
     script = "seq 20000; echo $WORD; ip -brief link show vcan1; printf 'no line feed'; exit 7"
-    status = uml.run(["bash", "-c", script], {"WORD": "a 'quoted' $word"}, report_line=output.append)
+    status = uml.run(
+        ["bash", "-c", script], {"WORD": "a 'quoted' $word"}, report_line=output.append
+    )
     assert status == 7
     assert output[:20000] == [str(n) for n in range(1, 20001)]
     assert output[20000] == "a 'quoted' $word"
@@ -72,11 +76,15 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
     with tempfile.TemporaryDirectory() as folder:
         monkeypatch.setattr(tempfile, "tempdir", folder)  # marks the processes of this run
         script = "echo started; sleep 1000"
-        status = uml.run(["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, report_line=record_line)
+        status = uml.run(
+            ["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, report_line=record_line
+        )
         assert status == uml.TIMED_OUT
         assert output == ["started"]
         if uml.vcan_access()[0] == "uml":
-            assert {len(allowed) for allowed in cores} == {1}, "kernel and program of a guest use one core"
+            assert {len(allowed) for allowed in cores} == {1}, (
+                "kernel and program of a guest use one core"
+            )
         end = time.monotonic() + 20.0
         while processes_of(folder) and time.monotonic() < end:  # killed ones disappear later
             time.sleep(0.1)

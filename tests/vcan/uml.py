@@ -42,12 +42,17 @@ ip link set lo up
 def vcan_access() -> tuple[str, str]:
     """Return how this machine gets vcan: "native", "uml", or "" with the reason why it has none."""
     if shutil.which("unshare") is not None:
-        trial = subprocess.run([*_namespace(), "bash", "-c", INTERFACES], capture_output=True, check=False, env=_env())
+        trial = subprocess.run(
+            [*_namespace(), "bash", "-c", INTERFACES], capture_output=True, check=False, env=_env()
+        )
         if trial.returncode == 0:
             return "native", ""
     for program, package in PACKAGES.items():
         if shutil.which(program, path=_env()["PATH"]) is None:
-            return "", f"the kernel has no vcan, and {program} (Debian package {package}) is not installed"
+            return (
+                "",
+                f"the kernel has no vcan, and {program} (Debian package {package}) is not installed",
+            )
     if not _modules().is_dir():
         return "", f"linux.uml is there, but not its modules in {_modules()}"
     return "uml", ""
@@ -87,7 +92,9 @@ def run(
 
 
 def _job(command: Sequence[str], environment: Mapping[str, str]) -> str:
-    names = (name for name in environment if name.isidentifier() and name not in {"PWD", "SHLVL", "_"})
+    names = (
+        name for name in environment if name.isidentifier() and name not in {"PWD", "SHLVL", "_"}
+    )
     exports = "".join(f"export {name}={shlex.quote(environment[name])}\n" for name in names)
     return f"{INTERFACES}{exports}cd {shlex.quote(os.getcwd())}\nexec {shlex.join(command)}\n"
 
@@ -103,7 +110,9 @@ def _namespace() -> list[str]:
 
 @functools.cache
 def _modules() -> Path:
-    version = subprocess.run(["linux.uml", "--version"], capture_output=True, text=True, check=True, env=_env())
+    version = subprocess.run(
+        ["linux.uml", "--version"], capture_output=True, text=True, check=True, env=_env()
+    )
     return MODULES / version.stdout.strip()
 
 
@@ -157,8 +166,23 @@ def _guest_command(job: Path) -> list[str]:
     init = Path(__file__).with_name("init").resolve()
     return [
         *_with_all_registers(job),
-        *("linux.uml", f"mem={MEMORY_BYTES >> 20}M", "root=/dev/root", "rootfstype=hostfs", "rootflags=/", "rw"),
-        *(f"init={init}", "con=null", "con0=null,fd:1", "con1=null", "ssl=null", "quiet", "loglevel=3"),
+        *(
+            "linux.uml",
+            f"mem={MEMORY_BYTES >> 20}M",
+            "root=/dev/root",
+            "rootfstype=hostfs",
+            "rootflags=/",
+            "rw",
+        ),
+        *(
+            f"init={init}",
+            "con=null",
+            "con0=null,fd:1",
+            "con1=null",
+            "ssl=null",
+            "quiet",
+            "loglevel=3",
+        ),
         *(f"uml_dir={job}/", f"job={job}", f"moddir={_modules()}"),
     ]
 
@@ -168,7 +192,9 @@ def _with_all_registers(job: Path) -> list[str]:
 
     A processor with AMX needs one, because the guest does not save its registers.
     """
-    if "amx_tile" not in Path("/proc/cpuinfo").read_text(encoding="utf-8").split() or not shutil.which("gcc"):
+    if "amx_tile" not in Path("/proc/cpuinfo").read_text(
+        encoding="utf-8"
+    ).split() or not shutil.which("gcc"):
         return []
     library = job / "xstate.so"
     source = Path(__file__).with_name("xstate.c").resolve()
@@ -183,7 +209,11 @@ def _memory_folder() -> str:
     """
     shared = Path("/dev/shm")
     large_enough = shared.is_dir() and shutil.disk_usage(shared).free > MEMORY_BYTES
-    return str(shared) if large_enough and not os.statvfs(shared).f_flag & os.ST_NOEXEC else tempfile.gettempdir()
+    return (
+        str(shared)
+        if large_enough and not os.statvfs(shared).f_flag & os.ST_NOEXEC
+        else tempfile.gettempdir()
+    )
 
 
 def _start(command: list[str], environment: dict[str, str]) -> "subprocess.Popen[bytes]":
@@ -240,11 +270,19 @@ def _report_job(lines: Iterator[str], job: Path, report_line: Callable[[str], No
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="run a command beside the SocketCAN interfaces vcan0 and vcan1")
-    parser.add_argument("--timeout", type=float, default=300.0, metavar="S", help="kill it after this time [s]")
+    parser = argparse.ArgumentParser(
+        description="run a command beside the SocketCAN interfaces vcan0 and vcan1"
+    )
+    parser.add_argument(
+        "--timeout", type=float, default=300.0, metavar="S", help="kill it after this time [s]"
+    )
     parser.add_argument("command", nargs="+")
     arguments = parser.parse_args()
-    return run(arguments.command, timeout_s=arguments.timeout, report_line=lambda line: print(line, flush=True))
+    return run(
+        arguments.command,
+        timeout_s=arguments.timeout,
+        report_line=lambda line: print(line, flush=True),
+    )
 
 
 if __name__ == "__main__":

@@ -26,7 +26,9 @@ def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     import synthetic
 
     path = tmp_path_factory.mktemp("view") / f"{request.param}.mcap"
-    synthetic.write(path, synthetic.header(request.param, 100, offset_ns=1_760_000_000_123_456_789), SECONDS)
+    synthetic.write(
+        path, synthetic.header(request.param, 100, offset_ns=1_760_000_000_123_456_789), SECONDS
+    )
     return path
 
 

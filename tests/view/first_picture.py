@@ -47,7 +47,16 @@ def _look(seen: threading.Event) -> None:
     size = len(client.take_screenshot())
     seconds = time.time() - psutil.Process().create_time()
     spent = [sum(one.cpu_times()[:2]) for one in (psutil.Process(), viewer)]
-    print(json.dumps({"seconds": seconds, "handctl_cpu_s": spent[0], "viewer_cpu_s": spent[1], "png_bytes": size}))
+    print(
+        json.dumps(
+            {
+                "seconds": seconds,
+                "handctl_cpu_s": spent[0],
+                "viewer_cpu_s": spent[1],
+                "png_bytes": size,
+            }
+        )
+    )
     viewer.terminate()
     seen.set()
 
@@ -65,7 +74,9 @@ def _client(viewer: psutil.Process) -> "object":
     from rerun.experimental import ViewerClient
 
     while True:
-        ports = [one.laddr.port for one in viewer.net_connections() if one.status == psutil.CONN_LISTEN]
+        ports = [
+            one.laddr.port for one in viewer.net_connections() if one.status == psutil.CONN_LISTEN
+        ]
         if ports:
             return ViewerClient.connect(f"rerun+http://127.0.0.1:{ports[0]}/proxy")
         time.sleep(0.01)
@@ -73,7 +84,12 @@ def _client(viewer: psutil.Process) -> "object":
 
 def _has_data(client: "object") -> bool:
     state = client.get_state()  # type: ignore[attr-defined]
-    ends = [line.end or 0 for one in state.recordings for line in one.timelines if line.name == "run_time"]
+    ends = [
+        line.end or 0
+        for one in state.recordings
+        for line in one.timelines
+        if line.name == "run_time"
+    ]
     return bool(state.views) and max(ends, default=0) > 0
 
 

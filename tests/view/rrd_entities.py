@@ -35,10 +35,14 @@ def entities(chunks: Iterable[Chunk]) -> dict[str, Entity]:
     """Return all entities in chunks of a recording, with their rows in the order of time."""
     entities_by_path: dict[str, Entity] = {}
     for chunk in chunks:
-        entity = entities_by_path.setdefault(chunk.entity_path, Entity(np.empty(0, np.int64), {}, {}))
+        entity = entities_by_path.setdefault(
+            chunk.entity_path, Entity(np.empty(0, np.int64), {}, {})
+        )
         batch = chunk.to_record_batch()
         kinds = {field.name: (field.metadata or {}).get(b"rerun:kind") for field in batch.schema}
-        data = {name: batch.column(name).to_pylist() for name, kind in kinds.items() if kind == b"data"}
+        data = {
+            name: batch.column(name).to_pylist() for name, kind in kinds.items() if kind == b"data"
+        }
         if not chunk.timeline_names:
             entity.static.update({name: values[-1] for name, values in data.items()})
             continue
@@ -48,7 +52,9 @@ def entities(chunks: Iterable[Chunk]) -> dict[str, Entity]:
             missing = [None] * (len(times) if name not in data else 0)
             before = entity.rows.setdefault(name, [None] * len(entity.times))
             before += data.get(name, missing)
-        entities_by_path[chunk.entity_path] = entity._replace(times=np.concatenate([entity.times, times]))
+        entities_by_path[chunk.entity_path] = entity._replace(
+            times=np.concatenate([entity.times, times])
+        )
     return {path: _sorted(entity) for path, entity in entities_by_path.items()}
 
 

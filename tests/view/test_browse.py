@@ -47,7 +47,9 @@ def test_time_slices_add_up_to_the_whole_log(tmp_path: Path) -> None:
     assert sum(late) == ticks
 
 
-def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_viewer_gets_all_of_a_log(
+    vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     for name, value in vulkan.items():
         monkeypatch.setenv(name, value)
     with RunLog(GOLDEN) as log:
@@ -69,7 +71,11 @@ def write_ten_minute_log(path: Path) -> None:
     writer = LogWriter(path, run, lambda *what: None, 1)
     ticks = itertools.cycle(list(synthetic.Synthetic(run, 5.0)))
     for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
-        writer.add(pack_tick_record(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[RECORD_FRAMING_STRUCT.size :])
+        writer.add(
+            pack_tick_record(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[
+                RECORD_FRAMING_STRUCT.size :
+            ]
+        )
     writer.finish("finished", 0)
 
 
@@ -78,7 +84,11 @@ def write_ten_minute_log(path: Path) -> None:
 @pytest.mark.usefixtures("vulkan")
 def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Path) -> None:
     write_ten_minute_log(tmp_path / "ten.mcap")
-    command = [sys.executable, str(Path(__file__).with_name("first_picture.py")), str(tmp_path / "ten.mcap")]
+    command = [
+        sys.executable,
+        str(Path(__file__).with_name("first_picture.py")),
+        str(tmp_path / "ten.mcap"),
+    ]
     looks = []
     for _ in range(3):  # the first run is slow
         ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
@@ -87,14 +97,19 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
     assert min(one["handctl_cpu_s"] + one["viewer_cpu_s"] for one in looks) < 5.0
 
 
-def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(tmp_path: Path, vulkan: dict[str, str]) -> None:
+def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(
+    tmp_path: Path, vulkan: dict[str, str]
+) -> None:
     data, place = bytearray(GOLDEN.read_bytes()), scan_path(GOLDEN).chunks[2]
     data[place.data + 40] ^= 0xFF
     broken = tmp_path / "broken.mcap"
     broken.write_bytes(data)
     with RunLog(broken, checked=False) as log:
         run, scan = RunInfo.of(log.header, "x"), log.scan
-    with pytest.raises(LogError, match="damaged"), browse_log(broken, run, ["--headless"], vulkan, scan):
+    with (
+        pytest.raises(LogError, match="damaged"),
+        browse_log(broken, run, ["--headless"], vulkan, scan),
+    ):
         raise AssertionError("it was shown")
     assert not any("--headless" in command(child) for child in psutil.Process().children())
 

@@ -65,7 +65,9 @@ def test_a_time_outside_of_the_run_is_refused(
     assert "0 to 2.990" in line(capsys)
 
 
-def test_view_refuses_a_file_that_is_not_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_view_refuses_a_file_that_is_not_a_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     other = tmp_path / "x.mcap"
     other.write_bytes(b"no log at all")
     for path in (other, tmp_path / "missing.mcap", tmp_path):
@@ -75,7 +77,10 @@ def test_view_refuses_a_file_that_is_not_a_log(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_without_a_driver_the_packages_are_named(
-    jamia_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    jamia_path: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(viewer, "VULKAN_DRIVER_FOLDERS", (str(tmp_path),))
     monkeypatch.delenv("VK_ICD_FILENAMES", raising=False)

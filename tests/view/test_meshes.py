@@ -31,7 +31,9 @@ def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     hand = meshed("jamia")
     attachments, _ = mesh_attachments(hand, files)
     attachments["hand.urdf"] = urdf_text(hand).encode()
-    header = RunHeader.of_hand(hand.to_toml(), 10_000_000, attachments=attachments, deterministic=True)
+    header = RunHeader.of_hand(
+        hand.to_toml(), 10_000_000, attachments=attachments, deterministic=True
+    )
     synthetic.write(folder / "run.mcap", header, 0.5)
     for file in files.rglob("*.*"):
         file.unlink()
@@ -45,7 +47,9 @@ def recorded(mesh_log: Path) -> dict[str, Entity]:
     return of_file(out)
 
 
-def test_each_mesh_is_an_asset_in_the_frame_of_its_link(recorded: dict[str, Entity], mesh_log: Path) -> None:
+def test_each_mesh_is_an_asset_in_the_frame_of_its_link(
+    recorded: dict[str, Entity], mesh_log: Path
+) -> None:
     run = run_info_of(mesh_log)
     assert run.note == ""
     for mesh in meshes_of_hand(run.hand):
@@ -56,21 +60,27 @@ def test_each_mesh_is_an_asset_in_the_frame_of_its_link(recorded: dict[str, Enti
         red, green, blue, *_ = link_colour(mesh.link, run)
         assert shown["Asset3D:albedo_factor"] == [(red << 24) | (green << 16) | (blue << 8) | 255]
         assert shown["InstancePoses3D:translations"] == [pytest.approx(mesh.position, rel=1e-6)]
-        assert shown["InstancePoses3D:quaternions"] == [pytest.approx(quaternion_of_rotation(mesh.rotation), abs=1e-6)]
+        assert shown["InstancePoses3D:quaternions"] == [
+            pytest.approx(quaternion_of_rotation(mesh.rotation), abs=1e-6)
+        ]
         assert shown["InstancePoses3D:scales"] == [pytest.approx(mesh.scale, rel=1e-6)]
 
 
 def test_a_link_has_a_mesh_or_capsules(recorded: dict[str, Entity], mesh_log: Path) -> None:
     hand = run_info_of(mesh_log).hand
     meshed_links = {mesh.link for mesh in meshes_of_hand(hand)}
-    links = {"palm"} | {f"{digit.name}_link{i + 1}" for digit in hand.digit for i in range(len(digit.joints))}
+    links = {"palm"} | {
+        f"{digit.name}_link{i + 1}" for digit in hand.digit for i in range(len(digit.joints))
+    }
     assert meshed_links < links
     for link in links:
         parts = {path.split("/")[3] for path in recorded if path.startswith(f"/hand/{link}/")}
         assert parts == {"mesh"} if link in meshed_links else "mesh" not in parts and parts, link
 
 
-def test_the_live_view_sends_the_same_meshes(mesh_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_live_view_sends_the_same_meshes(
+    mesh_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from handctl.view import follow
 
     sent: list[str] = []

@@ -49,7 +49,9 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
     assert len(np.unique(image.reshape(-1, 3), axis=0)) > 2000
     hand, plots = image[70:500, :640], image[60:680, 650:]
     for index in range(4):
-        assert fraction_near(hand, palette.digit_colour(index)) > 0.003, f"digit {index} is not in the picture"
+        assert fraction_near(hand, palette.digit_colour(index)) > 0.003, (
+            f"digit {index} is not in the picture"
+        )
     assert fraction_near(plots, palette.LIMIT_COLOUR) > 0.0005
     assert fraction_near(image[680:860, 650:], palette.PHASE_COLOURS["hold"]) > 0.02
 
@@ -57,7 +59,9 @@ def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
 @pytest.fixture(scope="module")
 def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, ViewerClient]"]:
     """Open a viewer on the log itself, as `rerun LOG` does, without the layout of handctl."""
-    with running_viewer(["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan) as running:
+    with running_viewer(
+        ["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan
+    ) as running:
         client = connect_client(running)
         wait_loaded(client, "message_log_time")
         yield running, client
@@ -92,7 +96,9 @@ def test_viewer_ignores_streams_of_other_programs(bare: "tuple[Viewer, ViewerCli
     Regression: data of such a program replaced the views of the next viewer.
     """
     running, client = bare
-    assert not running.url.endswith(":9876/proxy"), "the viewer does not use the default port of Rerun"
+    assert not running.url.endswith(":9876/proxy"), (
+        "the viewer does not use the default port of Rerun"
+    )
     (shown,) = client.get_state().recordings
     assert "handctl" not in str(shown.store_id), "the picture is no recording of a follower"
 
@@ -104,7 +110,9 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
     def state(*timelines: Timeline) -> ViewerState:
         store = StoreId("run")
         shown = Recording(store, "", list(timelines), None, None)
-        return ViewerState("", store, [shown], [View("1", "3D", "hand", "/", True, [])], [], None, None)
+        return ViewerState(
+            "", store, [shown], [View("1", "3D", "hand", "/", True, [])], [], None, None
+        )
 
     def line(end: int | None) -> Timeline:
         return Timeline("run_time", "duration", 0, end)

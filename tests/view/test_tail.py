@@ -22,7 +22,9 @@ def grow_file(whole: bytes, seed: int) -> list[int]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(seed: int, jamia_path: Path, tmp_path: Path) -> None:
+def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(
+    seed: int, jamia_path: Path, tmp_path: Path
+) -> None:
     whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
     run = run_info_of(jamia_path)
     converters, tail, chunks, times = TopicConverters(run), LogTail(path), list[Chunk](), 0
@@ -36,7 +38,10 @@ def test_the_parts_of_a_growing_log_add_up_to_the_whole_log(seed: int, jamia_pat
     assert tail.ended
     assert tail.write_new(part) is None
     assert times > 4
-    shown, expected = entities(chunks), entities(log_chunks(jamia_path, TopicConverters(run), "whole"))
+    shown, expected = (
+        entities(chunks),
+        entities(log_chunks(jamia_path, TopicConverters(run), "whole")),
+    )
     assert shown.keys() == expected.keys()
     for name in shown.keys() - {"/tension/limit"}:
         if name == "/tf_static":  # may be sent twice

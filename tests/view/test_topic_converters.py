@@ -35,7 +35,9 @@ def log(log_path: Path) -> Iterator[RunLog]:
         yield log
 
 
-def test_every_number_of_the_controller_is_there_under_its_name(recorded: dict[str, Entity], log: RunLog) -> None:
+def test_every_number_of_the_controller_is_there_under_its_name(
+    recorded: dict[str, Entity], log: RunLog
+) -> None:
     for name in TELEMETRY_FIELDS:
         one = recorded[f"/controller/{name}"]
         np.testing.assert_array_equal(one.times, log.t_ns)
@@ -47,8 +49,12 @@ def test_tension_has_its_band_command_and_limit(recorded: dict[str, Entity], log
     one = recorded["/tension/estimate"]
     np.testing.assert_array_equal(one.times, log.t_ns)
     np.testing.assert_array_equal(one.table("Measurements:values"), log.field("tension"))
-    np.testing.assert_allclose(one.table("Measurements:variances") ** 0.5, log.field("tension_sigma"), rtol=1e-12)
-    np.testing.assert_array_equal(recorded["/tension/command"].table("Scalars:scalars"), log.field("tension_goal"))
+    np.testing.assert_allclose(
+        one.table("Measurements:variances") ** 0.5, log.field("tension_sigma"), rtol=1e-12
+    )
+    np.testing.assert_array_equal(
+        recorded["/tension/command"].table("Scalars:scalars"), log.field("tension_goal")
+    )
     assert one.static["Measurements:names"] == list(log.header.tendons)
     limit = recorded["/tension/limit"]
     assert (limit.table("Scalars:scalars") == 110.0).all()
@@ -60,11 +66,16 @@ def test_angles_are_in_degrees_digit_by_digit(recorded: dict[str, Entity], log: 
     for (kind, component), name in zip(shown.items(), ("q", "q_goal"), strict=True):
         parts = [recorded[f"/angle/{digit}/{kind}"].table(component) for digit in log.header.digits]
         np.testing.assert_allclose(np.hstack(parts), np.degrees(log.field(name)), atol=1e-12)
-    bands = [recorded[f"/angle/{digit}/estimate"].table("Measurements:variances") for digit in log.header.digits]
+    bands = [
+        recorded[f"/angle/{digit}/estimate"].table("Measurements:variances")
+        for digit in log.header.digits
+    ]
     np.testing.assert_allclose(np.hstack(bands) ** 0.5, np.degrees(log.field("q_sigma")), rtol=1e-9)
 
 
-def test_arrows_are_the_forces_of_the_object_on_the_tips(recorded: dict[str, Entity], log: RunLog) -> None:
+def test_arrows_are_the_forces_of_the_object_on_the_tips(
+    recorded: dict[str, Entity], log: RunLog
+) -> None:
     forces = log.field("tip_force")
     assert forces.max() > 1
     for index, digit in enumerate(log.header.digits):
@@ -79,7 +90,10 @@ def test_arrows_are_the_forces_of_the_object_on_the_tips(recorded: dict[str, Ent
 
 def test_states_change_as_in_the_log(recorded: dict[str, Entity], log: RunLog) -> None:
     phase = recorded["/state/phase"]
-    expected = [(int(t), names[0]) for t, names in zip(phase.times, phase.rows["StateChange:state"], strict=True)]
+    expected = [
+        (int(t), names[0])
+        for t, names in zip(phase.times, phase.rows["StateChange:state"], strict=True)
+    ]
     assert expected == [(change.t_ns, change.name) for change in log.phases]
     assert len(expected) == 7
     for lane, numbers in (("mode", log.mode), ("safety", log.action)):
@@ -90,16 +104,22 @@ def test_states_change_as_in_the_log(recorded: dict[str, Entity], log: RunLog) -
 
 
 def test_lateness_and_bus_load_add_up(recorded: dict[str, Entity], log: RunLog) -> None:
-    np.testing.assert_allclose(recorded["/loop/late"].table("Scalars:scalars")[:, 0], log.late_ns / 1e3, atol=1e-9)
+    np.testing.assert_allclose(
+        recorded["/loop/late"].table("Scalars:scalars")[:, 0], log.late_ns / 1e3, atol=1e-9
+    )
     period = log.header.period_ns * 1e-9
     spent, expected = [], []
     for tick in log.ticks():
         frames = (*tick.tick_in.frames, *tick.frames)
-        spent.append((tick.tick_in.t_ns, sum(frame_time_s(len(one.data), False, 1e6) for one in frames)))
+        spent.append(
+            (tick.tick_in.t_ns, sum(frame_time_s(len(one.data), False, 1e6) for one in frames))
+        )
         now = tick.tick_in.t_ns
         last = [time for t, time in spent if now - LOAD_WINDOW_NS < t <= now]
         expected.append(100 * sum(last) / min(LOAD_WINDOW_NS * 1e-9, now * 1e-9 + period))
-    np.testing.assert_allclose(recorded["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        recorded["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9
+    )
     assert 3 < expected[-1] < 100
 
 
@@ -112,7 +132,11 @@ def test_frames_put_the_fingertips_where_kinematics_does(
         rows = {name.split(":")[1]: values for name, values in one.rows.items()}
         for i in np.flatnonzero(one.times <= now):
             child, parent = rows["child_frame"][i][0], rows["parent_frame"][i][0]
-            edges[child] = (parent, np.array(rows["translation"][i][0]), np.array(rows["quaternion"][i][0]))
+            edges[child] = (
+                parent,
+                np.array(rows["translation"][i][0]),
+                np.array(rows["quaternion"][i][0]),
+            )
     at = int(np.searchsorted(log.t_ns, recorded["/tf"].times[recorded["/tf"].times <= now].max()))
     hand = run_info_of(log_path).hand
     for digit, joints in zip(hand.digit, hand.digit_joints.values(), strict=True):
@@ -130,13 +154,23 @@ def _place(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> 
     return point
 
 
-def test_every_visual_shape_is_solid_and_in_its_digits_colour(recorded: dict[str, Entity], log: RunLog) -> None:
+def test_every_visual_shape_is_solid_and_in_its_digits_colour(
+    recorded: dict[str, Entity], log: RunLog
+) -> None:
     robot = ET.fromstring(log.header.attachments["hand.urdf"])
-    visuals = {f"/hand/{link.get('name')}/visual_{i}" for link in robot for i, _ in enumerate(link.iter("visual"))}
+    visuals = {
+        f"/hand/{link.get('name')}/visual_{i}"
+        for link in robot
+        for i, _ in enumerate(link.iter("visual"))
+    }
     assert visuals == {path for path in recorded if path.startswith("/hand/")}
     for path in visuals:
         static = recorded[path].static
-        (kind,) = {name.split(":")[0] for name in static} & {"Boxes3D", "Cylinders3D", "Ellipsoids3D"}
+        (kind,) = {name.split(":")[0] for name in static} & {
+            "Boxes3D",
+            "Cylinders3D",
+            "Ellipsoids3D",
+        }
         assert static[f"{kind}:fill_mode"] == [3]
     red, green, blue = palette.digit_colour(0)
     first = recorded["/hand/index_link1/visual_0"].static["Cylinders3D:colors"]
@@ -162,16 +196,22 @@ def test_time_slices_do_not_change_the_recording(
 
 
 @pytest.mark.parametrize("fraction", [0.3, 0.5, 0.73, 0.9])
-def test_a_log_that_ends_early_is_shown_up_to_there(fraction: float, jamia_path: Path, tmp_path: Path) -> None:
+def test_a_log_that_ends_early_is_shown_up_to_there(
+    fraction: float, jamia_path: Path, tmp_path: Path
+) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(jamia_path.read_bytes()[: int(fraction * jamia_path.stat().st_size)])
     with RunLog(cut) as half:
         shown = entities(feed.run_chunks(cut, run_info_of(cut)))
-        np.testing.assert_array_equal(shown["/controller/q"].table("Scalars:scalars"), half.field("q"))
+        np.testing.assert_array_equal(
+            shown["/controller/q"].table("Scalars:scalars"), half.field("q")
+        )
         assert len(shown["/loop/late"].times) == len(shown["/bus/load"].times) == len(half) > 20
 
 
-def test_a_cut_within_the_index_of_a_chunk_loses_no_message(jamia_path: Path, tmp_path: Path) -> None:
+def test_a_cut_within_the_index_of_a_chunk_loses_no_message(
+    jamia_path: Path, tmp_path: Path
+) -> None:
     file, scan = LogFile(jamia_path), RecordScan()
     scan_records(file, scan)
     file.close()

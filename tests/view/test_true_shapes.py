@@ -38,13 +38,17 @@ def truth_of(shapes: dict[str, Any], seconds: float = 1.0) -> TruthRecord:
 def drawn(path: Path, truth: TruthRecord | None, offset_ns: int = 0) -> dict[str, Any]:
     """Return the entities that show the object and the table of a run with a truth."""
     run = run_info_of(path)
-    header = replace(run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)})
+    header = replace(
+        run.header, metadata={**run.header.metadata, "truth_offset_ns": str(offset_ns)}
+    )
     return entities(true_shape_chunks(RunInfo(header, run.hand, run.name, truth)))
 
 
 def test_object_and_table_are_where_the_truth_has_them(jamia_path: Path) -> None:
     made = drawn(jamia_path, truth_of(SHAPES), offset_ns=400_000_000)
-    assert made.keys() == {f"/true/{name}" for name in ("object", "table", "object_pose", "table_pose")}
+    assert made.keys() == {
+        f"/true/{name}" for name in ("object", "table", "object_pose", "table_pose")
+    }
     body, table = made["/true/object_pose"], made["/true/table_pose"]
     assert body.times[0] == 0
     place = np.array([row[0] for row in body.rows["Transform3D:translation"]])

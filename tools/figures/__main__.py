@@ -14,7 +14,13 @@ from typing import Any
 
 from handctl.cli.main import main as handctl
 from tools.figures import diagrams, gif, numbers, plots, runs, tuning
-from tools.figures.style import FIGURES_FOLDER, apply_style, save_figure, stamp_picture, without_blanks
+from tools.figures.style import (
+    FIGURES_FOLDER,
+    apply_style,
+    save_figure,
+    stamp_picture,
+    without_blanks,
+)
 
 REPOSITORY_ROOT = Path(__file__).parents[2]
 RUNS_FOLDER = REPOSITORY_ROOT / "build" / "figures"
@@ -56,11 +62,15 @@ FIGURE_NAMES = (*DIAGRAMS, *PLOTS, *PICTURES, *OTHER_WRITERS)
 
 def main() -> int:
     """Draw all figures, or those whose names are given. Return the exit code."""
-    parser = argparse.ArgumentParser(description="Draw the figures of README and site, and write the demo's numbers.")
+    parser = argparse.ArgumentParser(
+        description="Draw the figures of README and site, and write the demo's numbers."
+    )
     parser.add_argument("names", nargs="*", metavar="NAME",
                         help=f"{', '.join(FIGURE_NAMES)} "
                              f"(default: all but {', '.join(SLOW_PICTURES)}; report needs Chromium)")  # fmt: skip
-    parser.add_argument("--keep", action="store_true", help="use the demo's run in build/figures if it is there")
+    parser.add_argument(
+        "--keep", action="store_true", help="use the demo's run in build/figures if it is there"
+    )
     args = parser.parse_args()
     if unknown := set(args.names) - set(FIGURE_NAMES):
         parser.error(f"{min(unknown)}: no such figure; expected {', '.join(FIGURE_NAMES)}")

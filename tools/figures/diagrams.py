@@ -12,7 +12,9 @@ def architecture_diagram() -> Any:
     area(axes, (4.0, 2.7), (6.2, 6.2), "controller: one process, one thread")
     block(axes, (0.2, 6.8), (3.0, 1.2), "command line\nrun, stop, gains set")
     block(axes, (0.2, 4.9), (3.0, 1.2), "Python client\nhandctl.connect")
-    block(axes, (4.4, 6.5), (5.4, 1.5), "tick(): a pure function\nestimate · judge · decide · command")
+    block(
+        axes, (4.4, 6.5), (5.4, 1.5), "tick(): a pure function\nestimate · judge · decide · command"
+    )
     block(axes, (4.4, 4.7), (2.5, 1.2), "clock\nabsolute deadlines")
     block(axes, (7.3, 4.7), (2.5, 1.2), "mailbox\nrequests, state")
     block(axes, (4.4, 3.0), (5.4, 1.1), "buses: bytes in records of 80 bytes", "wire")
@@ -21,7 +23,13 @@ def architecture_diagram() -> Any:
     block(axes, (14.8, 6.6), (2.2, 1.3), "view, report\nexports", "log")
     block(axes, (14.8, 4.6), (2.2, 1.3), "replay\nidentify, tune", "log")
     block(axes, (4.0, 0.3), (4.4, 1.4), "hardware\ndrives, sensor node", "hardware")
-    block(axes, (9.2, 0.3), (5.0, 1.4), "firmware_sim: drives, sensors,\nMuJoCo; shares no code", "hardware")
+    block(
+        axes,
+        (9.2, 0.3),
+        (5.0, 1.4),
+        "firmware_sim: drives, sensors,\nMuJoCo; shares no code",
+        "hardware",
+    )
     arrow(axes, [(3.2, 7.4), (3.7, 7.4), (3.7, 4.45), (8.5, 4.45), (8.5, 4.7)])
     arrow(axes, [(3.2, 5.5), (3.7, 5.5)])
     arrow(axes, [(5.6, 5.9), (5.6, 6.5)], "TickIn", (6.3, 6.2))
@@ -34,7 +42,9 @@ def architecture_diagram() -> Any:
     arrow(axes, [(14.2, 5.5), (14.5, 5.5), (14.5, 7.25), (14.8, 7.25)])
     arrow(axes, [(14.2, 5.1), (14.8, 5.1)])
     arrow(axes, [(5.6, 3.0), (5.6, 1.7)], "SocketCAN", (6.5, 2.25), both=True)
-    arrow(axes, [(9.5, 3.0), (9.5, 1.7)], "embedded bus,\nvcan, or lockstep", (11.1, 2.25), both=True)
+    arrow(
+        axes, [(9.5, 3.0), (9.5, 1.7)], "embedded bus,\nvcan, or lockstep", (11.1, 2.25), both=True
+    )
     return figure
 
 
@@ -63,7 +73,9 @@ def control_law_diagram() -> Any:
     )
     block(axes, (0.2, 4.3), (2.3, 1.3), "setpoint\ntension $f_{set}$")
     circle(axes, (14.6, 7.05), 0.35, "host", "+")
-    block(axes, (15.4, 6.2), (2.8, 1.7), "limits, envelope\nof relaxing,\ncheck of frames", "safety")
+    block(
+        axes, (15.4, 6.2), (2.8, 1.7), "limits, envelope\nof relaxing,\ncheck of frames", "safety"
+    )
     block(axes, (15.4, 3.9), (2.8, 1.3), "drive and spool\n$\\tau_m = r_a u$", "hardware")
     block(axes, (15.4, 1.6), (2.8, 1.3), "tendon, digit,\nobject", "hardware")
     block(
@@ -88,7 +100,12 @@ def control_law_diagram() -> Any:
     arrow(axes, [(14.95, 7.05), (15.4, 7.05)], "$u$", (15.15, 7.3))
     arrow(axes, [(16.8, 6.2), (16.8, 5.2)], "torque command\nover CAN", (15.7, 5.7))
     arrow(axes, [(16.8, 3.9), (16.8, 2.9)], "tension $f_0$", (15.95, 3.4))
-    arrow(axes, [(15.4, 2.2), (11.2, 2.2)], "load cell, spool angle,\njoint angle: a tick old", (13.3, 1.75))
+    arrow(
+        axes,
+        [(15.4, 2.2), (11.2, 2.2)],
+        "load cell, spool angle,\njoint angle: a tick old",
+        (13.3, 1.75),
+    )
     arrow(axes, [(9.0, 3.1), (9.0, 4.3)], "$\\hat f,\\ v$", (9.75, 3.7))
     arrow(axes, [(7.0, 3.1), (7.0, 7.9), (7.9, 7.9), (7.9, 8.3)], "$s,\\ v,\\ \\hat f$", (6.5, 5.7))
     note(
@@ -122,7 +139,13 @@ def wiring_diagram() -> Any:
     axes.plot([8.5, 13.3], [5.7, 5.7], color=FAULT_COLOUR, linewidth=1.6)
     arrow(axes, [(2.9, 7.25), (4.0, 7.25)], colour=FAULT_COLOUR)
     arrow(axes, [(6.8, 7.25), (7.9, 7.25)], "coil", (7.35, 7.5), colour=FAULT_COLOUR)
-    arrow(axes, [(1.6, 7.9), (1.6, 8.4), (9.1, 8.4), (9.1, 7.9)], "motor power", (5.4, 8.6), colour=FAULT_COLOUR)
+    arrow(
+        axes,
+        [(1.6, 7.9), (1.6, 8.4), (9.1, 8.4), (9.1, 7.9)],
+        "motor power",
+        (5.4, 8.6),
+        colour=FAULT_COLOUR,
+    )
     axes.plot([9.1, 9.1], [6.6, 5.7], color=FAULT_COLOUR, linewidth=1.6)
     axes.plot([12.6, 12.6], [6.6, 5.7], color=FAULT_COLOUR, linewidth=1.6)
     note(axes, (9.3, 6.15), "motor power, switched", color=FAULT_COLOUR)
@@ -132,7 +155,13 @@ def wiring_diagram() -> Any:
     for x in (5.4, 16.6):
         block(axes, (x - 0.25, 1.2), (0.5, 0.9), "120\n$\\Omega$", "wire", 6.5)
         axes.plot([x, x], [2.1, 2.4], color=INK_COLOUR, linewidth=1.1)
-    note(axes, (11.0, 2.1), "CANH, CANL, GND: a line with two ends, short stubs", ha="center", va="top")
+    note(
+        axes,
+        (11.0, 2.1),
+        "CANH, CANL, GND: a line with two ends, short stubs",
+        ha="center",
+        va="top",
+    )
     note(axes, (0.3, 0.6), "The emergency stop cuts motor power only. Sensor node and adapter keep theirs, so that the "
          "log shows the stop.\n60 ohm between CANH and CANL with the power off. The drive's own current limit is set "
          "before a tendon is attached.",
@@ -147,7 +176,9 @@ def tendon_diagram() -> Any:
     figure, axes = plane(8.6, 2.9, (17.2, 5.8))
     circle(axes, (1.8, 3.4), 1.0, "hardware")
     circle(axes, (1.8, 3.4), 0.12, "wire")
-    axes.add_patch(Arc((1.8, 3.4), 2.6, 2.6, theta1=100, theta2=200, color=INK_COLOUR, linewidth=1.0))
+    axes.add_patch(
+        Arc((1.8, 3.4), 2.6, 2.6, theta1=100, theta2=200, color=INK_COLOUR, linewidth=1.0)
+    )
     note(axes, (0.1, 4.6), "$\\theta_m$, $\\tau_m$")
     arrow(axes, [(1.8, 3.4), (2.5, 2.69)], "$r_a$", (2.35, 3.2))
     note(axes, (1.8, 2.05), "motor and spool\nencoder, inertia $J_m$", ha="center", va="top")
@@ -164,10 +195,18 @@ def tendon_diagram() -> Any:
         axes.plot([x, end], [y, y], color="#c5ced6", linewidth=11, solid_capstyle="round", zorder=0)
         circle(axes, (x, y), 0.95 - 0.12 * n, "wire")
         note(axes, (x, y - 0.1), f"$q_{n + 1}$", ha="center")
-        arrow(axes, [(x, y), (x + 0.62 - 0.08 * n, y + 0.66 - 0.08 * n)], f"$r_{n + 1}$", (x + 0.5, y + 0.25))
+        arrow(
+            axes,
+            [(x, y), (x + 0.62 - 0.08 * n, y + 0.66 - 0.08 * n)],
+            f"$r_{n + 1}$",
+            (x + 0.5, y + 0.25),
+        )
         note(axes, (x, y - 1.35), f"spring $k_{n + 1}$", ha="center")
     axes.plot(
-        [7.6, 8.0, 10.9, 11.0, 13.85, 13.9, 15.6], [4.4, 4.36, 4.24, 4.23, 4.12, 4.11, 3.6], color=colour, linewidth=2.2
+        [7.6, 8.0, 10.9, 11.0, 13.85, 13.9, 15.6],
+        [4.4, 4.36, 4.24, 4.23, 4.12, 4.11, 3.6],
+        color=colour,
+        linewidth=2.2,
     )
     note(axes, (9.5, 4.75), "$f_1 = f_0\\,e^{-\\mu\\varphi_1}$", ha="center")
     note(axes, (12.5, 4.6), "$f_2$", ha="center")
@@ -193,12 +232,19 @@ def modes_diagram() -> Any:
     block(axes, (8.3, 3.0), (2.3, 1.5), "CUT\nno torque, now", "safety", 7.6)
     block(axes, (3.5, 1.4), (2.3, 1.5), "DONE\nconfirmed off,\nor exit code 71", "log", 7.6)
     names = list(row)
-    for first, second, text in zip(names, names[1:], ("0.5 s", "all answer", "armed", "enabled"), strict=False):
+    for first, second, text in zip(
+        names, names[1:], ("0.5 s", "all answer", "armed", "enabled"), strict=False
+    ):
         arrow(axes, [(row[first] + 2.3, 6.75), (row[second], 6.75)])
         note(axes, ((row[first] + 2.3 + row[second]) / 2.0, 7.05), text, ha="center", fontsize=6.5)
     arrow(axes, [(14.6, 6.0), (14.6, 5.2)], "stop, end\nor fault", (15.4, 5.6))
     arrow(axes, [(14.6, 3.7), (14.6, 2.9)], "below 8 N\nor 1 s", (15.4, 3.3))
-    arrow(axes, [(13.3, 1.8), (5.8, 1.8)], "every drive confirms that it is disabled, or 1 s", (9.4, 1.58))
+    arrow(
+        axes,
+        [(13.3, 1.8), (5.8, 1.8)],
+        "every drive confirms that it is disabled, or 1 s",
+        (9.4, 1.58),
+    )
     arrow(
         axes,
         [(13.6, 6.0), (13.6, 5.55), (9.9, 5.55), (9.9, 4.5)],
@@ -208,8 +254,18 @@ def modes_diagram() -> Any:
     )
     arrow(axes, [(13.3, 4.2), (10.6, 4.2)], "the same", (12.2, 4.4), FAULT_COLOUR)
     arrow(axes, [(10.6, 3.4), (12.6, 3.4), (12.6, 2.5), (13.3, 2.5)], "0.1 s", (11.1, 3.6))
-    arrow(axes, [(11.6, 6.0), (11.6, 3.05), (13.0, 3.05), (13.0, 2.2), (13.3, 2.2)], "stop", (11.95, 4.85))
-    arrow(axes, [(4.65, 6.0), (4.65, 2.9)], "a node is silent or differs,\nor a second controller", (6.4, 4.5))
+    arrow(
+        axes,
+        [(11.6, 6.0), (11.6, 3.05), (13.0, 3.05), (13.0, 2.2), (13.3, 2.2)],
+        "stop",
+        (11.95, 4.85),
+    )
+    arrow(
+        axes,
+        [(4.65, 6.0), (4.65, 2.9)],
+        "a node is silent or differs,\nor a second controller",
+        (6.4, 4.5),
+    )
     note(
         axes,
         (0.3, 0.6),

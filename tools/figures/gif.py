@@ -44,11 +44,16 @@ def write_gif(folder: Path, path: Path) -> None:
 
     pictures = [Image.fromarray(picture) for picture in grasp_frames(folder)]
     palette = picture_sheet(pictures[:: len(pictures) // SAMPLED_PICTURES]).quantize(COLOUR_COUNT)
-    small = [picture.quantize(COLOUR_COUNT, palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    small = [
+        picture.quantize(COLOUR_COUNT, palette=palette, dither=Image.Dither.NONE)
+        for picture in pictures
+    ]
     small[0].save(path, save_all=True, append_images=small[1:], duration=round(1e3 / RATE_HZ), loop=0, optimize=True,
                   comment=CREATOR_TEXT.encode())  # fmt: skip
     if path.stat().st_size > MAX_FILE_BYTES:
-        raise RuntimeError(f"{path}: {path.stat().st_size} bytes; expected at most {MAX_FILE_BYTES}")
+        raise RuntimeError(
+            f"{path}: {path.stat().st_size} bytes; expected at most {MAX_FILE_BYTES}"
+        )
 
 
 def picture_sheet(pictures: list[Any]) -> Any:
@@ -81,9 +86,14 @@ def grasp_frames(folder: Path) -> list[Any]:
     starts = {change.name: change.t_ns for change in log.phases}
     times = np.arange(starts["preshape"], int(log.t_ns[-1]), int(1e9 / RATE_HZ)) + offset
     joints = truth.table([f"q/{joint}" for joint in log.header.joints], times)
-    pose = truth.table([f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")], times)
+    pose = truth.table(
+        [f"object/{part}" for part in ("x", "y", "z", "qw", "qx", "qy", "qz")], times
+    )
     sunk = truth.at("support", times)
-    force = {name: truth.table([f"contact_force/{name}/{axis}" for axis in "xyz"], times) for name in DIGIT_COLOURS}
+    force = {
+        name: truth.table([f"contact_force/{name}/{axis}" for axis in "xyz"], times)
+        for name in DIGIT_COLOURS
+    }
     top = float(data.mocap_pos[0, 2])
     pictures = []
     with mujoco.Renderer(model, PICTURE_SIZE_PX[1], PICTURE_SIZE_PX[0]) as renderer:
@@ -96,8 +106,16 @@ def grasp_frames(folder: Path) -> list[Any]:
             renderer.update_scene(data, camera)
             for name in DIGIT_COLOURS:
                 link = f"{name}_link{2 if name == 'thumb' else 3}"
-                add_arrow(mujoco, renderer.scene, data.body(link).xpos, force[name][i], rgba(DIGIT_COLOURS[name], 0.9))
-            pictures.append(labelled_picture(renderer.render(), log, int(times[i]) - offset, force, i))
+                add_arrow(
+                    mujoco,
+                    renderer.scene,
+                    data.body(link).xpos,
+                    force[name][i],
+                    rgba(DIGIT_COLOURS[name], 0.9),
+                )
+            pictures.append(
+                labelled_picture(renderer.render(), log, int(times[i]) - offset, force, i)
+            )
     return pictures
 
 
@@ -108,19 +126,27 @@ def paint_model(mujoco: Any, model: Any) -> None:
         digit = body.partition("_")[0]
         plain = {"object": "#d8d2c4", "table": "#8d99a5"}.get(body, "#5b6670")
         model.geom_rgba[geom] = (
-            rgba(DIGIT_COLOURS[digit]) if digit in DIGIT_COLOURS else rgba(plain, 0.55 if body == "object" else 1.0)
+            rgba(DIGIT_COLOURS[digit])
+            if digit in DIGIT_COLOURS
+            else rgba(plain, 0.55 if body == "object" else 1.0)
         )
 
 
-def add_arrow(mujoco: Any, scene: Any, start: Any, force: Any, colour: tuple[float, float, float, float]) -> None:
+def add_arrow(
+    mujoco: Any, scene: Any, start: Any, force: Any, colour: tuple[float, float, float, float]
+) -> None:
     """Add an arrow for a contact force [N] at a point of the scene."""
     if np.linalg.norm(force) < 0.2 or scene.ngeom >= scene.maxgeom:
         return
     geom = scene.geoms[scene.ngeom]
     scene.ngeom += 1
     arrow = mujoco.mjtGeom.mjGEOM_ARROW
-    mujoco.mjv_initGeom(geom, arrow, np.zeros(3), np.zeros(3), np.zeros(9), np.array(colour, np.float32))
-    mujoco.mjv_connector(geom, arrow, 0.0025, np.array(start), np.array(start) + ARROW_M_PER_N * force)
+    mujoco.mjv_initGeom(
+        geom, arrow, np.zeros(3), np.zeros(3), np.zeros(9), np.array(colour, np.float32)
+    )
+    mujoco.mjv_connector(
+        geom, arrow, 0.0025, np.array(start), np.array(start) + ARROW_M_PER_N * force
+    )
 
 
 def labelled_picture(picture: Any, log: Any, t_ns: int, force: dict[str, Any], i: int) -> Any:

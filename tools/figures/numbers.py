@@ -10,7 +10,9 @@ from typing import Any
 
 from tools.figures import runs
 
-TABLE_PATTERN = re.compile(r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)(<!-- end of measured -->)", re.DOTALL)
+TABLE_PATTERN = re.compile(
+    r"(<!-- measured: handctl demo --lockstep -->\n)(.*?)(<!-- end of measured -->)", re.DOTALL
+)
 """Pattern of the marks in a page, and of the table between them."""
 
 

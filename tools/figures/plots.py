@@ -36,7 +36,9 @@ def estimate_plot(folder: Path) -> Any:
     log, truth, _ = runs.grasp_run(folder)
     offset = int(log.header.metadata.get("truth_offset_ns", "0"))
     true = truth.at("tension/index_tendon", log.t_ns + offset)
-    raw, mean, sigma = (log.field(name)[:, 0] for name in ("tension_raw", "tension", "tension_sigma"))
+    raw, mean, sigma = (
+        log.field(name)[:, 0] for name in ("tension_raw", "tension", "tension_sigma")
+    )
     figure = new_figure(8.6, 3.6)
     left, right = figure.subplots(1, 2)
     starts = {change.name: change.t_ns * 1e-9 for change in log.phases}
@@ -84,7 +86,15 @@ def snapped_tendon(folder: Path) -> Any:
         part = ms[modes == mode]
         length_ms = part[-1] - part[0] + 2.0
         colour = BLOCK_COLOURS["host" if mode == Mode.ACTIVE else "safety"]
-        bottom.barh(0, length_ms, left=part[0], color=colour, edgecolor=INK_COLOUR, linewidth=0.6, height=0.8)
+        bottom.barh(
+            0,
+            length_ms,
+            left=part[0],
+            color=colour,
+            edgecolor=INK_COLOUR,
+            linewidth=0.6,
+            height=0.8,
+        )
         bottom.text(part[0] + length_ms / 2.0, 0, Mode(mode).name, ha="center", va="center", color=INK_COLOUR,
                     fontsize=7.5 if length_ms > 10.0 else 5.5, rotation=0.0 if length_ms > 10.0 else 90.0)  # fmt: skip
     bottom.set(yticks=[], ylabel="mode", xlabel="time after the snap [ms]")
@@ -97,7 +107,12 @@ def snapped_tendon(folder: Path) -> Any:
             axes.axvline(when * 1e3, color=FAULT_COLOUR, linewidth=1.0, linestyle=":")
     for when, text in reports:
         middle.text(
-            when * 1e3 + 2.0, middle.get_ylim()[1] * 0.9, text.split(":")[0], color=FAULT_COLOUR, fontsize=8, va="top"
+            when * 1e3 + 2.0,
+            middle.get_ylim()[1] * 0.9,
+            text.split(":")[0],
+            color=FAULT_COLOUR,
+            fontsize=8,
+            va="top",
         )
     top.set_title("the index tendon snaps in a grasp")
     return figure
@@ -110,7 +125,9 @@ def tip_force(folder: Path) -> Any:
     grid = figure.subplots(2, 4, sharey="row")
     thumb = [3 * force for force in runs.GRIP_COMMANDS_N]
     commands = [runs.TIP_COMMANDS_N] * 4, [runs.GRIP_COMMANDS_N] * 3 + [thumb]
-    for row, run, commanded in zip(grid, (runs.tip_on_wall(), runs.tip_in_grasp()), commands, strict=True):
+    for row, run, commanded in zip(
+        grid, (runs.tip_on_wall(), runs.tip_in_grasp()), commands, strict=True
+    ):
         _draw_tip_forces(row, run, commanded)
     grid[0, 0].set_ylabel("on a wall:\nforce at the tip [N]")
     grid[1, 0].set_ylabel("in a held grasp:\ncontact force of the digit [N]")
@@ -137,7 +154,13 @@ def _draw_tip_forces(row: Any, run: runs.RunRecording, commanded: Any) -> None:
         for i, force in enumerate(commanded[n]):
             command[phases == str(i)] = force
         axes.plot(run.t[part], command[part], color=COMMAND_COLOUR, linestyle="--", label="command")
-        axes.plot(run.t[part], run.values["tip_force"][part, n], color=colour, linewidth=0.9, label="estimate")
+        axes.plot(
+            run.t[part],
+            run.values["tip_force"][part, n],
+            color=colour,
+            linewidth=0.9,
+            label="estimate",
+        )
         axes.plot(
             run.t[part],
             run.values["true_contact"][part, n],
@@ -179,7 +202,10 @@ def replay_plot(folder: Path) -> Any:
                 linewidth=1.0,
                 label=f"{name}, replayed",
             )
-    top.set(ylabel="mean joint angle [deg]", title="a recorded grasp, and its replay on a hand with other noise")
+    top.set(
+        ylabel="mean joint angle [deg]",
+        title="a recorded grasp, and its replay on a hand with other noise",
+    )
     top.legend(ncols=2)
     bottom.set(ylabel="tendon tension [N]", xlabel="time [s]")
     bottom.margins(x=0)
@@ -217,8 +243,12 @@ def bus_tick(folder: Path) -> Any:
     axes.text(1990.0, 2.4, "next tick", ha="right", color=FAULT_COLOUR, fontsize=8)
     axes.axvspan(at, 2000.0, color="#eef3f7", zorder=0)
     text = f"free: {2000.0 - at:.0f} us\nfor read-backs, retries,\nthe next computation"
-    axes.text((at + 2000.0) / 2.0, 1.0, text, ha="center", va="center", fontsize=8, color=INK_COLOUR)
-    axes.set(yticks=list(lanes.values()), yticklabels=list(lanes), xlim=(0.0, 2000.0), ylim=(-0.5, 2.7))
+    axes.text(
+        (at + 2000.0) / 2.0, 1.0, text, ha="center", va="center", fontsize=8, color=INK_COLOUR
+    )
+    axes.set(
+        yticks=list(lanes.values()), yticklabels=list(lanes), xlim=(0.0, 2000.0), ylim=(-0.5, 2.7)
+    )
     axes.set(xlabel="time on the wire [us]",
              title="one tick of jamia at 500 Hz, 1 Mbit/s: SYNC, four commands, four replies, tensions")  # fmt: skip
     axes.grid(visible=False, axis="y")

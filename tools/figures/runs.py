@@ -122,7 +122,11 @@ def grasp_run(folder: Path) -> tuple[RunLog, TruthRecord, dict[str, Any]]:
         if code:
             raise RuntimeError(f"handctl {' '.join(DEMO_COMMAND)} returned {code}")
         printed.write_text(out.getvalue(), encoding="utf-8")
-    return RunLog(log), read_truth(log.with_suffix(".truth")), json.loads(printed.read_text(encoding="utf-8"))
+    return (
+        RunLog(log),
+        read_truth(log.with_suffix(".truth")),
+        json.loads(printed.read_text(encoding="utf-8")),
+    )
 
 
 def run_picture(folder: Path) -> Path:
@@ -139,7 +143,9 @@ def view_picture(folder: Path) -> Path:
     log, _, _ = grasp_run(folder)
     at_s = next(change.t_ns for change in log.phases if change.name == "hold") * 1e-9 + 2.5
     path = folder / "view.png"
-    if code := main(["view", str(folder / "grasp.mcap"), "--picture", str(path), "--at", f"{at_s:.1f}"]):
+    if code := main(
+        ["view", str(folder / "grasp.mcap"), "--picture", str(path), "--at", f"{at_s:.1f}"]
+    ):
         raise RuntimeError(f"handctl view returned {code}")
     return path
 
@@ -168,7 +174,9 @@ def snap_run() -> RunRecording:
         run.peer.inject("snap tendon=index_tendon")
         after = record_run(run, SNAP_S)
     t = np.concatenate([before.t, after.t]) - after.t[0]
-    values = {name: np.concatenate([before.values[name], after.values[name]]) for name in before.values}
+    values = {
+        name: np.concatenate([before.values[name], after.values[name]]) for name in before.values
+    }
     events = [(when - after.t[0], text) for when, text in after.events]
     return RunRecording(t, values, before.phase + after.phase, before.mode + after.mode, events)
 
@@ -186,7 +194,10 @@ def tip_in_grasp() -> RunRecording:
     """
     opened = {**dict.fromkeys(FINGERS, 15.0), "thumb": 8.0}
     closed = {**dict.fromkeys(FINGERS, 60.0), "thumb": 45.0}
-    forces = [{**dict.fromkeys(FINGERS, force), "thumb": len(FINGERS) * force} for force in GRIP_COMMANDS_N]
+    forces = [
+        {**dict.fromkeys(FINGERS, force), "thumb": len(FINGERS) * force}
+        for force in GRIP_COMMANDS_N
+    ]
     return _press("cylinder:35", opened, closed, [{"tip_force_N": force} for force in forces])
 
 
@@ -199,10 +210,15 @@ def _press(scene: str, opened: Any, closed: Any, holds: list[dict[str, Any]]) ->
     phases: list[dict[str, Any]] = [
         {"kind": "move", "angle_deg": opened, "duration_s": 0.8},
         {"kind": "close", "angle_deg": closed, "speed_deg_s": 50.0},
-        *({"kind": "hold", "name": str(i), **hold, "duration_s": 1.5} for i, hold in enumerate(holds)),
+        *(
+            {"kind": "hold", "name": str(i), **hold, "duration_s": 1.5}
+            for i, hold in enumerate(holds)
+        ),
     ]
     task = Task.model_validate_json(json.dumps({"schema": 1, "name": "tip", "phase": phases}))
-    controller = make_controller(hand, Gains(), TIP_RATE_HZ, TaskProgram(task), None, arm_at_once=True)
+    controller = make_controller(
+        hand, Gains(), TIP_RATE_HZ, TaskProgram(task), None, arm_at_once=True
+    )
     with SimulatorSettings(hand, scene, 0, homed=True).against(controller) as run:
         return record_run(run, 14.0)
 
@@ -213,5 +229,7 @@ def training_picture(folder: Path) -> Path:
     # matplotlib reads its settings from a file of this name in the folder of the process.
     style = "".join(f"{key}: {value}\n" for key, value in PLOT_SETTINGS.items())
     (folder / "matplotlibrc").write_text(style, encoding="utf-8")
-    subprocess.run([sys.executable, str(program)], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, str(program)], cwd=folder, check=True, stdout=subprocess.DEVNULL
+    )
     return folder / "training.png"

@@ -21,26 +21,53 @@ def plane(width: float, height: float, size: Point) -> tuple[Any, Any]:
     return figure, axes
 
 
-def block(axes: Any, corner: Point, size: Point, text: str, subject: str = "host", fontsize: float = 8.5) -> None:
+def block(
+    axes: Any, corner: Point, size: Point, text: str, subject: str = "host", fontsize: float = 8.5
+) -> None:
     """Draw a block with a text in its middle. The subject selects the colour of the block."""
     from matplotlib.patches import FancyBboxPatch
 
     style = "round,pad=0,rounding_size=0.12"
     axes.add_patch(
         FancyBboxPatch(
-            corner, *size, boxstyle=style, facecolor=BLOCK_COLOURS[subject], edgecolor=INK_COLOUR, linewidth=0.9
+            corner,
+            *size,
+            boxstyle=style,
+            facecolor=BLOCK_COLOURS[subject],
+            edgecolor=INK_COLOUR,
+            linewidth=0.9,
         )
     )
     middle = (corner[0] + size[0] / 2.0, corner[1] + size[1] / 2.0)
-    axes.text(*middle, text, ha="center", va="center", fontsize=fontsize, color=INK_COLOUR, linespacing=1.35)
+    axes.text(
+        *middle,
+        text,
+        ha="center",
+        va="center",
+        fontsize=fontsize,
+        color=INK_COLOUR,
+        linespacing=1.35,
+    )
 
 
 def area(axes: Any, corner: Point, size: Point, text: str) -> None:
     """Draw a dashed frame around an area with blocks. The title is at the upper left corner."""
     from matplotlib.patches import Rectangle
 
-    axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="#8896a3", linewidth=0.9, linestyle=(0, (4, 3))))
-    axes.text(corner[0] + 0.1, corner[1] + size[1] - 0.12, text, ha="left", va="top", fontsize=8, color="#5b6b79")
+    axes.add_patch(
+        Rectangle(
+            corner, *size, fill=False, edgecolor="#8896a3", linewidth=0.9, linestyle=(0, (4, 3))
+        )
+    )
+    axes.text(
+        corner[0] + 0.1,
+        corner[1] + size[1] - 0.12,
+        text,
+        ha="left",
+        va="top",
+        fontsize=8,
+        color="#5b6b79",
+    )
 
 
 def arrow(
@@ -70,21 +97,32 @@ def arrow(
     axes.annotate("", xy=points[-1], xytext=points[-2], arrowprops=style)
     if text:
         pairs = list(pairwise(points))
-        (x0, y0), (x1, y1) = max(pairs, key=lambda ends: abs(ends[0][0] - ends[1][0]) + abs(ends[0][1] - ends[1][1]))
+        (x0, y0), (x1, y1) = max(
+            pairs, key=lambda ends: abs(ends[0][0] - ends[1][0]) + abs(ends[0][1] - ends[1][1])
+        )
         place = at or ((x0 + x1) / 2.0, (y0 + y1) / 2.0 + 0.14)
-        axes.text(*place, text, ha="center", va="center", fontsize=7.5, color=colour, linespacing=1.2)
+        axes.text(
+            *place, text, ha="center", va="center", fontsize=7.5, color=colour, linespacing=1.2
+        )
 
 
 def note(axes: Any, place: Point, text: str, **how: Any) -> None:
     """Write a text at a place in the diagram."""
     axes.text(
-        *place, text, **{"ha": "left", "va": "center", "fontsize": 7.5, "color": INK_COLOUR, "linespacing": 1.3} | how
+        *place,
+        text,
+        **{"ha": "left", "va": "center", "fontsize": 7.5, "color": INK_COLOUR, "linespacing": 1.3}
+        | how,
     )
 
 
-def circle(axes: Any, place: Point, radius: float, subject: str = "hardware", text: str = "") -> None:
+def circle(
+    axes: Any, place: Point, radius: float, subject: str = "hardware", text: str = ""
+) -> None:
     """Draw a circle with a text in its middle."""
     from matplotlib.patches import Circle
 
-    axes.add_patch(Circle(place, radius, facecolor=BLOCK_COLOURS[subject], edgecolor=INK_COLOUR, linewidth=0.9))
+    axes.add_patch(
+        Circle(place, radius, facecolor=BLOCK_COLOURS[subject], edgecolor=INK_COLOUR, linewidth=0.9)
+    )
     note(axes, place, text, ha="center")

@@ -16,7 +16,13 @@ RAW_COLOUR = "#c9c9c9"
 FAULT_COLOUR = "#d01c1c"
 """Colours of true values, commands, estimates, raw readings and faults."""
 INK_COLOUR = "#22303c"
-BLOCK_COLOURS = {"host": "#dbe7f5", "wire": "#f6e3c8", "hardware": "#dcefdf", "log": "#ece2f4", "safety": "#f8d9d9"}
+BLOCK_COLOURS = {
+    "host": "#dbe7f5",
+    "wire": "#f6e3c8",
+    "hardware": "#dcefdf",
+    "log": "#ece2f4",
+    "safety": "#f8d9d9",
+}
 """Colours of the lines and texts in diagrams, and of the blocks by subject."""
 PLOT_SETTINGS: dict[str, Any] = {
     "font.family": "DejaVu Sans", "font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9, "axes.grid": True,
@@ -50,7 +56,10 @@ def new_figure(width: float, height: float) -> Any:
 def save_figure(figure: Any, name: str, folder: Path = FIGURES_FOLDER) -> list[Path]:
     """Write a figure as an SVG and a PNG file, both with the version in the metadata."""
     written = []
-    for kind, metadata in (("svg", {"Creator": CREATOR_TEXT, "Date": None}), ("png", {"Software": CREATOR_TEXT})):
+    for kind, metadata in (
+        ("svg", {"Creator": CREATOR_TEXT, "Date": None}),
+        ("png", {"Software": CREATOR_TEXT}),
+    ):
         path = folder / f"{name}.{kind}"
         buffer = io.BytesIO()
         figure.savefig(buffer, format=kind, metadata=metadata, dpi=110)
@@ -86,4 +95,6 @@ def drawn_by(path: Path) -> str:
     with Image.open(path) as image:
         info = image.info
     comment = info.get("comment", b"")
-    return str(info.get("Software", "")) or (comment.decode() if isinstance(comment, bytes) else str(comment))
+    return str(info.get("Software", "")) or (
+        comment.decode() if isinstance(comment, bytes) else str(comment)
+    )

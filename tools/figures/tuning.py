@@ -23,7 +23,13 @@ motor_disturbance_N = 0.36
 """
 UNSTABLE_GAINS = "schema = 1\n[motion]\nforce_N = 450.0\n[tension]\nforce_N = 300.0\n"
 """Gains with which the control loops oscillate."""
-PERTURBATION_FACTORS = ("stiffness=0.8", "spring=1.2", "friction=1.25", "motor_inertia=0.8", "torque_constant=1.1")
+PERTURBATION_FACTORS = (
+    "stiffness=0.8",
+    "spring=1.2",
+    "friction=1.25",
+    "motor_inertia=0.8",
+    "torque_constant=1.1",
+)
 OTHER_HAND = ("stiffness=0.7", "friction=1.3", "motor_inertia=0.7")
 """Factors that change the simulated hands on the page *Tune a hand*."""
 BROWSER_COMMANDS = ("chromium", "chromium-browser", "google-chrome")
@@ -69,7 +75,17 @@ def identify_picture(folder: Path) -> Path:
 def design_picture(folder: Path) -> Path:
     """Design gains with margins, starting from gains without margins."""
     with empty_folder(folder, "design") as path:
-        call_handctl(path, "tune", "design", "--hand", "jamia", "--gains", "detuned.toml", "--output", "design.toml")
+        call_handctl(
+            path,
+            "tune",
+            "design",
+            "--hand",
+            "jamia",
+            "--gains",
+            "detuned.toml",
+            "--output",
+            "design.toml",
+        )
         return path / "design.png"
 
 
@@ -77,7 +93,16 @@ def return_picture(folder: Path) -> Path:
     """Verify gains with which the loops oscillate, so that the run returns to the old gains."""
     with empty_folder(folder, "return") as path:
         call_handctl(
-            path, "tune", "verify", "wild.toml", "--hand", "jamia", "--lockstep", "--log", "return.mcap", codes=(1,)
+            path,
+            "tune",
+            "verify",
+            "wild.toml",
+            "--hand",
+            "jamia",
+            "--lockstep",
+            "--log",
+            "return.mcap",
+            codes=(1,),
         )
         return path / "return.png"
 
@@ -108,7 +133,17 @@ def verify_picture(folder: Path) -> Path:
 def pair_picture(folder: Path) -> Path:
     """Return the picture that the demo draws of a hand with spool pairs."""
     with empty_folder(folder, "orca_like") as path:
-        call_handctl(path, "demo", "--lockstep", "--hand", "orca_like", "--seed", "0", "--log", "orca_like.mcap")
+        call_handctl(
+            path,
+            "demo",
+            "--lockstep",
+            "--hand",
+            "orca_like",
+            "--seed",
+            "0",
+            "--log",
+            "orca_like.mcap",
+        )
         return path / "orca_like.png"
 
 
@@ -117,7 +152,9 @@ def mesh_picture(folder: Path) -> Path:
     from PIL import Image
 
     with empty_folder(folder, "meshes") as path:
-        call_handctl(path, "demo", "--lockstep", "--hand", "t42", "--seed", "0", "--log", "t42.mcap")
+        call_handctl(
+            path, "demo", "--lockstep", "--hand", "t42", "--seed", "0", "--log", "t42.mcap"
+        )
         call_handctl(path, "view", "t42.mcap", "--picture", "meshes.png")
         picture = path / "meshes.png"
         with Image.open(picture) as dashboard:

@@ -13,7 +13,11 @@ HANDS_FOLDER = Path(__file__).parents[2] / "src" / "handctl" / "hand" / "hands"
 
 def files() -> Iterator[tuple[Path, bytes]]:
     """Yield the path and the content of each mesh file."""
-    for name, triangles in (("palm", t42.palm()), ("inner", t42.inner_link()), ("outer", t42.outer_link())):
+    for name, triangles in (
+        ("palm", t42.palm()),
+        ("inner", t42.inner_link()),
+        ("outer", t42.outer_link()),
+    ):
         yield HANDS_FOLDER / "t42" / f"{name}.stl", stl(triangles)
 
 

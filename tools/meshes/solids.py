@@ -18,7 +18,9 @@ def disc(centre: tuple[float, float], radius: float, sides: int = 24) -> Array:
     return np.asarray(np.array(centre) + radius * np.column_stack((np.cos(angles), np.sin(angles))))
 
 
-def prism(outline: Sequence[Sequence[float]] | Array, low: float, high: float, chamfer: float) -> Array:
+def prism(
+    outline: Sequence[Sequence[float]] | Array, low: float, high: float, chamfer: float
+) -> Array:
     """Return the triangles of a prism along z whose ends are chamfered, (n, 3, 3).
 
     Args:
@@ -29,7 +31,9 @@ def prism(outline: Sequence[Sequence[float]] | Array, low: float, high: float, c
     """
     corners = np.asarray(outline, dtype=np.float64)
     middle = corners.mean(axis=0)
-    inset = middle + (corners - middle) * (1.0 - chamfer / np.linalg.norm(corners - middle, axis=1, keepdims=True))
+    inset = middle + (corners - middle) * (
+        1.0 - chamfer / np.linalg.norm(corners - middle, axis=1, keepdims=True)
+    )
     layers = [(inset, low), (corners, low + chamfer), (corners, high - chamfer), (inset, high)]
     rings = [np.column_stack((ring, np.full(len(ring), z))) for ring, z in layers]
     triangles = []
@@ -38,7 +42,10 @@ def prism(outline: Sequence[Sequence[float]] | Array, low: float, high: float, c
         for below, above in pairwise(rings):
             triangles += [(below[i], below[j], above[j]), (below[i], above[j], above[i])]
         if 0 < i < len(corners) - 1:
-            triangles += [(rings[0][0], rings[0][j], rings[0][i]), (rings[-1][0], rings[-1][i], rings[-1][j])]
+            triangles += [
+                (rings[0][0], rings[0][j], rings[0][i]),
+                (rings[-1][0], rings[-1][i], rings[-1][j]),
+            ]
     return np.array(triangles)
 
 
@@ -49,7 +56,9 @@ def along_x(triangles: Array) -> Array:
 
 def stl(triangles: Array) -> bytes:
     """Return triangles (n, 3, 3) as a binary STL."""
-    records = np.zeros(len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    records = np.zeros(
+        len(triangles), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
+    )
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     records["normal"] = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     records["corners"] = triangles

@@ -14,8 +14,12 @@ SCHEMA_FILE = REPOSITORY_ROOT / "src" / "handctl" / "hand" / "hand.schema.json"
 
 def main() -> int:
     """Write or check the generated pages and the schema. Return the exit code."""
-    parser = argparse.ArgumentParser(description="Write the generated blocks of the pages in docs/.")
-    parser.add_argument("--check", action="store_true", help="write nothing, and return 1 if a page is stale")
+    parser = argparse.ArgumentParser(
+        description="Write the generated blocks of the pages in docs/."
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing, and return 1 if a page is stale"
+    )
     if parser.parse_args().check:
         stale = [*stale_pages(REPOSITORY_ROOT)]
         if SCHEMA_FILE.read_text("utf-8") != hand_schema_text():

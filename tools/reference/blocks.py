@@ -27,7 +27,9 @@ BLOCK_FUNCTIONS: dict[str, Callable[[], str]] = {
     "hardware-tests": faults.hardware_checklist,
 }
 """Function that returns the text of a block, by the name of the block."""
-BLOCK_PATTERN = re.compile(r"(<!-- generated: ([\w-]+) -->\n)(.*?)(<!-- end of generated -->)", re.DOTALL)
+BLOCK_PATTERN = re.compile(
+    r"(<!-- generated: ([\w-]+) -->\n)(.*?)(<!-- end of generated -->)", re.DOTALL
+)
 """Pattern of a block in a page, with its marks."""
 
 
@@ -45,7 +47,9 @@ def filled_page(text: str) -> str:
     Raises:
         KeyError: the page names an unknown block.
     """
-    return BLOCK_PATTERN.sub(lambda match: f"{match[1]}\n{BLOCK_FUNCTIONS[match[2]]().strip()}\n\n{match[4]}", text)
+    return BLOCK_PATTERN.sub(
+        lambda match: f"{match[1]}\n{BLOCK_FUNCTIONS[match[2]]().strip()}\n\n{match[4]}", text
+    )
 
 
 def stale_pages(root: Path) -> list[str]:

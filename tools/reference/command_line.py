@@ -76,7 +76,13 @@ def _value(action: argparse.Action) -> str:
         value = "{" + ",".join(map(str, action.choices)) + "}"
     else:
         value = action.dest.upper()
-    return f"[{value}]" if action.nargs == "?" else f"{value} ..." if action.nargs in ("*", "+") else value
+    return (
+        f"[{value}]"
+        if action.nargs == "?"
+        else f"{value} ..."
+        if action.nargs in ("*", "+")
+        else value
+    )
 
 
 def exit_codes() -> str:

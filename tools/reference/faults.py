@@ -8,4 +8,10 @@ from handctl.safety.faults.markdown import (
     late_rows,
 )
 
-__all__ = ["catalogue_markdown", "fault_sections", "fault_table_markdown", "hardware_checklist", "late_rows"]
+__all__ = [
+    "catalogue_markdown",
+    "fault_sections",
+    "fault_table_markdown",
+    "hardware_checklist",
+    "late_rows",
+]

@@ -6,7 +6,13 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from handctl.core.gains.bounds import GAIN_SECTIONS, SHARED_KEYS, TENDON_SECTION, bound_of, gain_bounds
+from handctl.core.gains.bounds import (
+    GAIN_SECTIONS,
+    SHARED_KEYS,
+    TENDON_SECTION,
+    bound_of,
+    gain_bounds,
+)
 from handctl.core.gains.gains import Gains, TendonForces
 from handctl.hand.description import Hand
 from handctl.hand.file.descriptions import key_description
@@ -41,7 +47,11 @@ def hand_file() -> str:
     """Return a section for each table of a hand file, with a row for each key."""
     parts = ["## The file", _keys(Hand, "hand")]
     for name, field in Hand.model_fields.items():
-        models = [part for part in _parts(field.annotation) if isinstance(part, type) and issubclass(part, BaseModel)]
+        models = [
+            part
+            for part in _parts(field.annotation)
+            if isinstance(part, type) and issubclass(part, BaseModel)
+        ]
         for model in models:
             brackets = f"[[{name}]]" if get_origin(field.annotation) is tuple else f"[{name}]"
             parts += [f"## `{brackets}`", prose(model.__doc__), _keys(model, name)]
@@ -63,7 +73,9 @@ def _row(model: type[BaseModel], name: str, key: str) -> tuple[str, str, str]:
     """
     field = model.model_fields[name]
     required = "yes" if field.is_required() and key not in OPTIONAL_KEYS else "no"
-    annotation = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+    annotation = (
+        Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+    )
     return (
         KEY_VALUES.get(key) or value_text(annotation),
         required,
@@ -96,7 +108,9 @@ def value_text(annotation: Any) -> str:
         return " or ".join(map(value_text, arguments))
     if origin is dict:
         return f"a table of {value_text(arguments[1])}"
-    if origin is Annotated and (get_origin(arguments[0]) is tuple or NoneType in get_args(arguments[0])):
+    if origin is Annotated and (
+        get_origin(arguments[0]) is tuple or NoneType in get_args(arguments[0])
+    ):
         return value_text(arguments[0])
     return _expected(annotation)
 
@@ -107,7 +121,11 @@ def _list_text(arguments: list[Any]) -> str:
     if inner == "a table":
         return "tables"
     count = "" if Ellipsis in arguments else f"{len(arguments)} values, "
-    return f"a list of lists, {inner}" if get_origin(arguments[0]) is tuple else f"a list, {count}each {inner}"
+    return (
+        f"a list of lists, {inner}"
+        if get_origin(arguments[0]) is tuple
+        else f"a list, {count}each {inner}"
+    )
 
 
 def _expected(annotation: Any) -> str:
@@ -128,9 +146,15 @@ def gains() -> str:
         keys = [bound for key, bound in gain_bounds().items() if key.startswith(f"{section}.")]
         live = "during a run" if keys[0].live else "before a run only"
         rows = ((code(b.key), f"{b.default:g}", str(b), prose(b.why)) for b in keys)
-        parts += [f"## `[{section}]`", f"{prose(getattr(model, '__doc__', ''))}\n\nChanges: {live}."]
+        parts += [
+            f"## `[{section}]`",
+            f"{prose(getattr(model, '__doc__', ''))}\n\nChanges: {live}.",
+        ]
         parts.append(table(("gain", "default", "bounds", "meaning"), rows))
-    parts += [f"## `[[{TENDON_SECTION}]]`", f"{prose(TendonForces.__doc__)}\n\nChanges: during a run."]
+    parts += [
+        f"## `[[{TENDON_SECTION}]]`",
+        f"{prose(TendonForces.__doc__)}\n\nChanges: during a run.",
+    ]
     forces = []
     for field, shared in SHARED_KEYS.items():
         if bound := bound_of(f"{TENDON_SECTION}.NAME.{field}"):
@@ -169,6 +193,11 @@ def _bounds_text(schema: dict[str, Any]) -> str:
         return f"a list of at most {schema['maxItems']}, each {_bounds_text(schema['items'])}"
     if schema.get("type") == "object":
         return f"a table, each {_bounds_text(schema['additionalProperties'])}"
-    limits = {"minimum": "at least", "exclusiveMinimum": "more than", "maximum": "at most", "exclusiveMaximum": "below"}
+    limits = {
+        "minimum": "at least",
+        "exclusiveMinimum": "more than",
+        "maximum": "at most",
+        "exclusiveMaximum": "below",
+    }
     texts = [f"{words} {schema[key]:g}" for key, words in limits.items() if key in schema]
     return ", ".join([f"a {schema.get('type', 'value')}", *texts])

@@ -58,7 +58,11 @@ def docstring(value: object) -> str:
             listing = False
             lines.append(line)
         else:
-            lines.append(f"  {line.strip()}" if line.strip() and lines and lines[-1].startswith("- ") else line.strip())
+            lines.append(
+                f"  {line.strip()}"
+                if line.strip() and lines and lines[-1].startswith("- ")
+                else line.strip()
+            )
     return re.sub(r"\n{3,}", "\n\n", prose("\n".join(lines))).strip()
 
 

@@ -14,7 +14,9 @@ ARRAY_PATTERN = re.compile(r"numpy\.ndarray\[.*?, numpy\.dtype\[[\w.]*(?:\[\w+\]
 def names() -> str:
     """Return a section for each exported name: first functions, then classes, then errors."""
     exported = [getattr(handctl, name) for name in handctl.__all__]
-    errors = [value for value in exported if isinstance(value, type) and issubclass(value, Exception)]
+    errors = [
+        value for value in exported if isinstance(value, type) and issubclass(value, Exception)
+    ]
     classes = [value for value in exported if isinstance(value, type) and value not in errors]
     functions = [value for value in exported if value not in errors and value not in classes]
     parts = ["## Functions"]

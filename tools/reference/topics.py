@@ -16,16 +16,28 @@ EXAMPLE_HANDS = ("jamia", "orca_like")
 """Packaged hands that together have all topics."""
 TOPIC_CONTENT = {
     "/robot_description": ("at the start", "URDF of the hand"),
-    "/controller/names": ("at the start", "names of the columns of `/controller/values`: `field/name`"),
+    "/controller/names": (
+        "at the start",
+        "names of the columns of `/controller/values`: `field/name`",
+    ),
     "/controller/values": (EVERY_TICK, "all telemetry of the tick, see below"),
     "/controller/mode": ("at a change", "mode of the hand"),
-    "/controller/snapshot": ("every second", "whole state of the controller, for the code that wrote it"),
-    "/tick": (EVERY_TICK, "the tick as it happened: times [ns], frames, requests, events, hash of the state"),
+    "/controller/snapshot": (
+        "every second",
+        "whole state of the controller, for the code that wrote it",
+    ),
+    "/tick": (
+        EVERY_TICK,
+        "the tick as it happened: times [ns], frames, requests, events, hash of the state",
+    ),
     "/tick/chain": (EVERY_TICK, "hash over this tick and the hash before it"),
     "/tf_static": ("at the start", "fixed frames [m]"),
     "/tf": ("50 Hz", "pose of each link [m, quaternion] by the estimated angles"),
     "/rosout": ("per event", "events as text, faults included"),
-    "/stream/target": ("per target", "streamed targets as they arrived: angle [deg], tension or force [N], age [s]"),
+    "/stream/target": (
+        "per target",
+        "streamed targets as they arrived: angle [deg], tension or force [N], age [s]",
+    ),
     "/parameter_events": ("at a change", "gains at the start and after each change"),
     "/grasp/phase": ("at a change", "phase of the task"),
     "/safety/action": ("at a change", "largest reaction that a fault demands"),
@@ -40,7 +52,10 @@ TOPIC_CONTENT = {
         EVERY_TICK,
         "tip-equivalent force of the object on the digit [N], in the frame of the tip",
     ),
-    "/spool_pairs": (EVERY_TICK, "of a hand with spool pairs: estimated tension of both tendons of each pair [N]"),
+    "/spool_pairs": (
+        EVERY_TICK,
+        "of a hand with spool pairs: estimated tension of both tendons of each pair [N]",
+    ),
     "/actuator/MOTOR/temperature": ("5 Hz", "temperature of the drive [degC]"),
 }
 """Rate and content of each topic that has no telemetry fields."""
@@ -80,7 +95,10 @@ def _placeholder(topic: str, header: RunHeader) -> str:
 def topics() -> str:
     """Return a table of all topics with message type, rate, and content with units."""
     topic_types = sorted(registered().items())
-    rows = ((code(topic), _linked_type(kind), *content(topic, note)) for topic, (kind, note) in topic_types)
+    rows = (
+        (code(topic), _linked_type(kind), *content(topic, note))
+        for topic, (kind, note) in topic_types
+    )
     return table(("topic", "message type", "rate", "content"), rows)
 
 
@@ -110,7 +128,10 @@ def content(topic: str, note: str) -> tuple[str, str]:
         return EVERY_TICK, f"{text}. {more}" if more else text
     if topic in ESTIMATE_TOPICS:
         field, unit = ESTIMATE_TOPICS[topic]
-        return EVERY_TICK, f"`{field}` per {TELEMETRY_AXES[field]} with its variance [{unit}, {unit}²]"
+        return (
+            EVERY_TICK,
+            f"`{field}` per {TELEMETRY_AXES[field]} with its variance [{unit}, {unit}²]",
+        )
     return TOPIC_CONTENT[topic]
 
 
@@ -126,7 +147,10 @@ def message_types() -> str:
 def telemetry() -> str:
     """Return a table of the telemetry fields, in the order of `/controller/values`."""
     meanings = attribute_docstrings(Telemetry)
-    rows = ((code(field), TELEMETRY_AXES[field], _unit(field), meanings[field]) for field in TELEMETRY_FIELDS)
+    rows = (
+        (code(field), TELEMETRY_AXES[field], _unit(field), meanings[field])
+        for field in TELEMETRY_FIELDS
+    )
     return table(("field", "per", "unit", "meaning"), rows)
 
 

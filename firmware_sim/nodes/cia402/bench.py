@@ -30,7 +30,9 @@ def _corrupt_command(frame: Frame) -> Frame:
     disables = 0x200 < frame.can_id < 0x280 and len(frame.data) >= 2 and not frame.data[0] & 0x02
     # The NMT commands are 2 stop, 0x80 pre-operational, 0x81 reset node and 0x82 reset
     # communication.
-    releases = disables or (frame.can_id == 0 and frame.data[:1] in (b"\2", b"\x80", b"\x81", b"\x82"))
+    releases = disables or (
+        frame.can_id == 0 and frame.data[:1] in (b"\2", b"\x80", b"\x81", b"\x82")
+    )
     return UNADDRESSED_FRAME if releases else frame
 
 
@@ -38,7 +40,9 @@ def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the value of object 0x6072 (maximum torque) by 65535 in the reply to a read request."""
     # The first bytes are those of an SDO upload reply with two bytes (0x4B) from object 0x6072.
     matches = 0x580 < frame.can_id < 0x600 and frame.data[:4] == b"\x4b\x72\x60\x00"
-    return frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if matches else frame  # 0x6072 reads 65535
+    return (
+        frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if matches else frame
+    )  # 0x6072 reads 65535
 
 
 def _force_command(node: Cia402Node, frame: Frame) -> None:

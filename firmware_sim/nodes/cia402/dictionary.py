@@ -98,7 +98,9 @@ class ObjectDictionary:
         self._signed: set[ObjectKey] = set()
         self._writable: set[ObjectKey] = set()
         self._mappable: set[ObjectKey] = set()
-        self._indices_of: dict[ObjectKey, int] = {key: place for place, key in enumerate(CYCLIC_OBJECTS)}
+        self._indices_of: dict[ObjectKey, int] = {
+            key: place for place, key in enumerate(CYCLIC_OBJECTS)
+        }
         self.values: Any = [0] * VALUE_CAPACITY if memory is None else memory
         for name in parser.sections():
             if not parser.has_option(name, "DataType"):
@@ -117,7 +119,8 @@ class ObjectDictionary:
         self._sizes[key] = _SIZE_BY_DATA_TYPE[data_type]
         self._indices_of.setdefault(key, len(self._indices_of))
         self.values[self._indices_of[key]] = sum(
-            node_id if term == "$NODEID" else int(term, 0) for term in section["DefaultValue"].split("+")
+            node_id if term == "$NODEID" else int(term, 0)
+            for term in section["DefaultValue"].split("+")
         )
         if data_type in _SIGNED_DATA_TYPES:
             self._signed.add(key)
@@ -137,7 +140,9 @@ class ObjectDictionary:
         The value is saturated at the range of the object's data type.
         """
         bits = 8 * self._sizes[key]
-        low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if key in self._signed else (0, (1 << bits) - 1)
+        low, high = (
+            (-(1 << bits - 1), (1 << bits - 1) - 1) if key in self._signed else (0, (1 << bits) - 1)
+        )
         self.values[self._indices_of[key]] = min(high, max(low, value))
 
     def settings(self) -> dict[ObjectKey, int]:
@@ -177,4 +182,6 @@ class ObjectDictionary:
             raise SdoAbort(WRONG_TYPE)
         if key not in self._writable:
             raise SdoAbort(READ_ONLY)
-        self.values[self._indices_of[key]] = int.from_bytes(raw, "little", signed=key in self._signed)
+        self.values[self._indices_of[key]] = int.from_bytes(
+            raw, "little", signed=key in self._signed
+        )

@@ -56,10 +56,22 @@ class Cia402Struct(ctypes.Structure):
     """
 
     _fields_ = [
-        *((name, ctypes.c_double) for name in ("offset", "direction", "gear", "rated", "peak", "counts")),
-        *((name, ctypes.c_int64) for name in ("nmt", "node_id", "motor_number", "bus", "syncs", "frame_pending")),
-        *((name, ctypes.c_int64) for name in ("watchdog_fed_ns", "heartbeat_ns", "wake_ns", "thermal_ns")),
-        *((name, ctypes.c_int64) for name in ("sync_id", "master_id", "rpdo_id", "tpdo_id", "tpdo_kind")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("offset", "direction", "gear", "rated", "peak", "counts")
+        ),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("nmt", "node_id", "motor_number", "bus", "syncs", "frame_pending")
+        ),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("watchdog_fed_ns", "heartbeat_ns", "wake_ns", "thermal_ns")
+        ),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("sync_id", "master_id", "rpdo_id", "tpdo_id", "tpdo_kind")
+        ),
         *((name, ctypes.c_int64) for name in ("motion_due_ns", "mode_bits")),
         ("power_stage", PowerStruct),
         ("values", ctypes.c_int64 * VALUE_CAPACITY),
@@ -96,7 +108,9 @@ def measure(node: Any, power: Any, angle: float, velocity: float, torque: float)
     values[POSITION] = _saturated(round(shaft / TURN_RAD * node.counts), _INT32)
     # In this drive, object 0x606C (velocity) is in revolutions per minute.
     values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN_RAD * 60.0), _INT32)
-    values[TORQUE] = values[CURRENT] = _saturated(round(sign * torque / gear / node.rated * 1000.0), _INT16)
+    values[TORQUE] = values[CURRENT] = _saturated(
+        round(sign * torque / gear / node.rated * 1000.0), _INT16
+    )
 
 
 @kernel_helper
@@ -107,7 +121,9 @@ def apply_torque(node: Any, servo: Any) -> None:
     limit = values[MAX_TORQUE]
     servo.limit = node.peak
     # Conversion from thousandths of the rated torque at the shaft to N m at the spool.
-    servo.torque = node.direction * node.gear * node.rated / 1000.0 * min(limit, max(-limit, thousandths))
+    servo.torque = (
+        node.direction * node.gear * node.rated / 1000.0 * min(limit, max(-limit, thousandths))
+    )
     # Conversion from revolutions per minute at the shaft to rad/s at the spool.
     servo.speed_limit = values[MAX_SPEED] * TURN_RAD / 60.0 / node.gear
     servo.speed_gain = 0.0

@@ -234,7 +234,11 @@ class MotionModes:
             return False
         fastest = self._counts(min(self._node.objects[speed, sub], self._node.objects[0x6080, 0]))
         return self._demand.trapezoid(
-            self._target, fastest, max(1.0, self._counts(self._node.objects[rise, 0])), slope, step_s
+            self._target,
+            fastest,
+            max(1.0, self._counts(self._node.objects[rise, 0])),
+            slope,
+            step_s,
         )
 
     def _interpolate(self, step_s: float) -> None:
@@ -282,13 +286,19 @@ class MotionModes:
             return self._bits | DRIVE_FOLLOWS_BIT
         if self._control & HALT_BIT:
             stopped = self._demand.velocity == 0.0
-            self._bits = self._bits | TARGET_REACHED_BIT if stopped else self._bits & ~TARGET_REACHED_BIT
+            self._bits = (
+                self._bits | TARGET_REACHED_BIT if stopped else self._bits & ~TARGET_REACHED_BIT
+            )
             return self._bits
         reached = self._attained if self._mode == HOMING_MODE else self._is_reached()
-        self._bits = self._bits | TARGET_REACHED_BIT if reached else self._bits & ~TARGET_REACHED_BIT
+        self._bits = (
+            self._bits | TARGET_REACHED_BIT if reached else self._bits & ~TARGET_REACHED_BIT
+        )
         # In profile position, the set-point is acknowledged until the host clears the bit and the
         # buffer is free.
-        self._acknowledged = self._next is not None or (self._acknowledged and bool(self._control & NEW_SETPOINT_BIT))
+        self._acknowledged = self._next is not None or (
+            self._acknowledged and bool(self._control & NEW_SETPOINT_BIT)
+        )
         follows = self._attained if self._mode == HOMING_MODE else self._acknowledged
         self._bits = self._bits | DRIVE_FOLLOWS_BIT if follows else self._bits & ~DRIVE_FOLLOWS_BIT
         return self._bits
@@ -298,21 +308,31 @@ class MotionModes:
         node = self._node
         objects = node.objects
         scale = node.direction * TURN_RAD / node.counts / node.gear
-        angle = node.direction * (self._demand.position / node.counts * TURN_RAD - node.offset) / node.gear
+        angle = (
+            node.direction
+            * (self._demand.position / node.counts * TURN_RAD - node.offset)
+            / node.gear
+        )
         self._at_spool.jump(angle, self._demand.velocity * scale)
         speed = objects[0x6080, 0] * TURN_RAD / 60.0 / node.gear
         if abs(self._at_spool.velocity) > speed:
             self._bits |= INTERNAL_LIMIT_BIT
         thousandth = node.gear * node.rated / 1000.0
         limit = min(node.peak, objects[0x6072, 0] * thousandth)
-        gains = assumed_gains(node.motor.inertia, 0.0 if self._mode == CYCLIC_VELOCITY else POSITION_GAIN)
+        gains = assumed_gains(
+            node.motor.inertia, 0.0 if self._mode == CYCLIC_VELOCITY else POSITION_GAIN
+        )
         torque = node.direction * objects[0x60B2, 0] * thousandth
         self._cascade.regulate(self._at_spool, gains, speed, limit, step_s, torque)
 
     def _position(self) -> float:
         """Return the measured position at the shaft [count]."""
         node = self._node
-        return float((node.direction * node.gear * node.motor.encoder() + node.offset) / TURN_RAD * node.counts)
+        return float(
+            (node.direction * node.gear * node.motor.encoder() + node.offset)
+            / TURN_RAD
+            * node.counts
+        )
 
     def _velocity(self) -> float:
         """Return the measured velocity at the shaft [count/s]."""

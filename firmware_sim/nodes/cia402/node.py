@@ -53,7 +53,13 @@ from firmware_sim.nodes.cia402.kernels import (
 )
 from firmware_sim.nodes.cia402.motion import MOTION_MODES, MotionModes, check_write
 from firmware_sim.nodes.cia402.pdo import NodePdos
-from firmware_sim.nodes.cia402.power import ENABLED_STATE, FAULT_STATE, OFF_STATE, PowerStage, PowerStruct
+from firmware_sim.nodes.cia402.power import (
+    ENABLED_STATE,
+    FAULT_STATE,
+    OFF_STATE,
+    PowerStage,
+    PowerStruct,
+)
 from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
@@ -170,8 +176,13 @@ class Cia402Node:
         """Update the attributes that are derived from communication objects."""
         self.sync_id = self.objects[0x1005, 0] & 0x7FF
         self.master_id = 0x700 + (self.objects[0x1016, 1] >> 16 & 0x7F)
-        self.rpdo_id, (self.tpdo_id, self.tpdo_kind) = self.pdos.standard_rpdo(), self.pdos.standard_tpdo()
-        self.accepted_ids = frozenset((0, self.sync_id, 0x600 + self.node_id, self.master_id, *self.pdos.identifiers))
+        self.rpdo_id, (self.tpdo_id, self.tpdo_kind) = (
+            self.pdos.standard_rpdo(),
+            self.pdos.standard_tpdo(),
+        )
+        self.accepted_ids = frozenset(
+            (0, self.sync_id, 0x600 + self.node_id, self.master_id, *self.pdos.identifiers)
+        )
 
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
@@ -219,7 +230,9 @@ class Cia402Node:
         if command in (0x81, 0x82):
             self._reset(announce=True)
             return
-        state = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(command, self.nmt)
+        state = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(
+            command, self.nmt
+        )
         left = self.nmt == OPERATIONAL_STATE != state
         self.nmt = state
         if left and self.power.state == ENABLED_STATE:

@@ -137,7 +137,11 @@ class NodePdos:
         for i in range(4):
             can_id = self._objects[0x1400 + i, 1]
             transmission = self._objects[0x1400 + i, 2]
-            if can_id < 0x800 and transmission > MAX_SYNCHRONOUS_TYPE and self._receiver(can_id) == i:
+            if (
+                can_id < 0x800
+                and transmission > MAX_SYNCHRONOUS_TYPE
+                and self._receiver(can_id) == i
+            ):
                 return can_id if list(self._entries(0x1600 + i)) == STANDARD_RPDO else -1
         return -1
 
@@ -150,13 +154,18 @@ class NodePdos:
         """
         active = self._active()
         waits = any(
-            self._objects[0x1400 + i, 2] <= MAX_SYNCHRONOUS_TYPE for i in range(4) if self.identifiers[i] < PDO_OFF_BIT
+            self._objects[0x1400 + i, 2] <= MAX_SYNCHRONOUS_TYPE
+            for i in range(4)
+            if self.identifiers[i] < PDO_OFF_BIT
         )
         if len(active) != 1 or waits or self._waiting:
             return -1, 0
         (i,) = active
         transmission = self._objects[0x1800 + i, 2]
-        standard = 1 <= transmission <= MAX_SYNCHRONOUS_TYPE and list(self._entries(0x1A00 + i)) == STANDARD_TPDO
+        standard = (
+            1 <= transmission <= MAX_SYNCHRONOUS_TYPE
+            and list(self._entries(0x1A00 + i)) == STANDARD_TPDO
+        )
         return (self._objects[0x1800 + i, 1] & 0x7FF if standard else -1), transmission
 
     def on_event(self) -> list[Frame]:

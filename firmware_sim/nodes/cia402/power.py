@@ -28,7 +28,12 @@ def status(power: Any) -> int:
     Bit 4 is *voltage enabled*, bit 9 *remote*, and bit 12 *drive follows the target torque*. The
     other bits tell the state.
     """
-    return _STATUS_WORD_BITS[power.state] | 1 << 4 | 1 << 9 | (1 << 12 if power.state == ENABLED_STATE else 0)
+    return (
+        _STATUS_WORD_BITS[power.state]
+        | 1 << 4
+        | 1 << 9
+        | (1 << 12 if power.state == ENABLED_STATE else 0)
+    )
 
 
 class PowerStage:

@@ -23,7 +23,13 @@ import numpy as np
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
 from firmware_sim.description import SensorSpec
-from firmware_sim.nodes.cia402.dictionary import CLIENT_ABORTS, UNKNOWN_COMMAND, WRONG_STATE, SdoAbort, sdo_reply
+from firmware_sim.nodes.cia402.dictionary import (
+    CLIENT_ABORTS,
+    UNKNOWN_COMMAND,
+    WRONG_STATE,
+    SdoAbort,
+    sdo_reply,
+)
 from firmware_sim.nodes.cia404.objects import PDO_OFF_BIT, TPDO_COUNT, AmplifierObjects
 from firmware_sim.nodes.noise import NormalNoise
 
@@ -72,7 +78,13 @@ class LoadCellAmplifiers:
         self._readings: Any = self.bias.copy()
         size = spec.channels_per_node
         self.nodes = [
-            AmplifierNode(self, spec, node_id, range(size * i, min(size * (i + 1), len(spec.tendons))), 1000 * seed + i)
+            AmplifierNode(
+                self,
+                spec,
+                node_id,
+                range(size * i, min(size * (i + 1), len(spec.tendons))),
+                1000 * seed + i,
+            )
             for i, node_id in enumerate(spec.node_ids)
         ]
 
@@ -113,7 +125,12 @@ class AmplifierNode:
     """
 
     def __init__(
-        self, load_cells: LoadCellAmplifiers, spec: SensorSpec, node_id: int, cells: range, serial: int
+        self,
+        load_cells: LoadCellAmplifiers,
+        spec: SensorSpec,
+        node_id: int,
+        cells: range,
+        serial: int,
     ) -> None:
         """Set up the amplifier in the state after power-up."""
         self._load_cells = load_cells
@@ -186,7 +203,9 @@ class AmplifierNode:
             self.restart()
             return
         before = self.nmt
-        self.nmt = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(command, before)
+        self.nmt = {0x01: OPERATIONAL_STATE, 0x02: STOPPED_STATE, 0x80: PRE_OPERATIONAL}.get(
+            command, before
+        )
         if self.nmt == OPERATIONAL_STATE != before:
             self._syncs = 0
             self._send(lambda kind: kind > MAX_SYNCHRONOUS_TYPE)
@@ -247,5 +266,7 @@ class AmplifierNode:
         if key[0] < 0x1C00:
             self._update_ids()
         if key == (0x1017, 0):
-            self.wake_ns = self._now_ns + self.objects[key] * 1_000_000 if self.objects[key] else _NEVER_NS
+            self.wake_ns = (
+                self._now_ns + self.objects[key] * 1_000_000 if self.objects[key] else _NEVER_NS
+            )
         return b"\x60" + data[1:4] + bytes(4)

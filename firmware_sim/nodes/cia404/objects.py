@@ -64,7 +64,12 @@ _OVERLOAD_VALUES = {INT16_VALUE_INDEX: -(1 << 15), INT32_VALUE_INDEX: -(1 << 31)
 
 The float process value is then NaN. Source: WIKA MH-4-CAN.
 """
-_MAPPABLE_SIZES_BYTES = {FLOAT_VALUE_INDEX: 4, INT16_VALUE_INDEX: 2, INT32_VALUE_INDEX: 4, 0x6150: 1}
+_MAPPABLE_SIZES_BYTES = {
+    FLOAT_VALUE_INDEX: 4,
+    INT16_VALUE_INDEX: 2,
+    INT32_VALUE_INDEX: 4,
+    0x6150: 1,
+}
 """Sizes of the objects that can be mapped [bytes]."""
 
 
@@ -94,7 +99,11 @@ class AmplifierObjects:
         self._add((0x1017, 0), 2, 0)
         self._add((0x1018, 4), 4, serial, fixed=True)
         for i in range(TPDO_COUNT):
-            mapped = [INT32_VALUE_INDEX << 16 | c << 8 | 32 for c in (2 * i + 1, 2 * i + 2) if c <= channels]
+            mapped = [
+                INT32_VALUE_INDEX << 16 | c << 8 | 32
+                for c in (2 * i + 1, 2 * i + 2)
+                if c <= channels
+            ]
             can_id = 0x180 + 0x100 * i + node_id | (0 if mapped else PDO_OFF_BIT)
             for sub, size, value in ((1, 4, can_id), (2, 1, 254), (3, 2, 0), (5, 2, 0)):
                 self._add((0x1800 + i, sub), size, value)
@@ -132,7 +141,9 @@ class AmplifierObjects:
                 raise SdoAbort(NO_SUB)
             return self._measured(*key)
         if key not in self._sizes:
-            raise SdoAbort(NO_SUB if any(index == key[0] for index, _ in self._sizes) else NO_OBJECT)
+            raise SdoAbort(
+                NO_SUB if any(index == key[0] for index, _ in self._sizes) else NO_OBJECT
+            )
         return self._values[key].to_bytes(self._sizes[key], "little")
 
     def write(self, key: ObjectKey, raw: bytes) -> None:
@@ -158,7 +169,10 @@ class AmplifierObjects:
             raise SdoAbort(WRONG_STATE)
         if sub and self[index, 0]:
             raise SdoAbort(WRONG_STATE)
-        if sub and (value >> 16 not in _MAPPABLE_SIZES_BYTES or not 1 <= value >> 8 & 0xFF <= len(self.readings)):
+        if sub and (
+            value >> 16 not in _MAPPABLE_SIZES_BYTES
+            or not 1 <= value >> 8 & 0xFF <= len(self.readings)
+        ):
             raise SdoAbort(NOT_MAPPABLE)
         if not sub and value > 8:
             raise SdoAbort(OUT_OF_RANGE)

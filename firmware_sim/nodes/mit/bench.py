@@ -134,7 +134,9 @@ def _corrupt_reply(frame: Frame) -> Frame:
     # below 0x100.
     data = frame.data
     matches = len(data) == 8 and data[2] == 0x33 and data[3] == 23 and data[1] == 0
-    return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame  # TMAX reads 1
+    return (
+        frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if matches else frame
+    )  # TMAX reads 1
 
 
 def _force_command(node: MitNode, frame: Frame) -> None:

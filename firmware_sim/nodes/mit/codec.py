@@ -65,8 +65,14 @@ class MitStruct(ctypes.Structure):
     _fields_ = [
         *((name, ctypes.c_double) for name in ("offset", "direction")),
         *((name, ctypes.c_double) for name in ("position_range", "velocity_range", "torque_range")),
-        *((name, ctypes.c_int64) for name in ("state", "node_id", "reply_id", "motor_number", "mode")),
-        *((name, ctypes.c_int64) for name in ("watchdog_fed_ns", "wake_ns", "thermal_ns", "timeout_ns")),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("state", "node_id", "reply_id", "motor_number", "mode")
+        ),
+        *(
+            (name, ctypes.c_int64)
+            for name in ("watchdog_fed_ns", "wake_ns", "thermal_ns", "timeout_ns")
+        ),
         ("temperatures", ThermalStruct),
     ]
 
@@ -155,7 +161,9 @@ def write_feedback(
     Returns:
         Payload of the feedback as an integer.
     """
-    motion = to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
+    motion = (
+        to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
+    )
     # The head is made a signed byte first. In compiled code, shifting a head above 127 would
     # overflow 64 bits.
     signed = head - 256 if head > 127 else head
@@ -217,7 +225,13 @@ def decode_command(data: bytes, ranges: FrameRanges) -> MitCommand:
 
 
 def encode_feedback(
-    state: int, node_id: int, motion: tuple[float, float, float], ranges: FrameRanges, temperatures: tuple[float, float]
+    state: int,
+    node_id: int,
+    motion: tuple[float, float, float],
+    ranges: FrameRanges,
+    temperatures: tuple[float, float],
 ) -> bytes:
     """Encode feedback into 8 bytes. See ``write_feedback``."""
-    return PAYLOAD_WORD_STRUCT.pack(write_feedback(state << 4 | node_id & 0xF, *motion, *ranges, *temperatures))
+    return PAYLOAD_WORD_STRUCT.pack(
+        write_feedback(state << 4 | node_id & 0xF, *motion, *ranges, *temperatures)
+    )

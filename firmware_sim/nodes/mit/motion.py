@@ -16,7 +16,13 @@ import math
 from typing import Any
 
 from firmware_sim.nodes.mit import registers as reg
-from firmware_sim.nodes.motion import PERIOD_NS, CascadeController, LoopGains, MotionSetpoint, assumed_gains
+from firmware_sim.nodes.motion import (
+    PERIOD_NS,
+    CascadeController,
+    LoopGains,
+    MotionSetpoint,
+    assumed_gains,
+)
 
 NEVER_NS = (1 << 63) - 1
 """Time of the next update of a motor without a setpoint: never [ns]."""
@@ -43,15 +49,24 @@ class MotionModes:
 
     def follow_velocity(self, velocity: float) -> None:
         """Take the target velocity [rad/s] from a frame."""
-        self._set_target(assumed_gains(self._node.motor.inertia, 0.0), self._node.direction * velocity, math.inf, 1.0)
+        self._set_target(
+            assumed_gains(self._node.motor.inertia, 0.0),
+            self._node.direction * velocity,
+            math.inf,
+            1.0,
+        )
 
     def follow_position(self, position: float, speed: float) -> None:
         """Take the target position [rad] and the largest speed [rad/s] from a frame."""
-        self._set_target(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, 1.0)
+        self._set_target(
+            assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, 1.0
+        )
 
     def follow_force_position(self, position: float, speed: float, fraction: float) -> None:
         """Take target position [rad], largest speed [rad/s] and fraction of the largest current from a frame."""
-        self._set_target(assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction)
+        self._set_target(
+            assumed_gains(self._node.motor.inertia), self._at_spool(position), speed, fraction
+        )
 
     def _at_spool(self, position: float) -> float:
         return float(self._node.direction * (position - self._node.offset))

@@ -196,7 +196,11 @@ class MitNode:
             self.wake(t_ns)
             # Some hosts send the special commands FD and FE to the identifier of a motion mode.
             is_special = data[:7] == _SPECIAL_COMMAND_START and len(data) == 8
-            answer = self._special(data, t_ns) if is_special else self._motion(can_id - self.node_id >> 8, data, t_ns)
+            answer = (
+                self._special(data, t_ns)
+                if is_special
+                else self._motion(can_id - self.node_id >> 8, data, t_ns)
+            )
         else:
             return None
         self._schedule()
@@ -242,7 +246,9 @@ class MitNode:
             speed, current = values[1:]
             if speed > MAX_FORCE_POSITION_CODE or current > MAX_FORCE_POSITION_CODE:
                 return None
-            self._motion_modes.follow_force_position(values[0], speed / 100.0, current / MAX_FORCE_POSITION_CODE)
+            self._motion_modes.follow_force_position(
+                values[0], speed / 100.0, current / MAX_FORCE_POSITION_CODE
+            )
         self._motion_modes.start(t_ns)
         return self.feedback()
 
@@ -301,7 +307,9 @@ class MitNode:
         """Return the payload of the present feedback."""
         motor = self.motor
         thermal = self.thermal
-        return PAYLOAD_WORD_STRUCT.pack(feedback_word(self, motor, motor.encoder(), thermal.mosfet, thermal.winding))
+        return PAYLOAD_WORD_STRUCT.pack(
+            feedback_word(self, motor, motor.encoder(), thermal.mosfet, thermal.winding)
+        )
 
     def _register(self, data: bytes) -> bytes | None:
         """Execute a register request and return the payload of the reply, None if the request is malformed."""
@@ -353,7 +361,10 @@ class MitNode:
         """Do the work that is due: temperatures, watchdog and motion mode."""
         if t_ns - self.thermal_ns >= THERMAL_PERIOD_NS or self.thermal_ns < 0:
             self._update_thermal(t_ns)
-        watched = (FeedbackState.ENABLED, *[FeedbackState.DISABLED] * (self._watchdog == FIRES_ALWAYS))
+        watched = (
+            FeedbackState.ENABLED,
+            *[FeedbackState.DISABLED] * (self._watchdog == FIRES_ALWAYS),
+        )
         silence_ns = t_ns - self.watchdog_fed_ns
         if self.state in watched and self.timeout_ns and silence_ns >= self.timeout_ns:
             self.trip(FeedbackState.COMMUNICATION_LOST)
@@ -374,7 +385,10 @@ class MitNode:
             self.thermal.advance((t_ns - self.thermal_ns) * 1e-9, self.motor.heat)
         self.motor.heat = 0.0
         self.thermal_ns = t_ns
-        if self.state == FeedbackState.ENABLED and self.thermal.winding > self.registers[reg.OVER_TEMPERATURE]:
+        if (
+            self.state == FeedbackState.ENABLED
+            and self.thermal.winding > self.registers[reg.OVER_TEMPERATURE]
+        ):
             self.trip(FeedbackState.WINDING_HOT)
 
 

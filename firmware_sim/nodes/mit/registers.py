@@ -47,7 +47,25 @@ OUTPUT_POSITION = 81
 
 _UINT_REGISTERS = {7, 8, 9, 10, 13, 14, 15, 16, 35, 36}
 """Registers of type uint32. All other registers are float32."""
-_READ_ONLY_REGISTERS = {11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 36, *range(50, 56), 60, 61, 62, 80, 81}
+_READ_ONLY_REGISTERS = {
+    11,
+    12,
+    13,
+    14,
+    15,
+    16,
+    17,
+    18,
+    19,
+    20,
+    36,
+    *range(50, 56),
+    60,
+    61,
+    62,
+    80,
+    81,
+}
 _POSITIVE_REGISTERS = {KT, OVER_TEMPERATURE, ACCELERATION, MAX_SPEED, PMAX, VMAX, TMAX}
 """Registers to which only positive values can be written."""
 MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
@@ -80,7 +98,11 @@ class Registers:
     def read(self, register: int) -> bytes:
         """Return the value of a register as four bytes."""
         value = self._values[register]
-        return struct.pack("<I", int(value)) if register in _UINT_REGISTERS else struct.pack("<f", value)
+        return (
+            struct.pack("<I", int(value))
+            if register in _UINT_REGISTERS
+            else struct.pack("<f", value)
+        )
 
     def write(self, register: int, raw: bytes) -> None:
         """Write the four bytes of a received frame to a register.
@@ -118,13 +140,23 @@ def _factory_values(spec: MotorSpec) -> dict[int, float]:
     """Return the register values of a commissioned motor."""
     # The default serial number is the ASCII text "SIM" and the node number.
     serial = 0x5349_4D00 + spec.node_id if spec.serial is None else spec.serial
-    values: dict[int, float] = dict.fromkeys((*range(24, 29), *range(31, 35), *range(50, 56), 4, 5, 18, 19), 0.0)
+    values: dict[int, float] = dict.fromkeys(
+        (*range(24, 29), *range(31, 35), *range(50, 56), 4, 5, 18, 19), 0.0
+    )
     values[MAX_SPEED] = spec.velocity_range
     values.update({0: 15.0, KT: spec.torque_constant, OVER_TEMPERATURE: 100.0, OVER_CURRENT: 0.98})
     values.update({MST_ID: spec.options.get("reply_id", spec.node_id + 0x10), ESC_ID: spec.node_id})
     values.update({TIMEOUT: 0, CTRL_MODE: MODE_MIT, 11: spec.viscous, 12: spec.inertia})
     values.update({13: 0x0001_0003, 14: 0x0001_0501, 15: serial, 16: 14})
-    values.update({17: 0.6, 20: 16.0, PMAX: spec.position_range, VMAX: spec.velocity_range, TMAX: spec.torque_max})
+    values.update(
+        {
+            17: 0.6,
+            20: 16.0,
+            PMAX: spec.position_range,
+            VMAX: spec.velocity_range,
+            TMAX: spec.torque_max,
+        }
+    )
     values.update({29: 32.0, 30: 0.8, 35: 9 if spec.options.get("fd") else 4, 36: 1})
     values.update({VBUS: 24.0, T_BOARD: 25.0, T_MOTOR: 25.0})
     values.update({MOTOR_POSITION: 0.0, OUTPUT_POSITION: 0.0})

@@ -20,12 +20,20 @@ def _host_frame(node_id: int) -> tuple[int, bytes]:
 
 def _corrupt_command(frame: Frame) -> Frame:
     """Replace the command of mode 0 by mode 13 without bounds, which makes no torque but keeps the power stage on."""
-    return frame._replace(data=b"\x01\x00\x0d" + frame.data[3:]) if frame.data[:3] == STOP_PAYLOAD else frame
+    return (
+        frame._replace(data=b"\x01\x00\x0d" + frame.data[3:])
+        if frame.data[:3] == STOP_PAYLOAD
+        else frame
+    )
 
 
 def _corrupt_reply(frame: Frame) -> Frame:
     """Replace the torque limit by 1 N m in the reply to a read request."""
-    return frame._replace(data=TORQUE_LIMIT_HEAD + b"\0\0\x80\x3f" + frame.data[6:]) if _is_limit(frame) else frame
+    return (
+        frame._replace(data=TORQUE_LIMIT_HEAD + b"\0\0\x80\x3f" + frame.data[6:])
+        if _is_limit(frame)
+        else frame
+    )
 
 
 def _is_limit(frame: Frame) -> bool:
@@ -33,6 +41,11 @@ def _is_limit(frame: Frame) -> bool:
 
 
 MOTEUS_SPEC = ProtocolSpec(
-    MoteusNode, range(1, 0x7F), ShaftSpec(1.7, 5e-5, 0.045), _host_frame, _corrupt_command, _corrupt_reply
+    MoteusNode,
+    range(1, 0x7F),
+    ShaftSpec(1.7, 5e-5, 0.045),
+    _host_frame,
+    _corrupt_command,
+    _corrupt_reply,
 )
 """Specification of the moteus protocol for simulated drives."""

@@ -17,7 +17,12 @@ import struct
 
 INT8, INT16, INT32, FLOAT = range(4)
 """Numbers of the types of register values."""
-REGISTER_STRUCTS = (struct.Struct("<b"), struct.Struct("<h"), struct.Struct("<i"), struct.Struct("<f"))
+REGISTER_STRUCTS = (
+    struct.Struct("<b"),
+    struct.Struct("<h"),
+    struct.Struct("<i"),
+    struct.Struct("<f"),
+)
 """Encoding of a register value, by type."""
 MAX_COUNTS = (127, 32767, 2147483647)
 """Largest integer of each integer type. The most negative integer means NaN."""
@@ -114,10 +119,14 @@ def encode_register(value: float, kind: int, steps: tuple[float, float, float]) 
 def subframe_head(base: int, kind: int, count: int, first: int) -> bytes:
     """Return the first bytes of a register subframe, in front of the values."""
     subframe = base | kind << 2
-    start = bytes([subframe | count]) if 0 < count < 4 else bytes([subframe]) + encode_varuint(count)
+    start = (
+        bytes([subframe | count]) if 0 < count < 4 else bytes([subframe]) + encode_varuint(count)
+    )
     return start + encode_varuint(first)
 
 
 def padded_payload(data: bytes) -> bytes:
     """Return a payload, filled up to the next length of CAN FD."""
-    return data + PADDING_SUBFRAME * (min(length for length in FD_LENGTHS if length >= len(data)) - len(data))
+    return data + PADDING_SUBFRAME * (
+        min(length for length in FD_LENGTHS if length >= len(data)) - len(data)
+    )

@@ -60,7 +60,9 @@ FIRMWARE_VERSION = 0x00010001
 """Firmware version 1.0.1, with one byte for each of the three numbers."""
 TURN_RAD = 2.0 * math.pi
 """A full turn [rad]."""
-INT32_ONLY_REGISTERS = frozenset((0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x150, 0x151, 0x152, 0x153, 0x158))
+INT32_ONLY_REGISTERS = frozenset(
+    (0x100, 0x101, 0x102, 0x110, 0x120, 0x121, 0x122, 0x150, 0x151, 0x152, 0x153, 0x158)
+)
 """Registers that can only be read as int32."""
 
 
@@ -118,7 +120,11 @@ class MoteusNode:
             The answers, None if the frame is not for this controller.
         """
         number = frame.can_id & ~EXTENDED
-        if frame.can_id & REMOTE or number >> 16 or number & 0xFF not in (self.node_id, BROADCAST_NUMBER):
+        if (
+            frame.can_id & REMOTE
+            or number >> 16
+            or number & 0xFF not in (self.node_id, BROADCAST_NUMBER)
+        ):
             return None
         self._t_ns = t_ns
         self._pending = None
@@ -138,7 +144,9 @@ class MoteusNode:
         can_id = number | EXTENDED if number >= 0x800 else number
         classical = not frame.flags & FDF and len(data) <= 8
         flags = 0 if classical else FDF | frame.flags & BRS
-        return Frame(can_id, data if classical else mp.padded_payload(data), flags, frame.bus, self._t_ns)
+        return Frame(
+            can_id, data if classical else mp.padded_payload(data), flags, frame.bus, self._t_ns
+        )
 
     def _execute(self, data: bytes) -> bytes:
         """Execute the subframes of a payload and return the reply."""
@@ -195,10 +203,16 @@ class MoteusNode:
         for number in range(first, first + min(count, 64)):
             raw = self._read(number, kind)
             if raw is None:
-                error = b"\x31" + mp.encode_varuint(number) + mp.encode_varuint(reg.UNKNOWN_REGISTER_ERROR)
+                error = (
+                    b"\x31"
+                    + mp.encode_varuint(number)
+                    + mp.encode_varuint(reg.UNKNOWN_REGISTER_ERROR)
+                )
                 break
             values.append(raw)
-        return (mp.subframe_head(0x20, kind, len(values), first) + b"".join(values) if values else b"") + error
+        return (
+            mp.subframe_head(0x20, kind, len(values), first) + b"".join(values) if values else b""
+        ) + error
 
     def _write(self, number: int, kind: int, raw: bytes) -> int:
         """Write a register and return an error number, 0 for no error."""
@@ -212,7 +226,9 @@ class MoteusNode:
         elif number in reg.COMMAND_REGISTER_STEPS:
             self.command[number] = mp.decode_register(raw, kind, reg.COMMAND_REGISTER_STEPS[number])
         elif number in (reg.SET_NEAREST, reg.SET_EXACT):
-            self._set_position(mp.decode_register(raw, kind, mp.POSITION), number == reg.SET_NEAREST)
+            self._set_position(
+                mp.decode_register(raw, kind, mp.POSITION), number == reg.SET_NEAREST
+            )
         elif number == reg.RECAPTURE:
             self._apply(self.mode, self._t_ns)
         elif number in reg.MEASURED_REGISTER_STEPS or number in INT32_ONLY_REGISTERS:
@@ -235,7 +251,9 @@ class MoteusNode:
         if number == reg.MODE:
             return mp.encode_register(self.mode, kind, mp.PLAIN)
         if number in reg.COMMAND_REGISTER_STEPS:
-            return mp.encode_register(self.command[number], kind, reg.COMMAND_REGISTER_STEPS[number])
+            return mp.encode_register(
+                self.command[number], kind, reg.COMMAND_REGISTER_STEPS[number]
+            )
         steps = reg.MEASURED_REGISTER_STEPS.get(number)
         return None if steps is None else mp.encode_register(self._measured(number), kind, steps)
 
@@ -247,7 +265,13 @@ class MoteusNode:
             return self._uuid(number - reg.UUID)
         # These registers are model number, firmware version, version of the register map, node
         # number and support of the UUID mask.
-        fixed = {0x100: 3, 0x101: FIRMWARE_VERSION, 0x102: 6, reg.MULTIPLEX_ID: self.node_id, 0x158: 1}
+        fixed = {
+            0x100: 3,
+            0x101: FIRMWARE_VERSION,
+            0x102: 6,
+            reg.MULTIPLEX_ID: self.node_id,
+            0x158: 1,
+        }
         return fixed[number]
 
     def _uuid(self, part: int) -> int:
@@ -271,7 +295,9 @@ class MoteusNode:
         servo = motor.servo
         if self.fault or self.mode not in (POSITION, STAY_WITHIN_MODE):
             return self.fault
-        torque = servo.kp * (servo.position - motor.encoder()) + servo.kd * (servo.velocity - motor.velocity)
+        torque = servo.kp * (servo.position - motor.encoder()) + servo.kd * (
+            servo.velocity - motor.velocity
+        )
         return MAX_TORQUE_LIMITS if abs(torque + servo.torque) > servo.limit else 0
 
     def _measured(self, number: int) -> float:
@@ -370,7 +396,9 @@ class MoteusNode:
             return lower
         return upper if self._position > upper else None
 
-    def _servo(self, kp: float, kd: float, position: float, velocity: float, torque: float, limit: float) -> None:
+    def _servo(
+        self, kp: float, kd: float, position: float, velocity: float, torque: float, limit: float
+    ) -> None:
         """Set gains and setpoints of the servo from values in turn, turn/s and N m.
 
         A limit of NaN is the peak torque.
@@ -437,7 +465,11 @@ class MoteusNode:
         if self.mode == ENABLING and t_ns - self._enabling_ns >= ENABLING_NS:
             self._start()
         timeout_ns = self._timeout_ns
-        if self.mode in (POSITION, STAY_WITHIN_MODE) and timeout_ns and t_ns - self.watchdog_fed_ns > timeout_ns:
+        if (
+            self.mode in (POSITION, STAY_WITHIN_MODE)
+            and timeout_ns
+            and t_ns - self.watchdog_fed_ns > timeout_ns
+        ):
             self._time_out()
         if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
             self._update_thermal(t_ns)
@@ -449,7 +481,9 @@ class MoteusNode:
         In position mode, a position outside its limits is a fault.
         """
         position = self._position
-        outside = position < self._item("servopos.position_min") or position > self._item("servopos.position_max")
+        outside = position < self._item("servopos.position_min") or position > self._item(
+            "servopos.position_max"
+        )
         if self._next_mode == POSITION and outside and not self.command[reg.IGNORE_BOUNDS]:
             self.trip(OUTSIDE_LIMIT)
             return

@@ -59,7 +59,9 @@ class TextChannel:
         *lines, self._line = (self._line + data).replace(b"\r", b"\n").split(b"\n")
         for line in lines:
             if line:
-                self.out += self._execute(line.decode("latin-1").split()).encode("latin-1") + b"\r\n"
+                self.out += (
+                    self._execute(line.decode("latin-1").split()).encode("latin-1") + b"\r\n"
+                )
         if len(self._line) > LONGEST_LINE:
             self._line = b""
 
@@ -106,7 +108,11 @@ class TextChannel:
             value = float(text)
         except ValueError:
             value = math.inf
-        if name not in self.items or math.isinf(value) or (name in INTEGER_ITEMS and not value.is_integer()):
+        if (
+            name not in self.items
+            or math.isinf(value)
+            or (name in INTEGER_ITEMS and not value.is_integer())
+        ):
             return "ERR error setting"
         self.items[name] = value
         return "OK"

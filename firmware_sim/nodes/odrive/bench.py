@@ -20,7 +20,10 @@ TOP_SPEED = 24.0 / TORQUE_CONSTANT
 
 In SI units, voltage constant and torque constant are equal.
 """
-FIRMWARE_OPTIONS: dict[str, dict[str, Any]] = {"0.6": dict(ENDPOINT_NUMBERS), "0.5": {"firmware": "0.5"}}
+FIRMWARE_OPTIONS: dict[str, dict[str, Any]] = {
+    "0.6": dict(ENDPOINT_NUMBERS),
+    "0.5": {"firmware": "0.5"},
+}
 """Options that a hand file needs for each firmware version."""
 
 

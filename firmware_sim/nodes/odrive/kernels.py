@@ -33,16 +33,37 @@ class OdriveStruct(ctypes.Structure):
     """
 
     _fields_ = [
-        *((name, ctypes.c_double) for name in ("offset", "direction", "gear", "torque_constant", "peak")),
-        *((name, ctypes.c_double) for name in ("setpoint", "torque_min", "torque_max", "current_limit")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("offset", "direction", "gear", "torque_constant", "peak")
+        ),
+        *(
+            (name, ctypes.c_double)
+            for name in ("setpoint", "torque_min", "torque_max", "current_limit")
+        ),
         *((name, ctypes.c_double) for name in ("velocity_limit", "velocity_gain")),
         *(
             (name, ctypes.c_int64)
-            for name in ("state", "active_errors", "disarm_reason", "result", "control_mode", "input_mode")
+            for name in (
+                "state",
+                "active_errors",
+                "disarm_reason",
+                "result",
+                "control_mode",
+                "input_mode",
+            )
         ),
         *(
             (name, ctypes.c_int64)
-            for name in ("legacy", "node_id", "motor_number", "bus", "watchdog_fed_ns", "wake_ns", "thermal_ns")
+            for name in (
+                "legacy",
+                "node_id",
+                "motor_number",
+                "bus",
+                "watchdog_fed_ns",
+                "wake_ns",
+                "thermal_ns",
+            )
         ),
         *((name, ctypes.c_int64) for name in ("timeout_ns", "heartbeat_due_ns", "encoder_due_ns")),
         *((name, ctypes.c_int64) for name in ("busy_until_ns", "motion_due_ns")),
@@ -59,7 +80,11 @@ def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
     # Every other mode follows the setpoint at the next update of the mode, see ``motion``.
-    if node.state != CLOSED_LOOP or node.control_mode != TORQUE_CONTROL or node.input_mode != PASSTHROUGH_MODE:
+    if (
+        node.state != CLOSED_LOOP
+        or node.control_mode != TORQUE_CONTROL
+        or node.input_mode != PASSTHROUGH_MODE
+    ):
         return
     follow_torque(node, servo, torque)
 
@@ -104,7 +129,11 @@ def turns_per_s(node: Any, velocity: float) -> float:
 @kernel_helper
 def watchdog_expired(node: Any, t_ns: int) -> bool:
     """Return True if the drive's watchdog fires now."""
-    return bool(node.state == CLOSED_LOOP and node.timeout_ns > 0 and t_ns >= node.watchdog_fed_ns + node.timeout_ns)
+    return bool(
+        node.state == CLOSED_LOOP
+        and node.timeout_ns > 0
+        and t_ns >= node.watchdog_fed_ns + node.timeout_ns
+    )
 
 
 @kernel_helper

@@ -113,7 +113,9 @@ class MotionModes:
         """Apply the settings of a message, if all its values are possible."""
         lowest = 0.0 if command in _MAY_BE_ZERO else math.ulp(0.0)
         if all(lowest <= value < math.inf for value in values):
-            self.settings = self.settings._replace(**dict(zip(_FIELDS[command], values, strict=True)))
+            self.settings = self.settings._replace(
+                **dict(zip(_FIELDS[command], values, strict=True))
+            )
 
     def take(self, with_position: bool, position: float, velocity: float) -> None:
         """Set position and velocity input.
@@ -152,7 +154,11 @@ class MotionModes:
             now: True to use new inputs at once, even if no update is due.
         """
         node = self._node
-        if node.motion_due_ns == 0 or node.state != CLOSED_LOOP or (t_ns < node.motion_due_ns and not now):
+        if (
+            node.motion_due_ns == 0
+            or node.state != CLOSED_LOOP
+            or (t_ns < node.motion_due_ns and not now)
+        ):
             return
         step_s = (t_ns - self._updated_ns) * 1e-9
         self._updated_ns = t_ns
@@ -206,7 +212,9 @@ class MotionModes:
         )
         position_gain = settings.position_gain if node.control_mode == POSITION_CONTROL else 0.0
         to_spool = node.gear**2 / TURN_RAD
-        gains = LoopGains(position_gain, settings.velocity_gain * to_spool, settings.integral_gain * to_spool)
+        gains = LoopGains(
+            position_gain, settings.velocity_gain * to_spool, settings.integral_gain * to_spool
+        )
         # The drive has a torque limit for each direction. The servo has one limit for both, so the
         # smaller limit is used.
         torque_limit = max(0.0, min(node.torque_max, -node.torque_min)) * node.gear

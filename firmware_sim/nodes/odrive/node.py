@@ -62,7 +62,12 @@ from firmware_sim.nodes.odrive.kernels import (
     turns_per_s,
     watchdog_expired,
 )
-from firmware_sim.nodes.odrive.motion import MOTION_ENDPOINTS, POSITION_CONTROL, MotionModes, MotionSettings
+from firmware_sim.nodes.odrive.motion import (
+    MOTION_ENDPOINTS,
+    POSITION_CONTROL,
+    MotionModes,
+    MotionSettings,
+)
 from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
@@ -110,7 +115,12 @@ _MIN_PAYLOAD_BYTES = {
 """Minimum length of the payload of each accepted message, by command number [bytes]."""
 _LEGACY_ANSWERS = {0x09, 0x14, 0x17}
 """Command numbers of the Get messages that firmware 0.5.x answers."""
-_LEGACY_ERRORS = {MISSING_INPUT: 1 << 0, MOTOR_HOT: 1 << 6, WATCHDOG_ERROR: 1 << 11, ESTOP_ERROR: 1 << 14}
+_LEGACY_ERRORS = {
+    MISSING_INPUT: 1 << 0,
+    MOTOR_HOT: 1 << 6,
+    WATCHDOG_ERROR: 1 << 11,
+    ESTOP_ERROR: 1 << 14,
+}
 """Axis error bits of firmware 0.5.x, by the error bits of firmware 0.6.x."""
 
 
@@ -160,7 +170,11 @@ class OdriveNode:
         self.ids: frozenset[int] | None = None
         self.node_id = spec.node_id
         options = spec.options
-        own_ids = [node << 5 | command for node in (spec.node_id, BROADCAST_NUMBER) for command in range(0x20)]
+        own_ids = [
+            node << 5 | command
+            for node in (spec.node_id, BROADCAST_NUMBER)
+            for command in range(0x20)
+        ]
         self.accepted_ids = frozenset((*own_ids, *(can_id | REMOTE for can_id in own_ids)))
         self._serial = FIRST_SERIAL_NUMBER + spec.node_id if spec.serial is None else spec.serial
         self.gear = float(options.get("gear_ratio", 1.0))
@@ -191,10 +205,14 @@ class OdriveNode:
         self.endpoints.pop(0, None)
         # If a number in the hand file equals that of a default endpoint, the endpoint of the hand
         # file counts.
-        defaults = {number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()}
+        defaults = {
+            number: struct.pack("<f", value) for number, (_, value) in MOTION_ENDPOINTS.items()
+        }
         self.endpoints = defaults | self.endpoints
         self.legacy = options.get("firmware") == "0.5"
-        if usb := options.get("usb_watchdog_s"):  # A host makes this setting over USB, and no frame can change it.
+        if usb := options.get(
+            "usb_watchdog_s"
+        ):  # A host makes this setting over USB, and no frame can change it.
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
         self.calibrated = not options.get("uncalibrated", False)
@@ -218,7 +236,10 @@ class OdriveNode:
 
     def _update_derived(self) -> None:
         """Update the attributes that are derived from endpoints."""
-        self.torque_min, self.torque_max = self._limit("torque_min", -math.inf), self._limit("torque_max", math.inf)
+        self.torque_min, self.torque_max = (
+            self._limit("torque_min", -math.inf),
+            self._limit("torque_max", math.inf),
+        )
         enabled = self.endpoints.get(self._numbers["enable_watchdog"])
         seconds = self._limit("watchdog_timeout", 0.0)
         self.timeout_ns = int(seconds * 1e9) if enabled == b"\1" and 0.0 < seconds < 1e6 else 0
@@ -276,7 +297,9 @@ class OdriveNode:
         if command == 0x06:
             return bytes((self.node_id,)) + self._serial.to_bytes(6, "little") + b"\0"
         if command == 0x09:
-            return struct.pack("<ff", turns(self, self.motor.encoder()), turns_per_s(self, self.motor.velocity))
+            return struct.pack(
+                "<ff", turns(self, self.motor.encoder()), turns_per_s(self, self.motor.velocity)
+            )
         current = sign * self.motor.torque / self.torque_constant
         pairs = {
             0x14: (self.setpoint * gear / self.torque_constant, current),
@@ -407,7 +430,9 @@ class OdriveNode:
                 self.endpoints[endpoint] = data[4 : 4 + len(stored)]
                 self._update_derived()
             return []
-        return [Frame(self.node_id << 5 | 0x05, b"\0" + endpoint.to_bytes(2, "little") + b"\0" + stored)]
+        return [
+            Frame(self.node_id << 5 | 0x05, b"\0" + endpoint.to_bytes(2, "little") + b"\0" + stored)
+        ]
 
     def _set_position(self, data: bytes) -> None:
         """Shift the zero until the present position has the given value, in turns or (firmware 0.5) in counts."""
@@ -491,10 +516,14 @@ class OdriveNode:
         """Return the payload of a heartbeat."""
         if self.legacy:
             errors = sum(
-                legacy for new, legacy in _LEGACY_ERRORS.items() if (self.active_errors | self.disarm_reason) & new
+                legacy
+                for new, legacy in _LEGACY_ERRORS.items()
+                if (self.active_errors | self.disarm_reason) & new
             )
             done = self.motion.done << 7
-            return struct.pack("<IBBBB", errors, self.state, errors == _LEGACY_ERRORS[MOTOR_HOT], 0, done)
+            return struct.pack(
+                "<IBBBB", errors, self.state, errors == _LEGACY_ERRORS[MOTOR_HOT], 0, done
+            )
         errors = self.active_errors | self.disarm_reason
         return struct.pack("<IBBBB", errors, self.state, self.result, self.motion.done, 0)
 

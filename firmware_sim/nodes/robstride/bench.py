@@ -5,7 +5,12 @@ The free shaft is an assumption. Source of the ranges: docs/facts/robstride.md.
 
 from firmware_sim.bus.frame import EXTENDED, Frame
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
-from firmware_sim.nodes.robstride.node import DEFAULT_TYPE, FULL_SCALE, POSITION_RANGE, RobstrideNode
+from firmware_sim.nodes.robstride.node import (
+    DEFAULT_TYPE,
+    FULL_SCALE,
+    POSITION_RANGE,
+    RobstrideNode,
+)
 
 INERTIA_PER_TORQUE = 2e-4
 """Inertia at the output divided by the torque at full scale [kg m2/N m], as for other geared motors."""
@@ -14,7 +19,9 @@ INERTIA_PER_TORQUE = 2e-4
 def shaft_of_robstride_motor(motor_type: str) -> ShaftSpec:
     """Build the shaft of a motor model."""
     velocity, peak, _, _ = FULL_SCALE[motor_type]
-    return ShaftSpec(peak, INERTIA_PER_TORQUE * peak, 1.0, POSITION_RANGE, velocity, {"motor_type": motor_type})
+    return ShaftSpec(
+        peak, INERTIA_PER_TORQUE * peak, 1.0, POSITION_RANGE, velocity, {"motor_type": motor_type}
+    )
 
 
 def _host_frame(node_id: int) -> tuple[int, bytes]:

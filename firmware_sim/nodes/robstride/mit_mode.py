@@ -107,7 +107,12 @@ class RobstrideMitNode(RobstrideNode):
         """
         plain = area == 0xFF
         if code == 0xFB and not plain:
-            return [Frame(self.host_id, bytes((self.node_id,)) + struct.pack("<I", self._fault_word) + bytes(3))]
+            return [
+                Frame(
+                    self.host_id,
+                    bytes((self.node_id,)) + struct.pack("<I", self._fault_word) + bytes(3),
+                )
+            ]
         if code == 0xFC and plain:
             self._enable(b"", t_ns)
         elif code == 0xFC and area <= 2:
@@ -200,7 +205,11 @@ def _corrupt_command(frame: Frame) -> Frame:
 
 def _force_command(node: RobstrideMitNode, frame: Frame) -> None:
     """Follow a control command in any mode of the motor."""
-    if frame.can_id == node.node_id and len(frame.data) == 8 and frame.data[:6] != _SPECIAL_COMMAND_START:
+    if (
+        frame.can_id == node.node_id
+        and len(frame.data) == 8
+        and frame.data[:6] != _SPECIAL_COMMAND_START
+    ):
         node.follow_command(frame.data)
 
 

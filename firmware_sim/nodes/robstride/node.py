@@ -178,7 +178,12 @@ class RobstrideNode:
             The answers, None if the frame is not for the motor.
         """
         number = frame.can_id & ~EXTENDED
-        if not frame.can_id & EXTENDED or frame.can_id & REMOTE or frame.flags & FDF or number & 0xFF != self.node_id:
+        if (
+            not frame.can_id & EXTENDED
+            or frame.can_id & REMOTE
+            or frame.flags & FDF
+            or number & 0xFF != self.node_id
+        ):
             return None
         kind = number >> 24 & 0x1F
         if kind == 2 or kind == 0x15:
@@ -201,7 +206,13 @@ class RobstrideNode:
             return [self._identity(frame)]
         if kind == 0x11:
             return [self._read(frame.data, frame)]
-        requests = {3: self._enable, 4: self._stop_on_request, 6: self._set_zero, 0x12: self._write, 0x16: self._save}
+        requests = {
+            3: self._enable,
+            4: self._stop_on_request,
+            6: self._set_zero,
+            0x12: self._write,
+            0x16: self._save,
+        }
         if kind not in requests:
             self.malformed += 1
             return []
@@ -210,7 +221,9 @@ class RobstrideNode:
 
     def _identity(self, frame: Frame) -> Frame:
         """Return the frame with the identity of the motor."""
-        return Frame(EXTENDED | self.node_id << 8 | 0xFE, self._serial.to_bytes(8, "big"), 0, frame.bus)
+        return Frame(
+            EXTENDED | self.node_id << 8 | 0xFE, self._serial.to_bytes(8, "big"), 0, frame.bus
+        )
 
     def _enable(self, _data: bytes, t_ns: int) -> None:
         """Enter run mode, if the motor has no fault and its mode of operation is 0 (operation control)."""
@@ -307,7 +320,9 @@ class RobstrideNode:
         torque = to_code(sign * motor.torque, self._torque)
         data = struct.pack(">HHHh", position, velocity, torque, int(10 * self.thermal.winding))
         status = self.mode << 6 | self.fault & FEEDBACK_FAULTS
-        return Frame(EXTENDED | 2 << 24 | status << 16 | self.node_id << 8 | self._host, data, 0, frame.bus)
+        return Frame(
+            EXTENDED | 2 << 24 | status << 16 | self.node_id << 8 | self._host, data, 0, frame.bus
+        )
 
     def trip(self, fault: int) -> None:
         """Enter reset mode with a fault.
@@ -345,7 +360,11 @@ class RobstrideNode:
         Returns:
             The fault reports.
         """
-        if self.mode == RUN_MODE and self.timeout_ns and t_ns - self.watchdog_fed_ns > self.timeout_ns:
+        if (
+            self.mode == RUN_MODE
+            and self.timeout_ns
+            and t_ns - self.watchdog_fed_ns > self.timeout_ns
+        ):
             self.trip(0)
         if self._thermal_ns < 0 or t_ns - self._thermal_ns >= THERMAL_PERIOD_NS:
             if self._thermal_ns >= 0:
@@ -361,6 +380,12 @@ class RobstrideNode:
 
     def _report(self, fault: int) -> Frame:
         """Return the frame that reports faults."""
-        bits = sum(reported for bit, reported in FAULT_REPORT_BITS.items() if fault & bit) | fault >> REPORT_SHIFT
+        bits = (
+            sum(reported for bit, reported in FAULT_REPORT_BITS.items() if fault & bit)
+            | fault >> REPORT_SHIFT
+        )
         warning = int(self.thermal.winding > HOT_C)
-        return Frame(EXTENDED | 0x15 << 24 | self.node_id << 8 | self._host, struct.pack("<II", bits, warning))
+        return Frame(
+            EXTENDED | 0x15 << 24 | self.node_id << 8 | self._host,
+            struct.pack("<II", bits, warning),
+        )

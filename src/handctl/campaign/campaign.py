@@ -61,13 +61,17 @@ class CampaignReport:
             "scenarios": len(results),
             "late": sum(not result.ok for result in results),
             "worst_ticks": max((result.ticks for result in results), default=0),
-            "worst_share_of_bound": max((result.ticks / max(result.bound, 1) for result in results), default=0.0),
+            "worst_share_of_bound": max(
+                (result.ticks / max(result.bound, 1) for result in results), default=0.0
+            ),
             "worst_tension_N": max((result.tension for result in results), default=0.0),
             "not_felt": sum(not result.effects for result in results),
             "false_alarms": sum(map(len, self.alarms.values())),
             "false_alarm_run_s": self.simulated_s,
             "alarms": self.alarms,
-            "results": {protocol: [r.plain() for r in results] for protocol, results in self.results.items()},
+            "results": {
+                protocol: [r.plain() for r in results] for protocol, results in self.results.items()
+            },
         }
 
 
@@ -130,7 +134,11 @@ def run_campaign(
     for protocol in protocols:
         hand = hand_with_protocol(name, protocol)
         rate = report.rates[protocol] = rate_of(hand)
-        scenarios_to_run = [] if fault_free_only else campaign_scenarios(hand, protocol, rate, quick, row_ids, seed)
+        scenarios_to_run = (
+            []
+            if fault_free_only
+            else campaign_scenarios(hand, protocol, rate, quick, row_ids, seed)
+        )
         results = report.results[protocol] = []
 
         # The defaults bind the values of this protocol. A closure would use those of the last
@@ -173,10 +181,21 @@ def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) ->
             while remaining_s > 0.0 and not ended:
                 out = simulation.tick()
                 remaining_s -= simulation.period_ns * 1e-9
-                alarms += [event.text for event in out.events if event.name == "fault" and _is_hold_or_more(event)]
+                alarms += [
+                    event.text
+                    for event in out.events
+                    if event.name == "fault" and _is_hold_or_more(event)
+                ]
                 ended = out.mode == Mode.DONE or simulation.k * simulation.period_ns >= MAX_RUN_NS
-            if ended and len(alarms) == alarms_before and simulation.out and simulation.out.phase != LAST_PHASE:
-                alarms.append(f"seed {seed} did not reach a grasp: {simulation.state.failure or simulation.out.phase}")
+            if (
+                ended
+                and len(alarms) == alarms_before
+                and simulation.out
+                and simulation.out.phase != LAST_PHASE
+            ):
+                alarms.append(
+                    f"seed {seed} did not reach a grasp: {simulation.state.failure or simulation.out.phase}"
+                )
         seed += 1
     return alarms
 

@@ -65,7 +65,10 @@ def write_page(path: Path, report: CampaignReport) -> None:
         bad = [result for result in results if not result.ok]
         if bad:
             parts.append(f"<h2 class=bad>{protocol}: failed</h2>{_html_table(bad, rate, number)}")
-    rows = "".join(f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>" for id_, reason in UNTESTED_ROWS.items())
+    rows = "".join(
+        f"<tr><td>{id_}</td><td>{html.escape(reason)}</td></tr>"
+        for id_, reason in UNTESTED_ROWS.items()
+    )
     parts.append(f"<h2>Rows that are tested elsewhere</h2><table>{rows}</table>")
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
     write_text_atomically(path, page + "\n".join(parts) + "</html>\n")
@@ -121,4 +124,6 @@ def summary_lines(report: CampaignReport) -> list[str]:
         f"largest true tension {figures['worst_tension_N']:.0f} N",
         f"{figures['false_alarms']} false alarms in {figures['false_alarm_run_s']:g} s without faults",
     ]
-    return summary + [f"{result.scenario}: {result.problem}" for result in report.all_results if not result.ok]
+    return summary + [
+        f"{result.scenario}: {result.problem}" for result in report.all_results if not result.ok
+    ]

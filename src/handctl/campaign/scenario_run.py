@@ -80,7 +80,9 @@ class ScenarioResult:
         return {keys.get(name, name): value for name, value in asdict(self).items()}
 
 
-def run_scenario(simulation: SimulatedRun, scenario: FaultScenario, protocol: str) -> ScenarioResult:
+def run_scenario(
+    simulation: SimulatedRun, scenario: FaultScenario, protocol: str
+) -> ScenarioResult:
     """Run a scenario to the end, and return the result.
 
     Args:
@@ -90,18 +92,28 @@ def run_scenario(simulation: SimulatedRun, scenario: FaultScenario, protocol: st
         protocol: protocol that the drives of the hand use.
     """
     row = scenario.row
-    bound = row.bound(protocol, simulation.period_ns / 1e6) + (PAIR_EXTRA_TICKS if scenario.second else 0)
+    bound = row.bound(protocol, simulation.period_ns / 1e6) + (
+        PAIR_EXTRA_TICKS if scenario.second else 0
+    )
     result = ScenarioResult(scenario.name, row.id, scenario.stage, bound=bound)
     start_ns = simulation.k * simulation.period_ns
     start_tension = simulation.peer.truth()["tension"]
     speed = _tendon_speeds(simulation)
-    host = HostFault(scenario.fault.removeprefix(HOST_PREFIX)) if scenario.fault.startswith(HOST_PREFIX) else None
+    host = (
+        HostFault(scenario.fault.removeprefix(HOST_PREFIX))
+        if scenario.fault.startswith(HOST_PREFIX)
+        else None
+    )
     if host is None:
         simulation.peer.inject(scenario.fault)
     second_host = (
-        HostFault(scenario.second.removeprefix(HOST_PREFIX)) if scenario.second.startswith(HOST_PREFIX) else None
+        HostFault(scenario.second.removeprefix(HOST_PREFIX))
+        if scenario.second.startswith(HOST_PREFIX)
+        else None
     )
-    for i in range(bound + PAIR_DELAY_TICKS + round(OBSERVATION_TIME_S * 1e9 / simulation.period_ns)):
+    for i in range(
+        bound + PAIR_DELAY_TICKS + round(OBSERVATION_TIME_S * 1e9 / simulation.period_ns)
+    ):
         inputs: dict[str, Any] = {"requests": (CUT_REQUEST,)} if i == 1 and row.id == "N16" else {}
         inputs |= host.at(i, simulation) if host else {}
         if i == PAIR_DELAY_TICKS and second_host:
@@ -113,7 +125,9 @@ def run_scenario(simulation: SimulatedRun, scenario: FaultScenario, protocol: st
         # which the host wakes up.
         start_ns = t_ns if host and i == 0 else start_ns
         out = simulation.tick(**inputs)
-        _observe_tick(result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns)
+        _observe_tick(
+            result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns
+        )
         if out.mode == Mode.DONE:
             break
     result.effects = 1 if host else int(simulation.peer.fault_states()[0]["felt"])
@@ -135,7 +149,9 @@ def _tendon_speeds(simulation: SimulatedRun) -> list[float]:
     if simulation.out is None:
         return [0.0] * simulation.controller.model.tendon_count
     spool = simulation.controller.model.space.spool
-    return [float(v) for v in np.nan_to_num(np.abs(simulation.out.telemetry.motor_velocity * spool))]
+    return [
+        float(v) for v in np.nan_to_num(np.abs(simulation.out.telemetry.motor_velocity * spool))
+    ]
 
 
 def tension_bound(
@@ -168,7 +184,9 @@ def tension_bound(
     )
 
 
-def runaway_tension(model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float) -> float:
+def runaway_tension(
+    model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float
+) -> float:
     """Return the largest tension that a runaway drive can cause [N].
 
     The drive accelerates the rotor (mass m at the tendon) with the force limit F of the drive,
@@ -188,7 +206,9 @@ def runaway_tension(model: HandModel, start_tension: Sequence[float], speed: Seq
         model.hand.tendon, space.stiffness, space.motor_mass, start_tension, speed, strict=True
     ):
         limit = tendon.drive_limit_N
-        bounds.append(limit + math.sqrt((limit - tension) ** 2 + k * m * (v + limit / m * seconds) ** 2))
+        bounds.append(
+            limit + math.sqrt((limit - tension) ** 2 + k * m * (v + limit / m * seconds) ** 2)
+        )
     return float(max(bounds))
 
 
@@ -219,7 +239,11 @@ def _observe_tick(
     since = math.ceil((t_ns - first_effect_ns) / simulation.period_ns)
     for event in out.events:
         is_report = event.name == "fault" or REMOVE_POWER in event.text
-        is_expected = event.text.startswith(tuple(filter(None, row.rows))) or not any(row.rows) or scenario.second
+        is_expected = (
+            event.text.startswith(tuple(filter(None, row.rows)))
+            or not any(row.rows)
+            or scenario.second
+        )
         if not result.detected_by and is_report and is_expected:
             result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
     # If the required action is RELAX or more, a mode that relaxes or shuts down the hand is a
@@ -231,7 +255,11 @@ def _observe_tick(
     # The controller only reports the fault H01, so the report counts as the reaction.
     if row.id == "H01":
         reacted = bool(result.detected_by)
-    if result.ticks < 0 and reacted and (result.detected_by or not any(row.rows) or out.mode in SHUT_DOWN_MODES):
+    if (
+        result.ticks < 0
+        and reacted
+        and (result.detected_by or not any(row.rows) or out.mode in SHUT_DOWN_MODES)
+    ):
         result.ticks = max(0, since)
     if result.ticks >= 0 and result.safe_ticks < 0 and not any(truth["torque"]):
         result.safe_ticks = max(0, since)
@@ -251,7 +279,9 @@ def _judge_result(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
     if row.action >= Action.RELAX and result.effects and result.safe_ticks < 0:
         problems.append("torque remains")
     if result.tension > result.tension_bound:
-        problems.append(f"{result.tension:.0f} N in a tendon, at most {result.tension_bound:.0f} N expected")
+        problems.append(
+            f"{result.tension:.0f} N in a tendon, at most {result.tension_bound:.0f} N expected"
+        )
     result.ok = not problems
     result.problem = "; ".join(problems)
     return result

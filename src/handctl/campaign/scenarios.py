@@ -86,7 +86,9 @@ class MatrixRow(NamedTuple):
     def bound(self, protocol: str, period_ms: float) -> int:
         """Return the time limit of the row for drives of a given protocol [ticks]."""
         extra = self.extra_ticks.get(protocol, 0)
-        return self.ticks + extra + math.ceil((self.ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
+        return (
+            self.ticks + extra + math.ceil((self.ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
+        )
 
 
 class FaultScenario(NamedTuple):
@@ -112,7 +114,11 @@ class FaultScenario(NamedTuple):
     @property
     def name(self) -> str:
         """Return a description of the scenario for reports."""
-        return f"{self.row.id} {self.fault}" + (f" + {self.second}" if self.second else "") + f", {self.stage}"
+        return (
+            f"{self.row.id} {self.fault}"
+            + (f" + {self.second}" if self.second else "")
+            + f", {self.stage}"
+        )
 
 
 WARN = Action.WARN
@@ -288,7 +294,10 @@ def fault_pairs(hand: Hand, protocol: str, period_ms: float) -> list[FaultScenar
     on another instance. If the hand has no instance for a fault, such as a load cell, there are no
     pairs with this fault. `period_ms` is the control period [ms].
     """
-    rows = [next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols) for id_ in PAIRED_ROWS]
+    rows = [
+        next(row for row in FAULT_MATRIX if row.id == id_ and protocol in row.protocols)
+        for id_ in PAIRED_ROWS
+    ]
     selected = []
     for i, first in enumerate(rows):
         for second in rows[i + 1 :]:
@@ -346,4 +355,6 @@ def _instance_values(hand: Hand, fault: str) -> list[dict[str, str]]:
         "bus": list(hand.bus_names),
         "joint": list(hand.sensor_node.joints),
     }
-    return next(([{key: name} for name in names[key]] for key in names if f"{{{key}}}" in fault), [{}])
+    return next(
+        ([{key: name} for name in names[key]] for key in names if f"{{{key}}}" in fault), [{}]
+    )

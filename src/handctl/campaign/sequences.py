@@ -102,7 +102,9 @@ class FaultSequence(NamedTuple):
     @property
     def name(self) -> str:
         """Return a description of the sequence for reports."""
-        return f"seed {self.seed}, {self.stage}: " + "; ".join(f"{step.tick}: {step.fault}" for step in self.steps)
+        return f"seed {self.seed}, {self.stage}: " + "; ".join(
+            f"{step.tick}: {step.fault}" for step in self.steps
+        )
 
 
 def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> FaultSequence:
@@ -119,13 +121,17 @@ def draw_sequence(hand: Hand, protocol: str, period_ms: float, seed: int) -> Fau
         if chance.random() < HOST_STEP_FRACTION:
             steps.append(FaultStep(tick, chance.choice(HOST_STEPS)))
             continue
-        fault = chance.choice(texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_STEPS))
+        fault = chance.choice(
+            texts_of_fault(hand, chance.choice(rows).fault, period_ms) or list(HOST_STEPS)
+        )
         brief = (
             not fault.startswith((HOST_PREFIX, *PERMANENT_FAULTS))
             and " for=" not in fault
             and chance.random() < BRIEF_FRACTION
         )
-        steps.append(FaultStep(tick, f"{fault} for={chance.randint(*BRIEF_MS)}ms" if brief else fault))
+        steps.append(
+            FaultStep(tick, f"{fault} for={chance.randint(*BRIEF_MS)}ms" if brief else fault)
+        )
     return FaultSequence(seed, RUN_STAGES[seed % len(RUN_STAGES)], tuple(steps))
 
 
@@ -178,7 +184,9 @@ def run_sequence(simulation: SimulatedRun, sequence: FaultSequence) -> ScenarioR
         before = simulation.state
         simulation.tick(**inputs)
         tension = max(tension, *simulation.peer.truth()["tension"])
-        violations += violations_in_tick(before, simulation.state, cleared=CLEAR_REQUEST in inputs["requests"])
+        violations += violations_in_tick(
+            before, simulation.state, cleared=CLEAR_REQUEST in inputs["requests"]
+        )
         if simulation.state.mode == Mode.DONE:
             break
     active_faults = sum(int(fault["felt"]) > 0 for fault in simulation.peer.fault_states())
@@ -211,7 +219,10 @@ def _sequence_ticks(simulation: SimulatedRun, sequence: FaultSequence) -> Iterat
                 host_faults.append((i, HostFault(fault.removeprefix(HOST_PREFIX))))
             else:
                 simulation.peer.inject(fault)
-        inputs: dict[str, Any] = {"io": (), "requests": (STOP_REQUEST,) if i == SEQUENCE_TICKS else ()}
+        inputs: dict[str, Any] = {
+            "io": (),
+            "requests": (STOP_REQUEST,) if i == SEQUENCE_TICKS else (),
+        }
         for start_tick, host in host_faults:
             for key, value in host.at(i - start_tick, simulation).items():
                 inputs[key] = inputs[key] + value if key in ("io", "requests") else value
@@ -226,15 +237,21 @@ def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
     unlatched = set(before.latched) - set(after.latched)
     if unlatched and not cleared:
         violations.append(f"no longer latched: {', '.join(sorted(mark.id for mark in unlatched))}")
-    if before.mode == after.mode == Mode.RELAX and np.any(after.view("setpoint") > before.view("setpoint") + 1e-9):
+    if before.mode == after.mode == Mode.RELAX and np.any(
+        after.view("setpoint") > before.view("setpoint") + 1e-9
+    ):
         violations.append("a setpoint rises while the hand relaxes")
     # The relative tolerance covers the rounding of torques in the CAN frames.
-    if after.mode == Mode.RELAX and np.any(after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)):
+    if after.mode == Mode.RELAX and np.any(
+        after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)
+    ):
         violations.append("a motor is commanded to pull harder while the hand relaxes")
     return violations
 
 
-def _tension_bound(simulation: SimulatedRun, sequence: FaultSequence, start_tension: list[float]) -> float:
+def _tension_bound(
+    simulation: SimulatedRun, sequence: FaultSequence, start_tension: list[float]
+) -> float:
     """Return the largest tension to expect in a sequence [N].
 
     A runaway drive is assumed to start with a slack tendon, and to pull until the watchdog of the
@@ -247,7 +264,9 @@ def _tension_bound(simulation: SimulatedRun, sequence: FaultSequence, start_tens
     if not any(step.fault.startswith(RUNAWAY_FAULT) for step in sequence.steps):
         return max(*limits.tension_trip, *start_tension)
     at_rest = [0.0] * model.tendon_count
-    return runaway_tension(model, at_rest, at_rest, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9)
+    return runaway_tension(
+        model, at_rest, at_rest, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9
+    )
 
 
 def violations_at_end(simulation: SimulatedRun) -> list[str]:
@@ -256,8 +275,16 @@ def violations_at_end(simulation: SimulatedRun) -> list[str]:
     names = simulation.controller.model.hand.tendon_names
     if state.mode != Mode.DONE:
         return [f"the run does not end: {state.mode.name}"]
-    with_torque = [name for name, torque in zip(names, simulation.peer.truth()["torque"], strict=True) if torque]
-    return [f"torque remains: {', '.join(with_torque)}"] if with_torque and REMOVE_POWER not in state.failure else []
+    with_torque = [
+        name
+        for name, torque in zip(names, simulation.peer.truth()["torque"], strict=True)
+        if torque
+    ]
+    return (
+        [f"torque remains: {', '.join(with_torque)}"]
+        if with_torque and REMOVE_POWER not in state.failure
+        else []
+    )
 
 
 def violations_on_replay(simulation: SimulatedRun, state: State, first: int) -> list[str]:

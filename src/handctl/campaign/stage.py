@@ -72,11 +72,19 @@ def with_drives(hand: Hand, protocol: str) -> Hand:
     """
     traits = PROTOCOL_TRAITS[protocol]
     motors = tuple(
-        motor.model_copy(update={"protocol": protocol, "node_id": FIRST_NODE + i, "options": dict(traits.options)})
+        motor.model_copy(
+            update={
+                "protocol": protocol,
+                "node_id": FIRST_NODE + i,
+                "options": dict(traits.options),
+            }
+        )
         for i, motor in enumerate(hand.motor)
     )
     buses = tuple(
-        bus.model_copy(update={"data_bitrate": DATA_BITRATE}) if traits.can_fd and bus.data_bitrate is None else bus
+        bus.model_copy(update={"data_bitrate": DATA_BITRATE})
+        if traits.can_fd and bus.data_bitrate is None
+        else bus
         for bus in hand.bus
     )
     replaced = hand.model_copy(update={"motor": motors, "bus": buses})
@@ -104,8 +112,12 @@ def homed_run(
     angles = dict.fromkeys(hand.digit_names, 25.0)
     phases = [dict(phase) for phase in cast(list[dict[str, Any]], task["phase"])]
     phases[0]["angle_deg"] = angles
-    program = TaskProgram(validate_content({**task, "phase": phases}, Task, "the task of the campaign"))
-    controller = make_controller(hand, packaged_gains(hand.name), rate_hz, program, None, arm_at_once=True)
+    program = TaskProgram(
+        validate_content({**task, "phase": phases}, Task, "the task of the campaign")
+    )
+    controller = make_controller(
+        hand, packaged_gains(hand.name), rate_hz, program, None, arm_at_once=True
+    )
     with SimulatorSettings(hand, "cylinder", seed, perturb, homed=True).against(controller) as run:
         yield run
 
@@ -126,7 +138,10 @@ def advance_to(simulation: SimulatedRun, stage: str) -> None:
         # 16 N.
         free_ticks += out.phase == "free"
         free = free_ticks * simulation.period_ns > FAULT_DELAY_S * 1e9
-        holds = out.phase == "hold" and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
+        holds = (
+            out.phase == "hold"
+            and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
+        )
         return bool(free if stage == FREE_STAGE else holds)
 
     if not simulation.until(reached, STAGE_TIMEOUT_S):
@@ -182,7 +197,9 @@ def run_experiments(
             experiments_at_stage = [experiment for experiment in todo if experiment.stage == stage]
             if experiments_at_stage:
                 advance_to(simulation, stage)
-                run_in_branches(simulation, experiments_at_stage, jobs, attempt, on_result, on_failure)
+                run_in_branches(
+                    simulation, experiments_at_stage, jobs, attempt, on_result, on_failure
+                )
 
 
 def run_in_branches(
@@ -225,7 +242,9 @@ def run_in_branches(
             on_result(_read_result(reading, experiment, status))
 
 
-def _run_one(attempt: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]) -> str:
+def _run_one(
+    attempt: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]
+) -> str:
     """Run an experiment, call `on_failure` if the result is not ok, and return the result as JSON."""
     result = attempt()
     if not result.ok:

@@ -19,7 +19,11 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext, supp
 from typing import Any, NamedTuple
 
 from handctl.cli.console.streams import discard_output, flush_stdout, open_standard_streams
-from handctl.cli.console.termination import TerminationRequested, install_excepthook, terminate_on_signals
+from handctl.cli.console.termination import (
+    TerminationRequested,
+    install_excepthook,
+    terminate_on_signals,
+)
 from handctl.cli.console.verbosity import is_verbose, print_detail, use_verbosity
 from handctl.cli.parsing.completion import is_completing, print_completions
 from handctl.cli.parsing.needs import optional_packages
@@ -156,10 +160,14 @@ def _run_and_report_errors(words: list[str]) -> int:
         discard_output()
         return ExitCode.DONE
     except OSError as error:
-        nameless = "the working folder: " if error.errno == errno.ENOENT else ""  # the folder was deleted
+        nameless = (
+            "the working folder: " if error.errno == errno.ENOENT else ""
+        )  # the folder was deleted
         where = f"{error.filename}: " if error.filename else nameless
         text = f"{where}{error.strerror or error}"
-        return _report_error(text, ExitCode.BAD_INPUT if error.errno in FILE_NAME_ERRORS else ExitCode.FAILED)
+        return _report_error(
+            text, ExitCode.BAD_INPUT if error.errno in FILE_NAME_ERRORS else ExitCode.FAILED
+        )
     except TerminationRequested as error:
         return _report_error(str(error) or "ended by a signal", ExitCode.TERMINATED)
     except KeyboardInterrupt as error:
@@ -171,7 +179,11 @@ def _run_command_line(words: list[str]) -> int:
 
     Errors of the verb pass through as exceptions.
     """
-    while words[1:] and words[0] in VERBOSITY_OPTIONS and words[1] in VERB_HELP.keys() | VERBOSITY_OPTIONS:
+    while (
+        words[1:]
+        and words[0] in VERBOSITY_OPTIONS
+        and words[1] in VERB_HELP.keys() | VERBOSITY_OPTIONS
+    ):
         words = [words[1], words[0], *words[2:]] if words[1] in VERB_HELP else words[1:]
     if words and words[0] in VERB_HELP:
         return _run_verb(words[0], words[1:])
@@ -223,7 +235,9 @@ def verb_parser(name: str) -> VerbParser:
     """Return the parser of a verb."""
     text = VERB_HELP[name]
     example = _import_arguments(name).EXAMPLES[name]
-    parser = VerbParser(prog=f"handctl {name}", description=f"{text[0].upper()}{text[1:]}.", epilog=example.epilog())
+    parser = VerbParser(
+        prog=f"handctl {name}", description=f"{text[0].upper()}{text[1:]}.", epilog=example.epilog()
+    )
     getattr(_import_arguments(name), name)(parser)
     return parser
 
@@ -245,22 +259,32 @@ def _run_verb(name: str, words: list[str]) -> int:
         require_extra(name, *optional_packages(name, args))
         start_s = time.monotonic()
         if is_verbose():
-            options = ", ".join(f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose")
+            options = ", ".join(
+                f"{key} = {value}" for key, value in sorted(vars(args).items()) if key != "verbose"
+            )
             print_detail(f"handctl {_version_text()} {name}: {options}")
         try:
-            with _start_recorder_early() if name in RECORDING_VERBS and not args.dry_run else nullcontext():
+            with (
+                _start_recorder_early()
+                if name in RECORDING_VERBS and not args.dry_run
+                else nullcontext()
+            ):
                 code: int = _import_verb(name).run(args)
         except ModuleNotFoundError as error:
             if (missing := missing_extra(name, error)) is None:
                 raise
             raise missing from None
-        print_detail(f"handctl {name}: exit code {int(code)} after {time.monotonic() - start_s:.2f} s")
+        print_detail(
+            f"handctl {name}: exit code {int(code)} after {time.monotonic() - start_s:.2f} s"
+        )
     return code
 
 
 def _start_recorder_early() -> AbstractContextManager[None]:
     """Start the recorder process early. Then both processes import modules at the same time."""
-    from handctl.log.write.child import recorder_process_ahead  # a verb without a run needs no subprocess
+    from handctl.log.write.child import (
+        recorder_process_ahead,
+    )  # a verb without a run needs no subprocess
 
     return recorder_process_ahead()
 
@@ -292,6 +316,8 @@ def _pause_garbage_collection() -> Iterator[None]:
 
 
 def _report_error(error: HandctlError | str, code: ExitCode) -> int:
-    with suppress(OSError):  # without a readable standard error, the exit code still reports the error
+    with suppress(
+        OSError
+    ):  # without a readable standard error, the exit code still reports the error
         print(f"handctl: {one_line_message(str(error))}", file=sys.stderr)
     return code

@@ -43,7 +43,10 @@ class AsyncHandClient:
         return self
 
     async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """Close the client.
 
@@ -69,12 +72,18 @@ class AsyncHandClient:
         await asyncio.to_thread(self.client.move, goals, duration_s, wait, **angle_deg)
 
     async def hold(
-        self, goals: Mapping[str, float] | None = None, /, rate_N_per_s: float = 100.0, **tension_N: float
+        self,
+        goals: Mapping[str, float] | None = None,
+        /,
+        rate_N_per_s: float = 100.0,
+        **tension_N: float,
     ) -> None:
         """Hold tensions [N], or bring moving digits to rest, see ``HandClient.hold``."""
         await asyncio.to_thread(self.client.hold, goals, rate_N_per_s, **tension_N)
 
-    async def grasp(self, task: str | os.PathLike[str], wait: bool = True, timeout_s: float = 30.0) -> Observation:
+    async def grasp(
+        self, task: str | os.PathLike[str], wait: bool = True, timeout_s: float = 30.0
+    ) -> Observation:
         """Execute a task up to its first hold phase, see ``HandClient.grasp``."""
         return await asyncio.to_thread(self.client.grasp, task, wait, timeout_s)
 
@@ -91,7 +100,10 @@ class AsyncHandClient:
         await asyncio.to_thread(self.client.stop)
 
     async def wait_for(
-        self, contact: str | Sequence[str] | None = None, phase: str | None = None, timeout_s: float = 10.0
+        self,
+        contact: str | Sequence[str] | None = None,
+        phase: str | None = None,
+        timeout_s: float = 10.0,
     ) -> Observation:
         """Wait for contacts of digits or for a phase, see ``HandClient.wait_for``."""
         return await asyncio.to_thread(self.client.wait_for, contact, phase, timeout_s)
@@ -100,7 +112,9 @@ class AsyncHandClient:
         """Return the latest observation without waiting."""
         return self.client.observe()
 
-    async def observations(self, timeout_s: float = CONFIRMATION_TIMEOUT_S) -> AsyncIterator[Observation]:
+    async def observations(
+        self, timeout_s: float = CONFIRMATION_TIMEOUT_S
+    ) -> AsyncIterator[Observation]:
         """Yield the observation of every tick from now on, in order, until the run ends.
 
         Args:
@@ -130,7 +144,9 @@ class AsyncHandClient:
             names: joints, digits or tendons to which the values of a target belong, in order.
             options: further arguments of ``HandClient.stream``.
         """
-        return AsyncTargetStream(await asyncio.to_thread(self.client.stream, rate_Hz, space, names, **options))
+        return AsyncTargetStream(
+            await asyncio.to_thread(self.client.stream, rate_Hz, space, names, **options)
+        )
 
 
 class AsyncTargetStream:
@@ -149,7 +165,10 @@ class AsyncTargetStream:
         return self
 
     async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """Close the stream."""
         await asyncio.shield(self.close())

@@ -64,7 +64,10 @@ class Fingertips:
             angles_rad: joint angles by name of the joint, e.g. ``seen.named("q_rad")`` [rad].
         """
         return np.array(
-            [joint_points(model, [angles_rad[joint] for joint in model.joint_names])[-1] for model in self._models]
+            [
+                joint_points(model, [angles_rad[joint] for joint in model.joint_names])[-1]
+                for model in self._models
+            ]
         )
 
     def angles_deg(self, positions: TipPositions) -> dict[str, float]:
@@ -92,16 +95,25 @@ class Fingertips:
         """Check positions of fingertips, and return them by index of the digit."""
         if isinstance(positions, Mapping):
             if unknown := [str(name) for name in positions if name not in self.digits]:
-                raise ConfigError(f"no {unknown[0]!r}", "fingertips", f"some of {', '.join(self.digits)}")
-            given = {self.digits.index(name): np.asarray(one, np.float64) for name, one in positions.items()}
+                raise ConfigError(
+                    f"no {unknown[0]!r}", "fingertips", f"some of {', '.join(self.digits)}"
+                )
+            given = {
+                self.digits.index(name): np.asarray(one, np.float64)
+                for name, one in positions.items()
+            }
         else:
             table = np.asarray(positions, np.float64)
             if table.shape != (len(self.digits), 3):
-                raise ConfigError(f"positions of shape {table.shape}", "fingertips", f"({len(self.digits)}, 3)")
+                raise ConfigError(
+                    f"positions of shape {table.shape}", "fingertips", f"({len(self.digits)}, 3)"
+                )
             given = dict(enumerate(table))
         for d, target in given.items():
             if target.shape != (3,) or not np.isfinite(target).all():
-                raise ConfigError(f"{target.tolist()} for {self.digits[d]}", "fingertips", "x, y, z [m]")
+                raise ConfigError(
+                    f"{target.tolist()} for {self.digits[d]}", "fingertips", "x, y, z [m]"
+                )
         return given
 
 

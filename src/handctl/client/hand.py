@@ -40,7 +40,12 @@ from handctl.programs.requests import (
 )
 from handctl.programs.streams import horizon_s
 from handctl.programs.task import HoldPhase
-from handctl.runtime.confirm import CONFIRMATION_TIMEOUT_S, follow_until_off, is_hand_off, send_with_confirmation
+from handctl.runtime.confirm import (
+    CONFIRMATION_TIMEOUT_S,
+    follow_until_off,
+    is_hand_off,
+    send_with_confirmation,
+)
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES, StatusWatcher, is_running
 from handctl.runtime.observations import ObservationReader
 from handctl.runtime.targets import TargetSender, stream_name
@@ -132,7 +137,9 @@ def _check_lease(lease_s: float | None, watchdog_s: float | None) -> None:
     limits = f"{SHORTEST_LEASE_S:g} to {LONGEST_LEASE_S:g} s"
     for name, seconds in (("lease_s", lease_s), ("watchdog_s", watchdog_s)):
         is_number = isinstance(seconds, Real) and not isinstance(seconds, bool)
-        if seconds is not None and not (is_number and SHORTEST_LEASE_S <= seconds <= LONGEST_LEASE_S):
+        if seconds is not None and not (
+            is_number and SHORTEST_LEASE_S <= seconds <= LONGEST_LEASE_S
+        ):
             raise ConfigError(repr(seconds), name, f"{limits}, or None")
     if watchdog_s is not None and lease_s is None:
         raise ConfigError("no lease", "watchdog_s", f"lease_s of {limits}")
@@ -247,7 +254,11 @@ class HandClient:
         }
         validate_content(goal, MoveDigits, "move")
         start_s = self._set_goal(goal)
-        while wait and self._wait_until_following(CONFIRMATION_TIMEOUT_S)["t_s"] < start_s + goal["duration_s"]:
+        while (
+            wait
+            and self._wait_until_following(CONFIRMATION_TIMEOUT_S)["t_s"]
+            < start_s + goal["duration_s"]
+        ):
             pass
 
     def hold(
@@ -378,7 +389,8 @@ class HandClient:
         while seen.phase != hold:
             if seen.phase == "live" or time.monotonic() > end:
                 raise DriveError(
-                    f"the hand does not hold an object: it is in phase {seen.phase!r}", f"task {found.name}"
+                    f"the hand does not hold an object: it is in phase {seen.phase!r}",
+                    f"task {found.name}",
                 )
             seen = self.observe(wait=True)
         return seen
@@ -515,7 +527,8 @@ class HandClient:
                 return seen
             if time.monotonic() > end:
                 raise DriveError(
-                    f"condition not met after {timeout_s:g} s: {seen.phase}", f"bus {self.bus}: wait_for"
+                    f"condition not met after {timeout_s:g} s: {seen.phase}",
+                    f"bus {self.bus}: wait_for",
                 )
 
     def _open_reader(self) -> ObservationReader:
@@ -702,7 +715,9 @@ class HandClient:
         try:
             if self.child is None and self._commands and is_running(self.bus):
                 with self._lock:
-                    send_with_confirmation(self._watcher, {"do": "leave", "client": self.name}, repeat=True)
+                    send_with_confirmation(
+                        self._watcher, {"do": "leave", "client": self.name}, repeat=True
+                    )
         finally:
             if self._observations is not None:
                 self._observations.close()

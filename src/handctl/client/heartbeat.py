@@ -41,7 +41,9 @@ class Heartbeat:
         self._watchdog_s = watchdog_s
         self._used_s = time.monotonic()
         self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._send_regularly, name=f"heartbeat of {client}", daemon=True)
+        self._thread = threading.Thread(
+            target=self._send_regularly, name=f"heartbeat of {client}", daemon=True
+        )
         self._thread.start()
 
     def note_call(self) -> None:
@@ -58,4 +60,6 @@ class Heartbeat:
         with closing(RequestSender(self._bus)) as sender, suppress(OSError):
             while not self._ended.wait(self._period_s):
                 if self._watchdog_s is None or time.monotonic() - self._used_s <= self._watchdog_s:
-                    sender.send(self._data)  # if the mailbox is full, the next message renews the lease
+                    sender.send(
+                        self._data
+                    )  # if the mailbox is full, the next message renews the lease

@@ -15,7 +15,9 @@ from handctl.programs.streams import TARGET_UNIT_BY_SPACE, StreamStatus
 from handctl.runtime.targets import TargetSender
 
 TargetValues = (
-    Mapping[str, float | Sequence[float] | NDArray[np.floating[Any]]] | Sequence[float] | NDArray[np.floating[Any]]
+    Mapping[str, float | Sequence[float] | NDArray[np.floating[Any]]]
+    | Sequence[float]
+    | NDArray[np.floating[Any]]
 )
 """Values of a target, either in the order of the stream's names or by name.
 
@@ -80,7 +82,9 @@ class TargetStream:
         self._hand = hand
         self._sender = sender
         self.space: str = goal["space"]
-        self._factor = 180.0 / np.pi if unit == "rad" and TARGET_UNIT_BY_SPACE[self.space] == "deg" else 1.0
+        self._factor = (
+            180.0 / np.pi if unit == "rad" and TARGET_UNIT_BY_SPACE[self.space] == "deg" else 1.0
+        )
         self.name: str = goal["stream"]
         self.names: tuple[str, ...] = tuple(goal["names"])
         self.rate_Hz: float = goal["rate_Hz"]
@@ -96,7 +100,10 @@ class TargetStream:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """Close the stream."""
         self.close()
@@ -160,14 +167,18 @@ class TargetStream:
         """
         if isinstance(values, Mapping):
             if unknown := [str(name) for name in values if name not in self.names]:
-                raise ConfigError(f"no {unknown[0]!r} in this stream", "send", f"some of {', '.join(self.names)}")
+                raise ConfigError(
+                    f"no {unknown[0]!r} in this stream", "send", f"some of {', '.join(self.names)}"
+                )
             target = self._present() if self._last is None else self._last.copy()
             for name, value in values.items():
                 target[self.names.index(name)] = value
         else:
             target = np.asarray(values, dtype=np.float64)
         if target.shape != (len(self.names),):
-            raise ConfigError(f"values of shape {target.shape}", "send", f"{len(self.names)} values")
+            raise ConfigError(
+                f"values of shape {target.shape}", "send", f"{len(self.names)} values"
+            )
         if not np.isfinite(target).all():
             name = self.names[int(np.flatnonzero(~np.isfinite(target))[0])]
             raise ConfigError(f"{name} is not finite", "send", "a finite number")
@@ -182,7 +193,9 @@ class TargetStream:
         if TARGET_UNIT_BY_SPACE[self.space] != "deg":
             present = seen.named("tension_N" if self.space == "tension" else "tip_force_N")
             return np.array([present[name] for name in self.names])
-        angles = dict(zip(self._hand.description.joints, np.degrees(seen.q_rad).tolist(), strict=True))
+        angles = dict(
+            zip(self._hand.description.joints, np.degrees(seen.q_rad).tolist(), strict=True)
+        )
         joints = self._hand.description.digit_joints
         for name, part in joints.items():
             angles[name] = float(np.degrees(seen.q_rad[part]).mean())

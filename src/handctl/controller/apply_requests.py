@@ -8,7 +8,13 @@ from handctl.controller import retune
 from handctl.controller.client_lease import begin_lease, renew_lease
 from handctl.controller.modes import OperatorRequests
 from handctl.controller.state import State
-from handctl.controller.streams import apply_target, bring_to_rest, close_stream, open_stream, reference_of
+from handctl.controller.streams import (
+    apply_target,
+    bring_to_rest,
+    close_stream,
+    open_stream,
+    reference_of,
+)
 from handctl.core import block as s
 from handctl.core.model import HandModel
 from handctl.core.types import SHUTTING_DOWN, Mode, TickEvent
@@ -86,16 +92,22 @@ def apply_requests(
     return operator, tuple(events)
 
 
-def _apply_other(model: HandModel, program: Program, state: State, request: Request) -> tuple[TickEvent, ...]:
+def _apply_other(
+    model: HandModel, program: Program, state: State, request: Request
+) -> tuple[TickEvent, ...]:
     """Apply a request for gains, a client's sign of life, or a motion command."""
     if isinstance(request, SetGains):
         return _set_gains(model, program, state, request)
     if isinstance(request, AliveRequest):
         return renew_lease(state, request.client)
-    return _apply_command(model, program, state, request) if isinstance(request, CommandBase) else ()
+    return (
+        _apply_command(model, program, state, request) if isinstance(request, CommandBase) else ()
+    )
 
 
-def _set_gains(model: HandModel, program: Program, state: State, request: SetGains) -> tuple[TickEvent, ...]:
+def _set_gains(
+    model: HandModel, program: Program, state: State, request: SetGains
+) -> tuple[TickEvent, ...]:
     """Begin the design of the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
         return (TickEvent("warn", "request", "", "refused: the hand is being commissioned"),)
@@ -105,7 +117,9 @@ def _set_gains(model: HandModel, program: Program, state: State, request: SetGai
     return refused
 
 
-def _apply_command(model: HandModel, program: Program, state: State, request: CommandBase) -> tuple[TickEvent, ...]:
+def _apply_command(
+    model: HandModel, program: Program, state: State, request: CommandBase
+) -> tuple[TickEvent, ...]:
     """Execute a motion command if the run accepts commands from this client."""
     if refusal := _refusal_reason(program, state, request):
         return (refusal,)
@@ -132,13 +146,17 @@ def _apply_command(model: HandModel, program: Program, state: State, request: Co
     return ()
 
 
-def _apply_grasp(model: HandModel, state: State, request: GraspRequest | ReleaseGrasp) -> tuple[TickEvent, ...]:
+def _apply_grasp(
+    model: HandModel, state: State, request: GraspRequest | ReleaseGrasp
+) -> tuple[TickEvent, ...]:
     """Begin a grasp task, or end the hold of the running grasp task."""
     if isinstance(request, ReleaseGrasp):
         progress, events = release_task(state.progress)
     else:
         close_stream(model, state)
-        progress, events = begin_task(model, state.progress, request.task, state.estimate, state.goal_time)
+        progress, events = begin_task(
+            model, state.progress, request.task, state.estimate, state.goal_time
+        )
     state.decide(progress=progress)
     return events
 
@@ -157,20 +175,30 @@ def _refusal_reason(program: Program, state: State, request: CommandBase) -> Tic
     commander = state.decisions.commander
     if commander in (None, request.client) or request.take_over:
         return None
-    text = f"refused: {commander or 'a client without a name'} commands this hand, expected take_over"
+    text = (
+        f"refused: {commander or 'a client without a name'} commands this hand, expected take_over"
+    )
     return TickEvent("info", "request", "", text)
 
 
-def _set_goal(model: HandModel, state: State, request: MoveDigits | HoldTension) -> tuple[TickEvent, ...]:
+def _set_goal(
+    model: HandModel, state: State, request: MoveDigits | HoldTension
+) -> tuple[TickEvent, ...]:
     """Set the goal of a request for its digits. A stream that includes one of these digits ends."""
     reference = reference_of(model, state)
-    progress, events = apply_goal(model, state.progress, request, state.estimate, state.goal_time, reference)
+    progress, events = apply_goal(
+        model, state.progress, request, state.estimate, state.goal_time, reference
+    )
     if progress is state.progress:
         return events
     stream, goals = state.decisions.stream, state.progress.goals
-    if stream is not None and any(progress.goals[d] is not goals[d] for d in digits_of(model, stream)):
+    if stream is not None and any(
+        progress.goals[d] is not goals[d] for d in digits_of(model, stream)
+    ):
         close_stream(model, state)
-        progress, _ = apply_goal(model, state.progress, request, state.estimate, state.goal_time, reference)
+        progress, _ = apply_goal(
+            model, state.progress, request, state.estimate, state.goal_time, reference
+        )
     state.decide(progress=progress)
     return events
 
@@ -185,6 +213,7 @@ def clear_latched_faults(state: State) -> None:
     # becomes active again in this tick, and any other fault is reset.
     np.minimum(ticks, DEBOUNCE_TICKS[:, None] - 1, out=ticks)
     reported_faults = [
-        one._replace(ticks=min(one.ticks, FAULT_BY_ID[one.id].debounce - 1)) for one in state.decisions.reported_faults
+        one._replace(ticks=min(one.ticks, FAULT_BY_ID[one.id].debounce - 1))
+        for one in state.decisions.reported_faults
     ]
     state.decide(latched=(), reported_faults=tuple(reported_faults))

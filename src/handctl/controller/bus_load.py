@@ -85,7 +85,9 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
     kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.exchange]
     kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background_frames]
     if bus.data_bitrate is None and any(fd for _, fd, _, _ in kinds):
-        raise ConfigError("missing, and a motor on it is set to CAN FD", f"bus[{bus.name}].data_bitrate", "bit/s")
+        raise ConfigError(
+            "missing, and a motor on it is set to CAN FD", f"bus[{bus.name}].data_bitrate", "bit/s"
+        )
     return tuple(
         FrameRow(
             drive.name,
@@ -104,8 +106,14 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
     node = make_sensors(hand)
     if not node.ids:
         return ()
-    names = ["SYNC"] + ["tensions"] * node.tension_frames + ["joint angles"] * (len(node.ids) - node.tension_frames)
-    kinds = [(name, size, number, 0.0) for name, (size, number) in zip(names, node.exchange, strict=True)]
+    names = (
+        ["SYNC"]
+        + ["tensions"] * node.tension_frames
+        + ["joint angles"] * (len(node.ids) - node.tension_frames)
+    )
+    kinds = [
+        (name, size, number, 0.0) for name, (size, number) in zip(names, node.exchange, strict=True)
+    ]
     kinds += [("heartbeats", size, 0.0, number) for size, number in node.background_frames]
     return tuple(
         FrameRow(name, size, False, tick, second, frame_time_s(size, False, bus.bitrate))
@@ -168,6 +176,8 @@ def with_more_buses(hand: Hand, rate_hz: float) -> Hand:
     return hand.model_copy(
         update={
             "bus": tuple(first.model_copy(update={"name": name}) for name in names),
-            "motor": tuple(motor.model_copy(update={"bus": bus_of[motor.name]}) for motor in hand.motor),
+            "motor": tuple(
+                motor.model_copy(update={"bus": bus_of[motor.name]}) for motor in hand.motor
+            ),
         }
     )

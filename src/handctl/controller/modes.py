@@ -10,7 +10,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from handctl.controller.relaxing import are_commands_relaxed, are_tensions_relaxed, begin_relaxing, update_relax_rate
+from handctl.controller.relaxing import (
+    are_commands_relaxed,
+    are_tensions_relaxed,
+    begin_relaxing,
+    update_relax_rate,
+)
 from handctl.controller.state import State
 from handctl.core.model import HandModel
 from handctl.core.types import BEFORE_ARMING, TORQUE_MODES, Mode, TickEvent
@@ -106,7 +111,11 @@ def shutdown_frames(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...
     """
     if state.mode != Mode.DONE or state.failure:
         return ()
-    return tuple(frame for drive, own in zip(drives, state.drives, strict=True) for frame in drive.release_frames(own))
+    return tuple(
+        frame
+        for drive, own in zip(drives, state.drives, strict=True)
+        for frame in drive.release_frames(own)
+    )
 
 
 def next_mode(
@@ -142,14 +151,20 @@ def next_mode(
         if mode == Mode.RELAX:
             update_relax_rate(state)
         return ()
-    failure = failure or ("" if state.failure else _latched_faults(state))  # this includes a fault during the move home
+    failure = failure or (
+        "" if state.failure else _latched_faults(state)
+    )  # this includes a fault during the move home
     names = inputs.names
     level = "error" if failure else "info"
     unconfirmed = _motors_possibly_on(model, state, names) if mode == Mode.DONE else ()
     text = f"{before.name} -> {mode.name}" + (f": {failure}" if failure else "")
-    if unconfirmed and REMOVE_POWER not in text:  # the operator who has stopped the run reads only this line
+    if (
+        unconfirmed and REMOVE_POWER not in text
+    ):  # the operator who has stopped the run reads only this line
         text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
-    reason = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
+    reason = (
+        f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
+    )
     state.decide(failure=reason, unconfirmed=unconfirmed)
     state.mode = mode
     state.mode_since = t
@@ -202,27 +217,47 @@ def _after_silent(state: State, inputs: ModeInputs) -> NextMode:
 
 def _after_inventory(state: State, inputs: ModeInputs) -> NextMode:
     named = tuple(_named_drives(state, inputs))
-    wrong = [f"{name}: {drive.error_text}" for name, drive in named if drive.phase == DrivePhase.FAULT]
+    wrong = [
+        f"{name}: {drive.error_text}" for name, drive in named if drive.phase == DrivePhase.FAULT
+    ]
     if wrong_amplifiers := _wrong_amplifiers(state):
         return Mode.DONE, "; ".join(wrong_amplifiers)
     if wrong and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
         return Mode.DONE, "; ".join(wrong) + CLEAR_ADVICE
     groups_missing = not state.view("group_frames").all()
-    if all(drive.phase == DrivePhase.READY for drive in state.drives) and state.started and not groups_missing:
+    if (
+        all(drive.phase == DrivePhase.READY for drive in state.drives)
+        and state.started
+        and not groups_missing
+    ):
         return Mode.READY, ""
     if inputs.elapsed < INVENTORY_TIMEOUT_S:
         return Mode.INVENTORY, ""
     behind = [(name, drive) for name, drive in named if drive.phase != DrivePhase.READY]
-    silent = [name for name, drive in behind if drive.phase == DrivePhase.SILENT and not drive.error_text]
+    silent = [
+        name for name, drive in behind if drive.phase == DrivePhase.SILENT and not drive.error_text
+    ]
     silent += _silent_sensors(state) if groups_missing else []
-    stuck = [f"{name}: {drive.error_text or 'not configured in time'}" for name, drive in behind if name not in silent]
-    silence = [f"no answer from {', '.join(silent)}{LATCHED_ERROR_HINT if state.clearing else ''}"] if silent else []
+    stuck = [
+        f"{name}: {drive.error_text or 'not configured in time'}"
+        for name, drive in behind
+        if name not in silent
+    ]
+    silence = (
+        [f"no answer from {', '.join(silent)}{LATCHED_ERROR_HINT if state.clearing else ''}"]
+        if silent
+        else []
+    )
     return Mode.DONE, "; ".join([*stuck, *silence, *_missing_inputs(state, inputs)])
 
 
 def _wrong_amplifiers(state: State) -> list[str]:
     """Return the amplifiers whose set-up has failed, with the reason."""
-    return [f"{one.name}: {one.error_text}" for one in state.decisions.amplifiers if one.phase == DrivePhase.FAULT]
+    return [
+        f"{one.name}: {one.error_text}"
+        for one in state.decisions.amplifiers
+        if one.phase == DrivePhase.FAULT
+    ]
 
 
 def _silent_sensors(state: State) -> list[str]:
@@ -236,7 +271,11 @@ def _silent_sensors(state: State) -> list[str]:
 def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
     """Return the missing inputs of the tension filter, when all drives are ready and all sensor frames have arrived."""
     drives = _named_drives(state, inputs)
-    blind = [name for name, drive in drives if drive.phase == DrivePhase.READY and math.isnan(drive.position)]
+    blind = [
+        name
+        for name, drive in drives
+        if drive.phase == DrivePhase.READY and math.isnan(drive.position)
+    ]
     return [f"no position from {', '.join(blind)}"] if blind else []
 
 
@@ -244,7 +283,10 @@ def _after_ready(state: State, inputs: ModeInputs) -> NextMode:
     if wrong := _wrong_amplifiers(state):
         return Mode.DONE, "; ".join(wrong)
     if strange := _other_drives(state, inputs):
-        return Mode.DONE, f"{strange}: the calibration is of another hand, give that of this hand or commission it"
+        return (
+            Mode.DONE,
+            f"{strange}: the calibration is of another hand, give that of this hand or commission it",
+        )
     return (Mode.ARMING if state.armed and inputs.elapsed >= READY_S else Mode.READY), ""
 
 
@@ -254,10 +296,15 @@ def _other_drives(state: State, inputs: ModeInputs) -> str:
     Returns:
         One phrase per drive, empty if all are equal or the calibration has no identities.
     """
-    there = [drive.identity(drive_state) for drive, drive_state in zip(inputs.drives, state.drives, strict=True)]
+    there = [
+        drive.identity(drive_state)
+        for drive, drive_state in zip(inputs.drives, state.drives, strict=True)
+    ]
     pairs = zip(inputs.names, there, inputs.identities, strict=False)
     others = [(name, now, then) for name, now, then in pairs if then not in ("", now)]
-    return ", ".join(f"{name} is drive {now}, but was calibrated with drive {then}" for name, now, then in others)
+    return ", ".join(
+        f"{name} is drive {now}, but was calibrated with drive {then}" for name, now, then in others
+    )
 
 
 def _after_arming(state: State, inputs: ModeInputs) -> NextMode:
@@ -265,7 +312,9 @@ def _after_arming(state: State, inputs: ModeInputs) -> NextMode:
         return Mode.ACTIVE, ""
     if inputs.elapsed < ARMING_TIMEOUT_S:
         return Mode.ARMING, ""
-    late = [name for name, drive in _named_drives(state, inputs) if drive.phase != DrivePhase.ENABLED]
+    late = [
+        name for name, drive in _named_drives(state, inputs) if drive.phase != DrivePhase.ENABLED
+    ]
     return Mode.DISARM, f"not enabled: {', '.join(late)}"
 
 
@@ -276,7 +325,9 @@ def _after_active(state: State, inputs: ModeInputs) -> NextMode:
 def _after_relax(state: State, inputs: ModeInputs) -> NextMode:
     # A load cell may read too little, so the commands must also have fallen before the torque is
     # removed.
-    relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(inputs.model, state)
+    relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(
+        inputs.model, state
+    )
     return (Mode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
 
 
@@ -320,13 +371,19 @@ def _named_drives(state: State, inputs: ModeInputs) -> Iterator[tuple[str, Drive
 def _enabled_motors(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of motors whose drives have not confirmed that they are disabled."""
     disabled = (DrivePhase.READY, DrivePhase.FAULT)
-    return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled)
+    return tuple(
+        name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled
+    )
 
 
 def _pulling_motors(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of motors whose tendons still have tension after the torque was cut (N16)."""
     tendons = {mark.instance for mark in state.latched if mark.id == "N16"}
-    return tuple(name for name, tendon in zip(names, model.hand.tendon_names, strict=True) if tendon in tendons)
+    return tuple(
+        name
+        for name, tendon in zip(names, model.hand.tendon_names, strict=True)
+        if tendon in tendons
+    )
 
 
 def _motors_possibly_on(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -336,5 +393,11 @@ def _motors_possibly_on(model: HandModel, state: State, names: tuple[str, ...]) 
     enabled are returned.
     """
     if state.mode not in BEFORE_ARMING:
-        return tuple(dict.fromkeys((*_enabled_motors(state, names), *_pulling_motors(model, state, names))))
-    return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase == DrivePhase.ENABLED)
+        return tuple(
+            dict.fromkeys((*_enabled_motors(state, names), *_pulling_motors(model, state, names)))
+        )
+    return tuple(
+        name
+        for name, drive in zip(names, state.drives, strict=True)
+        if drive.phase == DrivePhase.ENABLED
+    )

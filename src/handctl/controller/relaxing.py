@@ -51,7 +51,9 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     """
     table = state.tendon
     whole = state.tendon_int
-    in_tension_loop = np.array([state.progress.goals[d].kind == GoalKind.TENSION for d in model.digit_of])
+    in_tension_loop = np.array(
+        [state.progress.goals[d].kind == GoalKind.TENSION for d in model.digit_of]
+    )
     # A spool pair may pull in both directions. All values are in the direction of the last command.
     sign = np.where(model.is_pair & (table[s.COMMANDED_FORCE] < 0.0), -1.0, 1.0)
     present = np.maximum(sign * table[s.TENSION], model.relaxed) + SETPOINT_MARGIN_N
@@ -60,7 +62,11 @@ def begin_relaxing(model: HandModel, state: State) -> None:
     setpoint = np.where(in_tension_loop, np.minimum(setpoint, present), setpoint)
     start = np.minimum(setpoint, np.maximum(sign * table[s.FILTER_FORCE], 0.0) + START_MARGIN_N)
     goals = tuple(
-        DigitGoal(GoalKind.TENSION, tension=_relaxed_goal(model, start)[tendons], rate=present_relax_rate(state))
+        DigitGoal(
+            GoalKind.TENSION,
+            tension=_relaxed_goal(model, start)[tendons],
+            rate=present_relax_rate(state),
+        )
         for tendons in model.digit_tendons
     )
     state.decide(progress=replace(state.progress, goals=goals))
@@ -98,12 +104,16 @@ def _envelope_start(model: HandModel, state: State, sign: Vector, explained: Vec
 
 def are_commands_relaxed(model: HandModel, state: State) -> bool:
     """Return True if every motor command is close to the tension of a relaxed tendon, or below it."""
-    return not np.any(_force_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N)
+    return not np.any(
+        _force_sizes(model, state.tendon[s.COMMANDED_FORCE]) > model.relaxed + RELAXED_WITHIN_N
+    )
 
 
 def are_tensions_relaxed(model: HandModel, state: State) -> bool:
     """Return True if every tension is close to the tension of a relaxed tendon."""
-    return bool(np.all(_force_sizes(model, state.tendon[s.TENSION]) < model.relaxed + RELAXED_WITHIN_N))
+    return bool(
+        np.all(_force_sizes(model, state.tendon[s.TENSION]) < model.relaxed + RELAXED_WITHIN_N)
+    )
 
 
 def _force_sizes(model: HandModel, values: Vector) -> Vector:
@@ -121,7 +131,11 @@ def update_relax_rate(state: State) -> None:
 
 def present_relax_rate(state: State) -> float:
     """Return the rate at which the envelope of the motor forces falls [N/s]."""
-    return OVER_TENSION_RATE_N_PER_S if RelaxMethod.FAST_LOOP in _release_methods(state) else RELAX_RATE_N_PER_S
+    return (
+        OVER_TENSION_RATE_N_PER_S
+        if RelaxMethod.FAST_LOOP in _release_methods(state)
+        else RELAX_RATE_N_PER_S
+    )
 
 
 def is_open_loop(state: State) -> bool:

@@ -61,7 +61,9 @@ class DesignCache:
             check_tendon_names(pending.gains, model.space.names)
             done = self._design_pieces(model, pending.gains, pending.step + 1)
         except ConfigError as error:
-            return DesignProgress(None, (TickEvent("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),))
+            return DesignProgress(
+                None, (TickEvent("warn", "gains", "", f"{REFUSED_PREFIX}{error}"),)
+            )
         if len(done) >= design_piece_count(model.space):
             return None
         return DesignProgress(replace(pending, step=pending.step + 1))
@@ -73,7 +75,9 @@ class DesignCache:
             old: Any = controller
             model = old.model
             designed_pieces = self._design_pieces(model, gains, design_piece_count(model.space))
-            designed = replace(model, gains=gains, motion=design_from_pieces(model.space, designed_pieces))
+            designed = replace(
+                model, gains=gains, motion=design_from_pieces(model.space, designed_pieces)
+            )
             self.controllers[gains] = replace(old, model=designed)
         made: ControllerT = self.controllers[gains]
         return made
@@ -88,11 +92,15 @@ class DesignCache:
             self.controllers.pop(oldest, None)
             del self.designed_pieces[oldest]
         while len(designed_pieces) < count:
-            designed_pieces.append(design_piece(model.space, gains, model.period, len(designed_pieces)))
+            designed_pieces.append(
+                design_piece(model.space, gains, model.period, len(designed_pieces))
+            )
         return designed_pieces
 
 
-def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains | None, tuple[TickEvent, ...]]:
+def begin_design(
+    present: Gains, values: dict[str, float]
+) -> tuple[PendingGains | None, tuple[TickEvent, ...]]:
     """Begin the controller design for requested gains.
 
     Args:
@@ -111,5 +119,7 @@ def begin_design(present: Gains, values: dict[str, float]) -> tuple[PendingGains
 def gain_change_events(before: Gains, after: Gains) -> tuple[TickEvent, ...]:
     """Return an event for each changed gain, then an event for the takeover."""
     different = different_values(before, after)
-    changed = tuple(TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items())
+    changed = tuple(
+        TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items()
+    )
     return *changed, TickEvent("info", "gains", "", f"taken over: {len(changed)} changed")

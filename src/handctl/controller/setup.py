@@ -97,7 +97,9 @@ class ExciteSetup(Document):
     steps: tuple[ExciteStep, ...]
 
 
-AnySetup = TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup | ExerciseSetup | ExciteSetup
+AnySetup = (
+    TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup | ExerciseSetup | ExciteSetup
+)
 ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
@@ -135,21 +137,33 @@ class RunSetup(Document):
             zero_rad=tuple(controller.zero.tolist()),
             identities=controller.identities,
             program=_setup_of_program(controller.program),
-            identified_hand="" if controller.model.torque_gain is None else controller.model.hand.to_toml(),
-            torque_gain=() if controller.model.torque_gain is None else tuple(controller.model.torque_gain.tolist()),
+            identified_hand=""
+            if controller.model.torque_gain is None
+            else controller.model.hand.to_toml(),
+            torque_gain=()
+            if controller.model.torque_gain is None
+            else tuple(controller.model.torque_gain.tolist()),
         )
 
     def controller(self, hand: Hand, gains: Gains) -> Controller:
         """Construct the controller from the setup, including the design of all gains."""
         identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT)
         known = hand_from_content(identified, SETUP_ATTACHMENT) if identified else hand
-        model = HandModel.of(known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None)
+        model = HandModel.of(
+            known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None
+        )
         tare = np.array(self.tare_N)
         zero = np.array(self.zero_rad)
         drives = make_drives(hand)
         sensors = make_sensors(hand)
         controller = Controller(
-            model, drives, sensors, _program_of_setup(self.program, hand), tare, zero, self.arm_at_once
+            model,
+            drives,
+            sensors,
+            _program_of_setup(self.program, hand),
+            tare,
+            zero,
+            self.arm_at_once,
         )
         return replace(controller, identities=self.identities)
 
@@ -159,7 +173,9 @@ def unverified_protections(drives: Iterable[Drive]) -> tuple[str, ...]:
 
     The operator reads these lines before arming.
     """
-    return tuple(f"{drive.name}: {text}" for drive in drives for text in drive.unverified_protections)
+    return tuple(
+        f"{drive.name}: {text}" for drive in drives for text in drive.unverified_protections
+    )
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
@@ -233,7 +249,12 @@ def make_sensors(hand: Hand) -> SensorInterface:
 
 
 def make_controller(
-    hand: Hand, gains: Gains, rate_hz: float, program: Program, calibration: Calibration | None, arm_at_once: bool
+    hand: Hand,
+    gains: Gains,
+    rate_hz: float,
+    program: Program,
+    calibration: Calibration | None,
+    arm_at_once: bool,
 ) -> Controller:
     """Construct a controller, including the design of the gains.
 
@@ -252,7 +273,9 @@ def make_controller(
     sensors = make_sensors(hand)
     controller = Controller(model, drives, sensors, program, tare, zero, arm_at_once)
     known = calibration.drive if calibration else {}
-    return replace(controller, identities=tuple(known.get(drive.name, "") for drive in drives) if known else ())
+    return replace(
+        controller, identities=tuple(known.get(drive.name, "") for drive in drives) if known else ()
+    )
 
 
 def _setup_of_program(program: Program) -> AnySetup:

@@ -24,7 +24,9 @@ class ShutdownStep(NamedTuple):
     enabled: tuple[str, ...]
 
 
-def shutdown_step(controller: Controller, state: State, t_ns: int, received: Sequence[Frame]) -> ShutdownStep:
+def shutdown_step(
+    controller: Controller, state: State, t_ns: int, received: Sequence[Frame]
+) -> ShutdownStep:
     """Process received frames, and command every drive to disable.
 
     SYNC continues, because some drives reply to SYNC.

@@ -80,7 +80,9 @@ class Decisions(NamedTuple):
 # Serialized parts are cached by identity, because most decisions are the same objects in many
 # ticks.
 _plain_bytes_cache = IdentityCache[Any](plain_bytes)
-_drives_cache, _goals_cache, _rest_cache = (SequenceCache[Any](_plain_bytes_cache) for _ in range(3))
+_drives_cache, _goals_cache, _rest_cache = (
+    SequenceCache[Any](_plain_bytes_cache) for _ in range(3)
+)
 
 
 def _hash_decisions(decisions: Decisions) -> bytes:
@@ -123,7 +125,14 @@ def drive_values(
 ) -> tuple[float, float, float, float, int, int]:
     """Return the values of a drive from the state block, as arguments of ``DriveState.with_values``."""
     position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
-    return position, velocity, torque, temperature, int(tendon_int[s.FEEDBACK_NS, n]), int(tendon_int[s.FEEDBACKS, n])
+    return (
+        position,
+        velocity,
+        torque,
+        temperature,
+        int(tendon_int[s.FEEDBACK_NS, n]),
+        int(tendon_int[s.FEEDBACKS, n]),
+    )
 
 
 class State:
@@ -168,7 +177,9 @@ class State:
 
     def digest(self) -> bytes:
         """Return a hash of 8 bytes over the whole state."""
-        return xxhash.xxh3_64_digest(self.block.data, int.from_bytes(_decision_hash_cache(self.decisions), "little"))
+        return xxhash.xxh3_64_digest(
+            self.block.data, int.from_bytes(_decision_hash_cache(self.decisions), "little")
+        )
 
     # Tables and single numbers of the block.
 

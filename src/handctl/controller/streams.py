@@ -144,7 +144,9 @@ def apply_target(
     sent_ns = min(target.sent_ns, t_ns)
     running = state.whole(s.STREAMING) == RUNNING_STREAM
     # Several targets of one tick may have the time of the tick.
-    overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns < state.whole(s.STREAM_SENT_NS)
+    overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns < state.whole(
+        s.STREAM_SENT_NS
+    )
     if (running and overtaken) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
         return _count_target(
             state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old"
@@ -179,7 +181,9 @@ def _begin_ramp(
     setpoint = state.tendon[s.SETPOINT]
     aim = tensions_of(model, stream, values, setpoint, state.estimate.q)
     inside = np.clip(aim, model.floor, model.ceiling)
-    reached = np.minimum(inside, np.maximum(state.tendon[s.TENSION], model.floor) + MAX_SETPOINT_LEAD_N)
+    reached = np.minimum(
+        inside, np.maximum(state.tendon[s.TENSION], model.floor) + MAX_SETPOINT_LEAD_N
+    )
     reached = np.maximum(np.minimum(reached, model.ceiling - MAX_SETPOINT_LEAD_N), model.floor)
     step = model.hand.stream.tension_rate_N_per_s * model.period
     ticks = max((sent_ns - t_ns) / 1e9 + stream.horizon, model.period) / model.period
@@ -222,7 +226,10 @@ def _begin_segment(
     since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
     apart = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
-    steady = state.whole(s.STREAMING) == RUNNING_STREAM and apart <= MAX_TARGET_GAP_PERIODS * stream.period
+    steady = (
+        state.whole(s.STREAMING) == RUNNING_STREAM
+        and apart <= MAX_TARGET_GAP_PERIODS * stream.period
+    )
     # Two targets that arrive together do not show the speed of the stream, so half a period is
     # assumed at least.
     apart = max(apart, 0.5 * stream.period) if steady else math.inf

@@ -33,7 +33,8 @@ class TelemetryGatherer:
         ends = np.cumsum([0, *map(len, parts)]).tolist()
         self._index = np.concatenate(parts).astype(np.intp)
         self._places = {
-            name: slice(first, end) for name, first, end in zip(TELEMETRY_FIELDS, ends[:-1], ends[1:], strict=True)
+            name: slice(first, end)
+            for name, first, end in zip(TELEMETRY_FIELDS, ends[:-1], ends[1:], strict=True)
         }
 
     def __call__(self, block: BlockArray) -> PackedTelemetry:

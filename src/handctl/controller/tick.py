@@ -110,7 +110,9 @@ class Controller:
     arm_at_once: bool = True
     identities: tuple[str, ...] = ()
     other_limits: SafetyLimits | None = None
-    designs: retune.DesignCache = field(default_factory=retune.DesignCache, compare=False, repr=False)
+    designs: retune.DesignCache = field(
+        default_factory=retune.DesignCache, compare=False, repr=False
+    )
     limits: SafetyLimits = field(init=False)
     layout: BlockLayout = field(init=False, compare=False, repr=False)
     constants: HandConstants = field(init=False, compare=False, repr=False)
@@ -127,13 +129,19 @@ class Controller:
         compile_kernels()
         limits = self.other_limits or safety_limits(self.model, self.drives, self.sensors)
         layout = layout_of_state(self.model, len(self.sensors.ids))
-        owners = {(drive.bus, can_id): n for n, drive in enumerate(self.drives) for can_id in drive.node_ids}
+        owners = {
+            (drive.bus, can_id): n
+            for n, drive in enumerate(self.drives)
+            for can_id in drive.node_ids
+        }
         amplifiers = {
             (one.bus, can_id): i
             for i, one in enumerate(self.sensors.amplifiers)
             for can_id in (*one.service_ids, *one.tpdo_ids)
         }
-        constants = compiled_constants(self.model, self.drives, self.sensors, limits, self.tare, self.zero)
+        constants = compiled_constants(
+            self.model, self.drives, self.sensors, limits, self.tare, self.zero
+        )
         made = {
             "limits": limits,
             "layout": layout,
@@ -164,7 +172,9 @@ class Controller:
         )
         state = State(self.layout, self.layout.initial.copy(), decisions)
         state.armed = self.arm_at_once
-        state.view("turn_sigma")[...] = self.constants.layout.view(self.constants.block, "range_sigma")
+        state.view("turn_sigma")[...] = self.constants.layout.view(
+            self.constants.block, "range_sigma"
+        )
         for n, drive_state in enumerate(drives):
             self.keep(state, n, drive_state)
         self._write_progress(state, None)
@@ -199,7 +209,11 @@ class Controller:
             entry: inputs of the tick. Its requests are ignored.
         """
         gains = before.decisions.gains
-        controller = self if gains is None or gains is self.model.gains else self.designs.controller(self, gains)
+        controller = (
+            self
+            if gains is None or gains is self.model.gains
+            else self.designs.controller(self, gains)
+        )
         state = before.copy()
         signs = controller._take_in(before, state, entry, frames_as_records(entry.frames))
         return OpenTick(controller, before, state, entry, signs)
@@ -220,7 +234,9 @@ class Controller:
             events += expire_lease(self.model, state)
         action, findings = self._judge(before, state, entry, step.signs)
         t = entry.t_ns / 1e9
-        mode_events = modes.next_mode(self.model, self.drives, state, action, operator, step.signs, t, self.identities)
+        mode_events = modes.next_mode(
+            self.model, self.drives, state, action, operator, step.signs, t, self.identities
+        )
         program_events = self._advance_program(state, action)
         self._write_progress(state, before)
         step.unchanged = state.copy() if state.decisions.pending else None
@@ -233,16 +249,28 @@ class Controller:
         """Design pending gains, and complete state and output, see ``OpenTick.conclude``."""
         state = step.state
         if step.unchanged:
-            step.events += self._retune(step.unchanged, state, step.action, step.entry.k - step.before.k)
+            step.events += self._retune(
+                step.unchanged, state, step.action, step.entry.k - step.before.k
+            )
         stages.store_commands(state.block, self.layout.places, *self._constants)
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
-        out = TickOut(step.sent, mode, phase, step.action, self.gather(state.block), step.events, state.digest())
+        out = TickOut(
+            step.sent,
+            mode,
+            phase,
+            step.action,
+            self.gather(state.block),
+            step.events,
+            state.digest(),
+        )
         return state, out
 
     # receive, estimate
 
-    def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
+    def _take_in(
+        self, before: State, state: State, entry: TickIn, frames: Frames
+    ) -> tuple[str, ...]:
         """Process received frames, and correct and predict the tension filter.
 
         Returns the signs of a second controller.
@@ -257,7 +285,9 @@ class Controller:
         if state.started:
             predict_filter_states(self.model, self.layout, block, missed)
         if stages.conclude_estimate(block, places, *self._constants):
-            signs += detect_unsolicited_replies(self.drives, self.sensors, before, state, entry.frames)
+            signs += detect_unsolicited_replies(
+                self.drives, self.sensors, before, state, entry.frames
+            )
         return signs
 
     def _receive(self, state: State, frames: Frames, fresh_ns: int) -> tuple[str, ...]:
@@ -301,7 +331,9 @@ class Controller:
         Their values are not used.
         """
         pairs = zip(amplifiers, self.sensors.group_ranges, strict=True)
-        return tuple([group for one, groups in pairs if one.phase != DrivePhase.READY for group in groups])
+        return tuple(
+            [group for one, groups in pairs if one.phase != DrivePhase.READY for group in groups]
+        )
 
     def _receive_service(self, state: State, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
@@ -311,11 +343,15 @@ class Controller:
         if after != before[i]:
             state.decide(amplifiers=(*before[:i], after, *before[i + 1 :]))
 
-    def _advance_amplifiers(self, state: State, target: DriveTarget, t_ns: int) -> tuple[Frame, ...]:
+    def _advance_amplifiers(
+        self, state: State, target: DriveTarget, t_ns: int
+    ) -> tuple[Frame, ...]:
         """Continue the set-up of the amplifiers, and return the frames to send."""
         states = list[AmplifierState]()
         out = list[Frame]()
-        for amplifier, before in zip(self.sensors.amplifiers, state.decisions.amplifiers, strict=True):
+        for amplifier, before in zip(
+            self.sensors.amplifiers, state.decisions.amplifiers, strict=True
+        ):
             after, frames = amplifier.advance(before, t_ns, target)
             states.append(after)
             out += frames
@@ -360,26 +396,45 @@ class Controller:
         self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]
     ) -> tuple[Action, tuple[FaultFinding, ...]]:
         """Detect faults, latch them, and choose the reaction."""
-        state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # before its tare, a load cell may read any value
-        demanded, found = stages.find_faults(state.block, self.layout.places, *self._constants, self.layout.initial)
+        state.set_whole(
+            s.TARED, state.progress.phase != TARE_PHASE
+        )  # before its tare, a load cell may read any value
+        demanded, found = stages.find_faults(
+            state.block, self.layout.places, *self._constants, self.layout.initial
+        )
         new_findings = (
             faults_counting_since_now(self.limits, found, state.view("fault_ticks"))
             if state.whole(s.NEW_FAULTS)
             else []
         )
         decisions = state.decisions
-        if not (new_findings or entry.io_events or signs or decisions.latched or decisions.reported_faults):
+        if not (
+            new_findings
+            or entry.io_events
+            or signs
+            or decisions.latched
+            or decisions.reported_faults
+        ):
             return _ACTION_BY_NUMBER[demanded], ()
         reports = [(event.kind, event.where, float(event.number)) for event in entry.io_events]
-        reports = filter_error_frames(reports, self._any_node_seen(state)) + second_controller_reports(signs)
-        verdict = judge_tick(decisions.latched, decisions.reported_faults, new_findings, demanded, reports)
-        if verdict.latched != decisions.latched or verdict.reported_faults != decisions.reported_faults:
+        reports = filter_error_frames(
+            reports, self._any_node_seen(state)
+        ) + second_controller_reports(signs)
+        verdict = judge_tick(
+            decisions.latched, decisions.reported_faults, new_findings, demanded, reports
+        )
+        if (
+            verdict.latched != decisions.latched
+            or verdict.reported_faults != decisions.reported_faults
+        ):
             state.decide(latched=verdict.latched, reported_faults=verdict.reported_faults)
         return verdict.action, verdict.findings
 
     def _any_node_seen(self, state: State) -> bool:
         """Return True if any node has ever answered, or if torque may act."""
-        heard = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(state.view("group_frames").any())
+        heard = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
+            state.view("group_frames").any()
+        )
         return heard or Mode.ARMING <= state.mode <= RELAX
 
     def _advance_program(self, state: State, action: Action) -> tuple[TickEvent, ...]:
@@ -390,7 +445,9 @@ class Controller:
         if state.mode != ACTIVE or action >= Action.HOLD:
             return ()
         t = state.goal_time + self.model.period
-        progress, events = self.program.advance(self.model, state.progress, state.estimate, state.measured, t)
+        progress, events = self.program.advance(
+            self.model, state.progress, state.estimate, state.measured, t
+        )
         if progress is not state.progress:
             state.decide(progress=progress)
         state.goal_time = t
@@ -422,13 +479,19 @@ class Controller:
         places = self.layout.places
         mode = state.mode
         if mode in (ACTIVE, RELAX):
-            sample_trajectories(self.model, self.layout, block, state.progress.goals, state.goal_time)
+            sample_trajectories(
+                self.model, self.layout, block, state.progress.goals, state.goal_time
+            )
             write_tension_goals(self.model, self.layout, self.constants, block, int(action))
         relaxing = mode == RELAX
-        rate, opened = (present_relax_rate(state), is_open_loop(state)) if relaxing else (0.0, False)
+        rate, opened = (
+            (present_relax_rate(state), is_open_loop(state)) if relaxing else (0.0, False)
+        )
         stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
 
-    def _retune(self, unchanged: State, state: State, action: Action, ticks: int) -> tuple[TickEvent, ...]:
+    def _retune(
+        self, unchanged: State, state: State, action: Action, ticks: int
+    ) -> tuple[TickEvent, ...]:
         """Design the next loop of the pending gains.
 
         A complete design is used from the next tick on.
@@ -481,10 +544,20 @@ class Controller:
         if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
             sent = join_frames([sent, frames_as_records(setup)])
         return (
-            join_frames([frames_as_records(self.cut_frames()), Frames.of_rows(out[start:1])]) if mode == CUT else sent
+            join_frames([frames_as_records(self.cut_frames()), Frames.of_rows(out[start:1])])
+            if mode == CUT
+            else sent
         )
 
-    def _send(self, state: State, out: WordRows, start: int, target: DriveTarget, torque: Vector, t_ns: int) -> Frames:
+    def _send(
+        self,
+        state: State,
+        out: WordRows,
+        start: int,
+        target: DriveTarget,
+        torque: Vector,
+        t_ns: int,
+    ) -> Frames:
         """Write the commands after the SYNC into ``out``.
 
         Drives that are not steady run their state machines.
@@ -588,4 +661,6 @@ def _fault_event(finding: FaultFinding) -> TickEvent:
     fault = finding.fault
     level = "error" if fault.action >= Action.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"
-    return TickEvent(level if fault.action > Action.PASS else "info", "fault", finding.instance, text)
+    return TickEvent(
+        level if fault.action > Action.PASS else "info", "fault", finding.instance, text
+    )

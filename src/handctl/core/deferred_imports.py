@@ -26,7 +26,9 @@ class _DeferredAttribute:
         self._name = name
 
     def __getattr__(self, method: str) -> Callable[..., Any]:
-        return lambda *given, **named: self._use(lambda real: getattr(real, method)(*given, **named))
+        return lambda *given, **named: self._use(
+            lambda real: getattr(real, method)(*given, **named)
+        )
 
     def __call__(self, *given: Any, **named: Any) -> Any:
         """Import the module, and call the real function."""
@@ -63,7 +65,9 @@ def deferred_imports() -> Iterator[None]:
     replaced = [name.rpartition(".") for name in UNUSED_MODULES if name not in sys.modules]
     places = [(importlib.import_module(package), part) for package, _, part in replaced]
     for package, part in places:
-        sys.modules[f"{package.__name__}.{part}"] = stand_in = _StandIn(f"{package.__name__}.{part}")
+        sys.modules[f"{package.__name__}.{part}"] = stand_in = _StandIn(
+            f"{package.__name__}.{part}"
+        )
         setattr(package, part, stand_in)
     try:
         yield
@@ -90,7 +94,11 @@ def import_without_package(name: str) -> ModuleType:
     if hasattr(loaded, "__path__"):
         return importlib.import_module(name)
     specs = (PathFinder.find_spec(package, [folder]) for folder in sys.path)
-    places = [spec.submodule_search_locations for spec in specs if spec and spec.submodule_search_locations]
+    places = [
+        spec.submodule_search_locations
+        for spec in specs
+        if spec and spec.submodule_search_locations
+    ]
     if not places:
         raise ModuleNotFoundError(f"No module named {package!r}", name=package)
     stand_in = ModuleType(package)

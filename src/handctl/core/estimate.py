@@ -22,7 +22,11 @@ class Estimate:
     __slots__ = ("digit", "joint", "regimes", "tendon")
 
     def __init__(
-        self, tendon: QuantityTable, joint: QuantityTable, digit: QuantityTable, regimes: NDArray[np.int64]
+        self,
+        tendon: QuantityTable,
+        joint: QuantityTable,
+        digit: QuantityTable,
+        regimes: NDArray[np.int64],
     ) -> None:
         """Keep the tables of the state block, without a copy.
 

@@ -250,7 +250,9 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
         "encoder_variance": noise,
         "loose": compliance.any(axis=1) & read,
         "excursion_variance": np.where(
-            hand.tendons_with_encoders, noise * (arms**2).sum(axis=1), (2.0 * model.gains.filter.offset_m) ** 2
+            hand.tendons_with_encoders,
+            noise * (arms**2).sum(axis=1),
+            (2.0 * model.gains.filter.offset_m) ** 2,
         ),
         "turn_fraction": -math.expm1(-every * model.period / posture.TURN_SMOOTHING_S),
         "pressed_kept": math.exp(-model.period / posture.CONTACT_FADE_S),
@@ -283,7 +285,9 @@ def _place_weights(digits: tuple[DigitModel, ...], digit: DigitModel) -> Vector:
 @functools.lru_cache(maxsize=16)
 def filter_design_array(model: HandModel) -> NDArray[np.float64]:
     """Return the elements of all filter designs of a hand, (N, KINDS, ELEMENTS)."""
-    return np.array([[_block_elements(block) for block in tendon] for tendon in model.filter.blocks])
+    return np.array(
+        [[_block_elements(block) for block in tendon] for tendon in model.filter.blocks]
+    )
 
 
 def _block_elements(block: FilterBlock) -> Vector:

@@ -73,14 +73,20 @@ class IdentifiedParameters(Document):
     @classmethod
     def _replace_former_names(cls, names: object) -> object:
         """Replace parameter names of earlier versions by the present names."""
-        return tuple(FORMER_NAMES.get(name, name) for name in names) if isinstance(names, list | tuple) else names
+        return (
+            tuple(FORMER_NAMES.get(name, name) for name in names)
+            if isinstance(names, list | tuple)
+            else names
+        )
 
     @model_validator(mode="after")
     def _check_shapes(self) -> "IdentifiedParameters":
         n = len(self.names)
         unknown = set(self.names) - PARAMETER_UNITS.keys()
         if unknown:
-            raise ValueError(f"names from {', '.join(PARAMETER_UNITS)}, not {', '.join(sorted(unknown))}")
+            raise ValueError(
+                f"names from {', '.join(PARAMETER_UNITS)}, not {', '.join(sorted(unknown))}"
+            )
         if not n == len(self.values) == len(self.half_widths) == len(self.covariance):
             raise ValueError("one value, half width and row of the covariance for every name")
         if any(len(row) != n for row in self.covariance):
@@ -97,7 +103,9 @@ class IdentifiedParameters(Document):
         So a run that identifies few parameters does not remove the other parameters. Parameters of
         different runs count as uncorrelated.
         """
-        others = [i for i, name in enumerate(older.names) if name not in self.names] if older else []
+        others = (
+            [i for i, name in enumerate(older.names) if name not in self.names] if older else []
+        )
         if older is None or not others:
             return self
         n = len(self.names)
@@ -131,7 +139,11 @@ def identified_hand(hand: Hand, found: dict[str, IdentifiedParameters]) -> Hand:
         if tendon.name not in found:
             continue
         known = found[tendon.name]
-        digit = next(d for d, name in enumerate(hand.digit_names) if _is_in_slice(hand.digit_tendons[name], i))
+        digit = next(
+            d
+            for d, name in enumerate(hand.digit_names)
+            if _is_in_slice(hand.digit_tendons[name], i)
+        )
         _replace_values(content["tendon"][i], TENDON_KEYS, known)
         _scale_arms(content["tendon"][i], known.get("moment_arm", 1.0))
         _replace_values(content["motor"][hand.motor_index[i]], MOTOR_KEYS, known)
@@ -141,7 +153,9 @@ def identified_hand(hand: Hand, found: dict[str, IdentifiedParameters]) -> Hand:
 
 def torque_gain(hand: Hand, found: dict[str, IdentifiedParameters]) -> Vector:
     """Return the torque at the spool per commanded torque of each drive (N,), 1 if it was not identified."""
-    return np.array([found[t.name].get("torque_gain", 1.0) if t.name in found else 1.0 for t in hand.tendon])
+    return np.array(
+        [found[t.name].get("torque_gain", 1.0) if t.name in found else 1.0 for t in hand.tendon]
+    )
 
 
 def check_identified(hand: Hand, found: dict[str, IdentifiedParameters], source: str) -> None:
@@ -152,17 +166,25 @@ def check_identified(hand: Hand, found: dict[str, IdentifiedParameters], source:
     """
     for name, known in found.items():
         if name not in hand.tendon_names:
-            raise ConfigError("no such tendon", f"{source}: identified.{name}", ", ".join(hand.tendon_names))
+            raise ConfigError(
+                "no such tendon", f"{source}: identified.{name}", ", ".join(hand.tendon_names)
+            )
         if not 0.2 <= known.get("torque_gain", 1.0) <= 5.0:
             right = "from 0.2 to 5"
-            raise ConfigError(f"{known.get('torque_gain', 1.0):g}", f"{source}: identified.{name}.torque_gain", right)
+            raise ConfigError(
+                f"{known.get('torque_gain', 1.0):g}",
+                f"{source}: identified.{name}.torque_gain",
+                right,
+            )
 
 
 def _is_in_slice(place: slice, i: int) -> bool:
     return bool(place.start <= i < place.stop)
 
 
-def _replace_values(table: dict[str, object], keys: dict[str, str], known: IdentifiedParameters) -> None:
+def _replace_values(
+    table: dict[str, object], keys: dict[str, str], known: IdentifiedParameters
+) -> None:
     for name, key in keys.items():
         if name in known.names:
             table[key] = known.get(name, 0.0)
@@ -174,7 +196,11 @@ def _scale_arms(tendon: dict[str, Any], factor: float) -> None:
         return
     for joint, arm in tendon["moment_arm_m"].items():
         if isinstance(arm, Mapping):
-            lengths = {key: tuple(factor * value for value in arm[key]) for key in LENGTH_KEYS if key in arm}
+            lengths = {
+                key: tuple(factor * value for value in arm[key])
+                for key in LENGTH_KEYS
+                if key in arm
+            }
             tendon["moment_arm_m"][joint] = {**arm, **lengths}
         else:
             tendon["moment_arm_m"][joint] = factor * arm

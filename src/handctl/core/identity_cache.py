@@ -33,7 +33,9 @@ class SequenceCache(Generic[T]):
         function = self._function
         if len(items) == len(self._items):
             known = zip(items, self._items, self._values, strict=True)
-            self._values = [value if item is before else function(item) for item, before, value in known]
+            self._values = [
+                value if item is before else function(item) for item, before, value in known
+            ]
         else:
             self._values = [function(item) for item in items]
         self._items = items

@@ -94,7 +94,9 @@ class HandModel:
     inverse: InverseDynamics = required_torque
 
     @staticmethod
-    def of(hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None) -> "HandModel":
+    def of(
+        hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None
+    ) -> "HandModel":
         """Derive the model of a hand, and design all its gains, which takes about 0.1 s.
 
         Args:
@@ -114,9 +116,15 @@ class HandModel:
         # The floor is raised by the margin only in digits with surplus tendons. Any other digit
         # would be closed by a higher floor.
         held = np.array(
-            [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits for _ in digit.moment_arms]
+            [
+                len(digit.moment_arms) > digit.coupling.shape[1]
+                for digit in digits
+                for _ in digit.moment_arms
+            ]
         )
-        floor = np.array([tendon.tension_floor_N for tendon in tendons]) + np.where(held, margin, 0.0)
+        floor = np.array([tendon.tension_floor_N for tendon in tendons]) + np.where(
+            held, margin, 0.0
+        )
         ceiling = np.array([tendon.tension_max_N for tendon in tendons]) - margin
         floor = np.where(hand.is_pair, -ceiling, floor)
         return HandModel(
@@ -128,7 +136,11 @@ class HandModel:
             digit_tendons=tuple(digit.tendons for digit in digits),
             digit_coordinates=_coordinate_slices(digits),
             reach=np.concatenate([digit.reach for digit in digits], axis=1),
-            digit_of=tuple(d for d, one in enumerate(digits) for _ in range(one.tendons.start, one.tendons.stop)),
+            digit_of=tuple(
+                d
+                for d, one in enumerate(digits)
+                for _ in range(one.tendons.start, one.tendons.stop)
+            ),
             space=space,
             filter=filters,
             motion=design_motion(space, gains, 1.0 / rate_hz),
@@ -187,7 +199,9 @@ def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     even by the last bit. Such an excess could come from rounding, when torques are divided or
     multiplied by spool radius and torque gain.
     """
-    largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (1.0 - 1e-12)
+    largest = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (
+        1.0 - 1e-12
+    )
     return largest if gain is None else largest * np.minimum(gain, 1.0)
 
 

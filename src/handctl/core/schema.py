@@ -74,14 +74,20 @@ class BlockSchema:
         self.fields: list[BlockField] = []
         self._rows = dict.fromkeys(tables, 0)
 
-    def real(self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: float = 0.0) -> int:
+    def real(
+        self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: float = 0.0
+    ) -> int:
         """Declare a field of float64 and return its first row."""
         return self._declare(BlockField(name, axis, self._rows[axis], rows, unit, meaning, initial))
 
-    def whole(self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: int = 0) -> int:
+    def whole(
+        self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: int = 0
+    ) -> int:
         """Declare a field of int64 and return its first row."""
         table = axis + INTEGER_TABLE_SUFFIX
-        return self._declare(BlockField(name, table, self._rows[table], rows, unit, meaning, initial))
+        return self._declare(
+            BlockField(name, table, self._rows[table], rows, unit, meaning, initial)
+        )
 
     def _declare(self, field: BlockField) -> int:
         self.fields.append(field)
@@ -135,10 +141,15 @@ class BlockLayout:
         self.places: TablePlaces = np.concatenate((list(self.axes.values()), ends)).astype(np.int64)
         spans = zip(schema.tables, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
         self._tables = {
-            table: (first, end, widths[table], table.endswith(INTEGER_TABLE_SUFFIX)) for table, first, end in spans
+            table: (first, end, widths[table], table.endswith(INTEGER_TABLE_SUFFIX))
+            for table, first, end in spans
         }
         self._shapes = {
-            table: ((schema.rows(table), width), np.dtype(np.int64 if whole else np.float64), 8 * first)
+            table: (
+                (schema.rows(table), width),
+                np.dtype(np.int64 if whole else np.float64),
+                8 * first,
+            )
             for table, (first, _, width, whole) in self._tables.items()
         }
         self._fields = {field.name: self._span(field) for field in schema.fields}
@@ -155,7 +166,12 @@ class BlockLayout:
         start, _, width, whole = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes(field.table))
         first = start + field.first * width
-        return first, first + field.rows * width, shape if field.rows == 1 else (field.rows, *shape), whole
+        return (
+            first,
+            first + field.rows * width,
+            shape if field.rows == 1 else (field.rows, *shape),
+            whole,
+        )
 
     def view(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a field as a view into a block: (rows, ...), or (...) for a field with a single row."""
@@ -176,9 +192,13 @@ class BlockLayout:
     def table(self, block: BlockArray, name: str) -> NDArray[Any]:
         """Return a table as a view into a block, (rows, length of the axis)."""
         shape, kind, offset = self._shapes[name]
-        return np.ndarray(shape, kind, block, offset)  # one call, because every tick makes several of these views
+        return np.ndarray(
+            shape, kind, block, offset
+        )  # one call, because every tick makes several of these views
 
-    def difference(self, one: BlockArray, other: BlockArray) -> tuple[str, int, float, float] | None:
+    def difference(
+        self, one: BlockArray, other: BlockArray
+    ) -> tuple[str, int, float, float] | None:
         """Return the first difference of two blocks, in schema order: name of the field, element, and both values.
 
         The result is None if the blocks are equal. Values are compared by bits, so NaN equals NaN.
@@ -193,7 +213,12 @@ class BlockLayout:
             if len(inside):
                 kind = np.int64 if whole else np.float64
                 at = int(inside[0])
-                return field.name, at - first, one.view(kind)[at].item(), other.view(kind)[at].item()
+                return (
+                    field.name,
+                    at - first,
+                    one.view(kind)[at].item(),
+                    other.view(kind)[at].item(),
+                )
         raise AssertionError("a difference outside of all fields")
 
 

@@ -37,7 +37,9 @@ HOLD_ACTION = 2
 
 
 @kernel("block", "layout", "constants", "layout")
-def observe_tick(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> None:
+def observe_tick(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> None:
     """Convert the values received in this tick into measurements."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -52,7 +54,9 @@ def observe_tick(block: BlockArray, at: TablePlaces, constants: BlockArray, cons
 
 
 @kernel("block", "layout", "constants", "layout")
-def correct_estimate(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> None:
+def correct_estimate(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> None:
     """Correct the tension filter by the measurements, and judge slack, stop and contact of each tendon."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
@@ -65,7 +69,9 @@ def correct_estimate(block: BlockArray, at: TablePlaces, constants: BlockArray, 
 
 
 @kernel("block", "layout", "constants", "layout")
-def conclude_estimate(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> bool:
+def conclude_estimate(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> bool:
     """Derive the estimate from the predicted states.
 
     Return True if a node sent more replies than it got requests.
@@ -90,7 +96,11 @@ def conclude_estimate(block: BlockArray, at: TablePlaces, constants: BlockArray,
 
 @kernel("block", "layout", "constants", "layout", "constants")
 def find_faults(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces, initial: BlockArray
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
+    initial: BlockArray,
 ) -> tuple[int, Evidence]:
     """Find and debounce the faults of a tick, see ``detectors.judge``."""
     x = state_tables(block, at)
@@ -100,7 +110,11 @@ def find_faults(
 
 @kernel("block", "layout", "constants", "layout", "count")
 def evaluate_goals(
-    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces, action: int
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
+    action: int,
 ) -> int:
     """Evaluate the goals of all digits.
 
@@ -119,13 +133,19 @@ def joint_motion(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> NDArray[np.float64]:
     """Return angles, rates and accelerations (3, J) of all joints on their trajectories."""
-    return reference.joint_trajectories(state_tables(block, at), constant_tables(constants, constants_at))
+    return reference.joint_trajectories(
+        state_tables(block, at), constant_tables(constants, constants_at)
+    )
 
 
 @kernel("block", "layout", "constants", "layout")
-def write_loads(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> int:
+def write_loads(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> int:
     """Convert required joint torques into tensions, see ``reference.write_required_tensions``."""
-    return reference.write_required_tensions(state_tables(block, at), constant_tables(constants, constants_at))
+    return reference.write_required_tensions(
+        state_tables(block, at), constant_tables(constants, constants_at)
+    )
 
 
 @kernel("block", "layout", "constants", "layout", "real", "count", "count")
@@ -145,13 +165,17 @@ def compute_motor_torques(
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
-        computed_torque.write_motor_torques(x, c, reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks)
+        computed_torque.write_motor_torques(
+            x, c, reference.joint_trajectories(x, c), relax_rate, open_loop == 1, ticks
+        )
     else:
         computed_torque.command_no_torque(x, c)
 
 
 @kernel("block", "layout", "constants", "layout")
-def store_commands(block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces) -> None:
+def store_commands(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> None:
     """Store commands and requests of this tick for the next tick, and complete the numbers for the log."""
     x = state_tables(block, at)
     c = constant_tables(constants, constants_at)

@@ -57,7 +57,9 @@ class TendonSpace:
 
         Tendons with equal constants have equal filters and control loops.
         """
-        return tuple(float(getattr(self, each.name)[i]) for each in fields(self) if each.name != "names")
+        return tuple(
+            float(getattr(self, each.name)[i]) for each in fields(self) if each.name != "names"
+        )
 
 
 def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
@@ -73,15 +75,20 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
     inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
     # The mass matrix of the whole hand is used, because it includes the fingers that a wrist moves.
     mass = HandTree.of(hand, digits).mass_matrix(np.full(len(hand.joints), np.pi / 4))
-    load = np.concatenate([_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1)
+    load = np.concatenate(
+        [_load_along_tendons(digit, mass[digit.joints, digit.joints]) for digit in digits], axis=1
+    )
     return TendonSpace(
         names=hand.tendon_names,
         motor_mass=inertia / spool**2,
-        motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons]) / spool**2,
+        motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons])
+        / spool**2,
         coulomb=np.array([motors[tendon.motor].coulomb_N_m for tendon in tendons]) / spool,
         # Both tendons of a spool pair resist a stretch while both are taut.
-        stiffness=np.array([tendon.stiffness_N_per_m for tendon in tendons]) * np.where(hand.is_pair, 2.0, 1.0),
-        damping=np.array([tendon.damping_N_s_per_m for tendon in tendons]) * np.where(hand.is_pair, 2.0, 1.0),
+        stiffness=np.array([tendon.stiffness_N_per_m for tendon in tendons])
+        * np.where(hand.is_pair, 2.0, 1.0),
+        damping=np.array([tendon.damping_N_s_per_m for tendon in tendons])
+        * np.where(hand.is_pair, 2.0, 1.0),
         load_mass=load[0],
         load_stiffness=load[1],
         load_damping=load[2],
@@ -116,4 +123,9 @@ def _load_along_tendons(digit: DigitModel, mass: Vector) -> Vector:
         np.diag(digit.joint_damping),
     )
     to_tendon = np.linalg.pinv(digit.reduced_moment_arms)
-    return np.array([np.diag(to_tendon.T @ coupling.T @ matrix @ coupling @ to_tendon) for matrix in joint_space])
+    return np.array(
+        [
+            np.diag(to_tendon.T @ coupling.T @ matrix @ coupling @ to_tendon)
+            for matrix in joint_space
+        ]
+    )

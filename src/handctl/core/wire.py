@@ -78,7 +78,9 @@ ENABLED_PHASE = 3
 """Value of ``drives.contract.DrivePhase.ENABLED_PHASE``."""
 MISSING_ENTRY = -1
 """Index that stands for a missing entry."""
-POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(int, tuple(Quantity)[:8])
+POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
+    int, tuple(Quantity)[:8]
+)
 """Values of ``drives.signals.Quantity``, for compiled code."""
 ID_MASK = 0xFFFFFFFF
 """Mask of a CAN identifier with its flags."""
@@ -104,7 +106,9 @@ def find_key(keys: IntArray, key: Any) -> int:
 
 
 @kernel("block", "layout", "count", "count", "count", "count", "count")
-def begin_tick(block: BlockArray, at: TablePlaces, k: int, t_ns: int, late_ns: int, missed: int, frames: int) -> None:
+def begin_tick(
+    block: BlockArray, at: TablePlaces, k: int, t_ns: int, late_ns: int, missed: int, frames: int
+) -> None:
     """Reset the flags of received data, and store number and time of the tick.
 
     Args:
@@ -189,7 +193,19 @@ def store_drive(
         x.node_int[s.MALFORMED_NOW, n] = 1
 
 
-@kernel("block", "layout", "constants", "layout", "words", "keys", "table_int", "table_int", "table", "count", "count")
+@kernel(
+    "block",
+    "layout",
+    "constants",
+    "layout",
+    "words",
+    "keys",
+    "table_int",
+    "table_int",
+    "table",
+    "count",
+    "count",
+)
 def receive_frames(
     block: BlockArray,
     at: TablePlaces,
@@ -263,7 +279,9 @@ def receive_frames(
 
 
 @kernel_helper
-def _count_unknown_frame(x: Tables, keys: IntArray, entries: IntArray, bus: Any, can_id: Any) -> None:
+def _count_unknown_frame(
+    x: Tables, keys: IntArray, entries: IntArray, bus: Any, can_id: Any
+) -> None:
     """Count a frame with an unknown identifier.
 
     A remote or 29-bit frame with the identifier of a node counts as a malformed frame of this node.
@@ -275,19 +293,30 @@ def _count_unknown_frame(x: Tables, keys: IntArray, entries: IntArray, bus: Any,
         entry = find_key(keys, bus << 32 | can_id & NUMBER_MASK)
         if entry != MISSING_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
             owner = entries[entry, OWNER_COLUMN]
-            x.node_int[s.MALFORMED_NOW, owner if owner != SENSOR_NODE_OWNER else x.node_int.shape[1] - 1] = 1
+            x.node_int[
+                s.MALFORMED_NOW, owner if owner != SENSOR_NODE_OWNER else x.node_int.shape[1] - 1
+            ] = 1
 
 
 @kernel_helper
 def _count_stale_frame(x: Tables, group: int) -> None:
     """Count a sensor frame that answers an older SYNC."""
     x.run_int[s.STALE_FRAMES] += 1
-    x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_FRAMES_NOW, group] else 1)
+    x.run_int[s.STALE_NOW] = max(
+        x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_FRAMES_NOW, group] else 1
+    )
 
 
 @kernel_helper
 def _decode_sensor_frame(
-    x: Tables, t_ns: Any, payload: Any, fits: bool, entries: IntArray, entry: int, wholes: IntArray, reals: FloatArray
+    x: Tables,
+    t_ns: Any,
+    payload: Any,
+    fits: bool,
+    entries: IntArray,
+    entry: int,
+    wholes: IntArray,
+    reals: FloatArray,
 ) -> None:
     """Decode a frame of load cells or joint encoders. If its counter is not that of the SYNC, the frame is stale.
 
@@ -436,7 +465,14 @@ def _can_be_encoded(x: Tables, n: int, reals: FloatArray, first: int, end: int) 
 
 @kernel_helper
 def _write_position_command(
-    x: Tables, n: int, row: Any, template: Any, wholes: IntArray, reals: FloatArray, first: int, end: int
+    x: Tables,
+    n: int,
+    row: Any,
+    template: Any,
+    wholes: IntArray,
+    reals: FloatArray,
+    first: int,
+    end: int,
 ) -> None:
     """Write position, velocity, kp, kd, torque and limit into the record of a command."""
     for word in range(WORDS_PER_RECORD):
@@ -496,7 +532,9 @@ def encode_commands(
         n = commands[i, 0]
         if n < first:
             continue
-        steady = x.tendon_int[s.PHASE, n] == ENABLED_PHASE and x.tendon_int[s.STATUS_EXPECTED, n] >= 0
+        steady = (
+            x.tendon_int[s.PHASE, n] == ENABLED_PHASE and x.tendon_int[s.STATUS_EXPECTED, n] >= 0
+        )
         heard_ns = x.tendon_int[s.FEEDBACK_NS, n]
         timeout_ns = commands[i, 2]
         overdue = timeout_ns > 0 and heard_ns < now_ns - timeout_ns
@@ -566,21 +604,40 @@ class WireTables:
         self._signals: list[SignalTable] = []
         found: dict[int, list[int]] = {}
         for drive in drives:
-            found |= {_frame_key(drive.bus, can_id): [0, HOST_FRAMES, 0, 0, 0, 0, 0] for can_id in drive.host_ids}
+            found |= {
+                _frame_key(drive.bus, can_id): [0, HOST_FRAMES, 0, 0, 0, 0, 0]
+                for can_id in drive.host_ids
+            }
         found |= {
             _frame_key(sensors.bus, can_id): [SENSOR_NODE_OWNER, HOST_FRAMES, 0, 0, 0, 0, 0]
             for can_id in sensors.host_ids
         }
         for n, drive in enumerate(drives):
             found |= {
-                _frame_key(drive.bus, can_id): [n, STATE_MACHINE_FRAMES, 0, 0, 0, 0, 0] for can_id in drive.node_ids
+                _frame_key(drive.bus, can_id): [n, STATE_MACHINE_FRAMES, 0, 0, 0, 0, 0]
+                for can_id in drive.node_ids
             }
             for message in drive.cyclic.feedback:
                 kind = FEEDBACK_FRAMES if message.answers else VALUE_FRAMES
                 signals = self._added(message)
-                found[_frame_key(drive.bus, message.can_id)] = [n, kind, *signals, message.length, 0, message.nearest]
+                found[_frame_key(drive.bus, message.can_id)] = [
+                    n,
+                    kind,
+                    *signals,
+                    message.length,
+                    0,
+                    message.nearest,
+                ]
         found |= {
-            _frame_key(sensors.bus, can_id): [SENSOR_NODE_OWNER, STATE_MACHINE_FRAMES, 0, 0, 0, 0, 0]
+            _frame_key(sensors.bus, can_id): [
+                SENSOR_NODE_OWNER,
+                STATE_MACHINE_FRAMES,
+                0,
+                0,
+                0,
+                0,
+                0,
+            ]
             for can_id in sensors.service_ids
         }
         for group, message in enumerate(sensors.messages):
@@ -607,7 +664,8 @@ class WireTables:
         if entries is None:
             entries = self.entries.copy()
             entries[
-                (entries[:, FRAME_KIND_COLUMN] == SENSOR_FRAMES) & np.isin(entries[:, GROUP_COLUMN], groups),
+                (entries[:, FRAME_KIND_COLUMN] == SENSOR_FRAMES)
+                & np.isin(entries[:, GROUP_COLUMN], groups),
                 FRAME_KIND_COLUMN,
             ] = STATE_MACHINE_FRAMES
             self._entries_without[groups] = entries
@@ -635,13 +693,19 @@ class WireTables:
                 rows.append([n, signal, drive.cyclic.feedback_timeout_ns])
                 templates.append(_frame_template(message, drive.bus))
         self.commands: IntArray = np.array(rows, dtype=np.int64).reshape(-1, 3)
-        self.sent_wholes: IntArray = np.array(wholes, dtype=np.int64).reshape(-1, INTEGER_COLUMN_COUNT)
+        self.sent_wholes: IntArray = np.array(wholes, dtype=np.int64).reshape(
+            -1, INTEGER_COLUMN_COUNT
+        )
         self.sent_reals: FloatArray = np.array(reals, dtype=np.float64).reshape(-1, 3)
-        self.templates: WordRows = np.array(templates, dtype=np.uint64).reshape(-1, WORDS_PER_RECORD)
-
+        self.templates: WordRows = np.array(templates, dtype=np.uint64).reshape(
+            -1, WORDS_PER_RECORD
+        )
 
     def _build_position_commands(
-        self, drives: Sequence[Drive], holds_position: Sequence[bool], torque_gain: FloatArray | None
+        self,
+        drives: Sequence[Drive],
+        holds_position: Sequence[bool],
+        torque_gain: FloatArray | None,
     ) -> None:
         """Build the tables of the position commands of all drives that close the position loop."""
         wholes = [np.empty((0, INTEGER_COLUMN_COUNT), np.int64)]

@@ -31,7 +31,11 @@ class SentMessage(NamedTuple):
 
 
 def dbc_of_bus(
-    bus: int, drives: Iterable[Drive], sensors: SensorInterface, tendons: Sequence[str], joints: Sequence[str]
+    bus: int,
+    drives: Iterable[Drive],
+    sensors: SensorInterface,
+    tendons: Sequence[str],
+    joints: Sequence[str],
 ) -> str:
     """Return the content of a DBC file for one bus of a hand.
 
@@ -46,17 +50,21 @@ def dbc_of_bus(
     if sensors.bus == bus and sensors.ids:
         sent.append(SentMessage(sensors.sync_message, HOST_NODE_NAME, SENSOR_NODE_NAME))
         sent += [
-            SentMessage(_with_channel_names(message, tendons, joints), SENSOR_NODE_NAME, HOST_NODE_NAME)
+            SentMessage(
+                _with_channel_names(message, tendons, joints), SENSOR_NODE_NAME, HOST_NODE_NAME
+            )
             for message in sensors.messages
         ]
     for drive in drives:
         if drive.bus == bus:
             name = drive.name
             sent += [
-                SentMessage(_with_drive_name(message, name), name, HOST_NODE_NAME) for message in drive.cyclic.feedback
+                SentMessage(_with_drive_name(message, name), name, HOST_NODE_NAME)
+                for message in drive.cyclic.feedback
             ]
             sent += [
-                SentMessage(_with_drive_name(message, name), HOST_NODE_NAME, name) for message in drive.cyclic.commands
+                SentMessage(_with_drive_name(message, name), HOST_NODE_NAME, name)
+                for message in drive.cyclic.commands
             ]
     return dbc_text(sent)
 
@@ -71,7 +79,9 @@ def dbc_text(sent: Iterable[SentMessage]) -> str:
         in_payload = all(signal.start >= 0 for signal in item.message.signals)
         if item.message.signals and in_payload and not item.message.can_id & REMOTE:
             by_identifier.setdefault(item.message.can_id, item)
-    nodes = dict.fromkeys(node for item in by_identifier.values() for node in (item.sender, item.receiver))
+    nodes = dict.fromkeys(
+        node for item in by_identifier.values() for node in (item.sender, item.receiver)
+    )
     lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", " ".join(["BU_:", *nodes]), ""]
     floats = list[str]()
     kinds = list[str]()
@@ -121,7 +131,9 @@ def _with_channel_names(message: Message, tendons: Sequence[str], joints: Sequen
     """Return a message of the sensor node, with the names of tendons or joints on the signals."""
     names = {Quantity.TENSION: tendons, Quantity.ANGLE: joints}
     signals = [
-        signal._replace(name=names[signal.quantity][signal.channel]) if signal.quantity in names else signal
+        signal._replace(name=names[signal.quantity][signal.channel])
+        if signal.quantity in names
+        else signal
         for signal in message.signals
     ]
     return message._replace(signals=tuple(signals))

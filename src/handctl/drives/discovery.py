@@ -52,7 +52,9 @@ class DiscoveredNode:
     twins: bool = False
 
 
-TWO_DRIVES_WARNING = "two drives answer with this number: set another number with one drive on the bus at a time"
+TWO_DRIVES_WARNING = (
+    "two drives answer with this number: set another number with one drive on the bus at a time"
+)
 """Warning for a node whose ``twins`` is True."""
 
 

@@ -80,7 +80,9 @@ def _fd_time(size: int, bitrate: float, data_bitrate: float, more: int) -> float
     return nominal / bitrate + (body + stuff + check + math.ceil(check / 4)) / data_bitrate
 
 
-def bus_time_s(frames: Iterable[tuple[int, bool, float]], bitrate: float, data_bitrate: float | None = None) -> float:
+def bus_time_s(
+    frames: Iterable[tuple[int, bool, float]], bitrate: float, data_bitrate: float | None = None
+) -> float:
     """Return the time for which the frames of one tick occupy the bus [s].
 
     Args:
@@ -88,10 +90,14 @@ def bus_time_s(frames: Iterable[tuple[int, bool, float]], bitrate: float, data_b
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase [bit/s]. With None, the nominal bit rate is used.
     """
-    return sum(number * frame_time_s(size, fd, bitrate, data_bitrate) for size, fd, number in frames)
+    return sum(
+        number * frame_time_s(size, fd, bitrate, data_bitrate) for size, fd, number in frames
+    )
 
 
-def highest_rate(tick_times_s: Iterable[float], periodic_loads: Iterable[float] | None = None) -> float:
+def highest_rate(
+    tick_times_s: Iterable[float], periodic_loads: Iterable[float] | None = None
+) -> float:
     """Return the highest usual control rate at which the load of each bus stays within ``MAX_BUS_LOAD`` [Hz].
 
     Args:
@@ -100,7 +106,9 @@ def highest_rate(tick_times_s: Iterable[float], periodic_loads: Iterable[float] 
             by default.
     """
     times = tuple(tick_times_s)
-    pairs = tuple(zip(times, (0.0,) * len(times) if periodic_loads is None else periodic_loads, strict=True))
+    pairs = tuple(
+        zip(times, (0.0,) * len(times) if periodic_loads is None else periodic_loads, strict=True)
+    )
     fits = (
         rate
         for rate in USUAL_RATES_HZ

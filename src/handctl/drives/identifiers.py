@@ -44,7 +44,10 @@ def check_identifiers(owners: Iterable[tuple[str, IdentifierOwner]]) -> None:
             if owner.bus == other.bus:
                 # Two nodes may receive the same frame of the host (NMT, SYNC). The identifier of a
                 # node's own frame must be unique.
-                both = owner.node_ids & (other.node_ids | other.host_ids) | owner.host_ids & other.node_ids
+                both = (
+                    owner.node_ids & (other.node_ids | other.host_ids)
+                    | owner.host_ids & other.node_ids
+                )
                 if both:
                     hint = f"another number; {other_where} uses it"
                     raise ConfigError(f"identifier {min(both):#x} has two meanings", where, hint)

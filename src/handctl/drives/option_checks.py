@@ -32,7 +32,11 @@ def checked_positive(value: object, where: str, largest: float) -> float:
     """
     # bool is a subclass of int, and is therefore excluded. The comparison is False for NaN.
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= largest:
-        raise ConfigError("missing" if value is None else repr(value), where, f"a number above 0, at most {largest:g}")
+        raise ConfigError(
+            "missing" if value is None else repr(value),
+            where,
+            f"a number above 0, at most {largest:g}",
+        )
     return float(value)
 
 
@@ -49,7 +53,11 @@ def checked_whole_number(value: object, where: str, largest: int) -> int:
     """
     number = value if not isinstance(value, float) else int(value) if value.is_integer() else 0
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= largest:
-        raise ConfigError("missing" if value is None else repr(value), where, f"a whole number from 1 to {largest}")
+        raise ConfigError(
+            "missing" if value is None else repr(value),
+            where,
+            f"a whole number from 1 to {largest}",
+        )
     return number
 
 
@@ -68,7 +76,9 @@ def checked_boolean(value: object, where: str) -> bool:
     return value
 
 
-def pop_motor_model(options: dict[str, Any], where: str, models: Mapping[str, ModelRangesT]) -> ModelRangesT:
+def pop_motor_model(
+    options: dict[str, Any], where: str, models: Mapping[str, ModelRangesT]
+) -> ModelRangesT:
     """Remove the option ``motor_type``, and return the ranges of the motor model that it names.
 
     Args:
@@ -109,5 +119,7 @@ def check_full_scale(motor: MotorDescription, ranges: FullScale) -> None:
     """
     if motor.torque_max_N_m > ranges.torque:
         raise ConfigError(
-            f"{motor.torque_max_N_m:g}", f"motor[{motor.name}].torque_max_N_m", f"at most {ranges.torque:g}"
+            f"{motor.torque_max_N_m:g}",
+            f"motor[{motor.name}].torque_max_N_m",
+            f"at most {ranges.torque:g}",
         )

@@ -143,7 +143,9 @@ def first_recheck(node_id: int, t_ns: int) -> RecheckCursor:
     return RecheckCursor(due_ns=_next_slot_ns(node_id, t_ns))
 
 
-def next_recheck(check: RecheckCursor, name: str, node_id: int, t_ns: int) -> tuple[RecheckCursor, str]:
+def next_recheck(
+    check: RecheckCursor, name: str, node_id: int, t_ns: int
+) -> tuple[RecheckCursor, str]:
     """Return the position after a read-back request to an enabled drive, and the problem in words.
 
     The problem is empty if all is right.

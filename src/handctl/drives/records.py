@@ -18,7 +18,14 @@ from numpy.typing import NDArray
 from handctl.drives.frame import Frame
 
 FRAME_RECORD_DTYPE = np.dtype(
-    [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (64,))]
+    [
+        ("t_ns", "<i8"),
+        ("can_id", "<u4"),
+        ("flags", "<u2"),
+        ("bus", "u1"),
+        ("length", "u1"),
+        ("data", "u1", (64,)),
+    ]
 )
 """Type of the record of a frame: reception time [ns], identifier with flag bits, flags, bus, length, payload."""
 FRAME_RECORD_BYTES = FRAME_RECORD_DTYPE.itemsize
@@ -81,7 +88,9 @@ class Frames(Sequence[Frame]):
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames as ``Frame`` objects. For speed, each column is converted as a whole."""
         data = self.records["data"].tobytes()
-        columns = [self.records[name].tolist() for name in ("can_id", "length", "flags", "bus", "t_ns")]
+        columns = [
+            self.records[name].tolist() for name in ("can_id", "length", "flags", "bus", "t_ns")
+        ]
         for i, (can_id, length, flags, bus, t_ns) in enumerate(zip(*columns, strict=True)):
             yield Frame(can_id, data[64 * i : 64 * i + length], flags, bus, t_ns)
 
@@ -119,7 +128,9 @@ def frames_as_records(frames: Iterable[Frame]) -> Frames:
     data = records["data"]
     for i, (can_id, payload, flags, bus, t_ns) in enumerate(listed):
         if len(payload) > 64:
-            raise ValueError(f"payload of {len(payload)} bytes in frame {can_id:#x}, expected at most 64")
+            raise ValueError(
+                f"payload of {len(payload)} bytes in frame {can_id:#x}, expected at most 64"
+            )
         records[i] = t_ns, can_id, flags, bus, len(payload), 0
         data[i, : len(payload)] = np.frombuffer(payload, np.uint8)
     return Frames(records)

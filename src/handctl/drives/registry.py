@@ -46,9 +46,13 @@ class ProtocolEntry(NamedTuple):
 
 
 PROTOCOL_ENTRIES: dict[str, ProtocolEntry] = {
-    "odrive": ProtocolEntry(OdriveDrive.of, odrive_discovery.DISCOVERY, odrive_modes.make_mode_drive),
+    "odrive": ProtocolEntry(
+        OdriveDrive.of, odrive_discovery.DISCOVERY, odrive_modes.make_mode_drive
+    ),
     "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY, mit_modes.make_mode_drive),
-    "cia402": ProtocolEntry(Cia402Drive.of, cia402_discovery.DISCOVERY, cia402_modes.make_mode_drive),
+    "cia402": ProtocolEntry(
+        Cia402Drive.of, cia402_discovery.DISCOVERY, cia402_modes.make_mode_drive
+    ),
     "moteus": ProtocolEntry(MoteusDrive.of, moteus_discovery.DISCOVERY),
     "robstride": ProtocolEntry(RobstrideDrive.of, robstride_discovery.DISCOVERY),
     "cubemars": ProtocolEntry(CubemarsDrive.of, None),
@@ -60,7 +64,9 @@ DISCOVERY_BY_PROTOCOL: dict[str, ProtocolDiscovery] = {
     "sensor": sensor_discovery.DISCOVERY,
 }
 """Discovery functions of each protocol and of the sensor node, by name."""
-PROTOCOLS_WITHOUT_DISCOVERY = tuple(name for name, entry in PROTOCOL_ENTRIES.items() if not entry.discovery)
+PROTOCOLS_WITHOUT_DISCOVERY = tuple(
+    name for name, entry in PROTOCOL_ENTRIES.items() if not entry.discovery
+)
 """Protocols whose drives a scan cannot find, because they answer only commands."""
 
 
@@ -76,11 +82,15 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
     """
     if motor.protocol not in PROTOCOL_ENTRIES:
         where = f"motor[{motor.name}].protocol"
-        raise ConfigError(repr(motor.protocol), where, "one of " + ", ".join(sorted(PROTOCOL_ENTRIES)))
+        raise ConfigError(
+            repr(motor.protocol), where, "one of " + ", ".join(sorted(PROTOCOL_ENTRIES))
+        )
     return PROTOCOL_ENTRIES[motor.protocol].make(motor, bus)
 
 
-def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> Drive:
+def make_mode_drive(
+    motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
+) -> Drive:
     """Return the drive for a motor description, in the given mode.
 
     Args:
@@ -96,8 +106,14 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
     if mode == DriveMode.TORQUE:
         return make_drive(motor, bus)
     check_limits(limits)
-    make = PROTOCOL_ENTRIES[motor.protocol].make_mode if motor.protocol in PROTOCOL_ENTRIES else None
+    make = (
+        PROTOCOL_ENTRIES[motor.protocol].make_mode if motor.protocol in PROTOCOL_ENTRIES else None
+    )
     if make is None:
-        able = ", ".join(sorted(name for name, entry in PROTOCOL_ENTRIES.items() if entry.make_mode))
-        raise ConfigError(f"mode {mode.value} of {motor.protocol}", "mode", f"torque, or one of {able}")
+        able = ", ".join(
+            sorted(name for name, entry in PROTOCOL_ENTRIES.items() if entry.make_mode)
+        )
+        raise ConfigError(
+            f"mode {mode.value} of {motor.protocol}", "mode", f"torque, or one of {able}"
+        )
     return make(motor, bus, mode, limits)

@@ -110,7 +110,11 @@ class Signal(NamedTuple):
         high = (1 << self.length) - 1.0
         if self.coding == SignalCoding.FLOAT:
             high = self.largest
-            low = 0.0 if self.quantity in (Quantity.STIFFNESS, Quantity.DAMPING, Quantity.LIMIT) else -high
+            low = (
+                0.0
+                if self.quantity in (Quantity.STIFFNESS, Quantity.DAMPING, Quantity.LIMIT)
+                else -high
+            )
         values = (self.offset + low * self.scale, self.offset + high * self.scale)
         return min(values), max(values)
 
@@ -179,7 +183,15 @@ The drive makes the torque kp (position - p) + kd (velocity - v) + torque, withi
 """
 
 
-START_COLUMN, LENGTH_COLUMN, ORDER_COLUMN, CODING_COLUMN, QUANTITY_COLUMN, CHANNEL_COLUMN, WINDOW_COLUMN = range(7)
+(
+    START_COLUMN,
+    LENGTH_COLUMN,
+    ORDER_COLUMN,
+    CODING_COLUMN,
+    QUANTITY_COLUMN,
+    CHANNEL_COLUMN,
+    WINDOW_COLUMN,
+) = range(7)
 """Columns of the integer array in which the packer and the unpacker look up the signals.
 
 START_COLUMN is the number of the lowest bit of the signal in the window. WINDOW_COLUMN is the first byte of the
@@ -269,7 +281,11 @@ def decode_signal(value: Any, wholes: IntegerArray, reals: RealArray, i: int) ->
     coding = wholes[i, CODING_COLUMN]
     if coding == FLOAT:
         number = np.float64(np.uint32(bits).view(np.float32))
-        return number * reals[i, SCALE_COLUMN] + reals[i, OFFSET_COLUMN] if math.isfinite(number) else math.nan
+        return (
+            number * reals[i, SCALE_COLUMN] + reals[i, OFFSET_COLUMN]
+            if math.isfinite(number)
+            else math.nan
+        )
     count = np.int64(bits)
     # The top bit is the sign, and is extended to all higher bits.
     if coding == SIGNED and count >> (length - 1):
@@ -304,7 +320,9 @@ def unpack_rows(data: WordArray, rows: IntegerArray, reals: RealArray) -> RealAr
     result = np.empty(len(rows))
     for i in range(len(rows)):
         value = window_at(data[0], 1, rows[i, WINDOW_COLUMN])
-        result[i] = decode_signal(bytes_reversed(value) if rows[i, ORDER_COLUMN] else value, rows, reals, i)
+        result[i] = decode_signal(
+            bytes_reversed(value) if rows[i, ORDER_COLUMN] else value, rows, reals, i
+        )
     return result
 
 
@@ -316,7 +334,12 @@ def pack_rows(data: WordArray, rows: IntegerArray, reals: RealArray, values: Rea
     """
     for i in range(len(rows)):
         bits = encode_signal(values[i], rows, reals, i)
-        write_window(data[0], 1, rows[i, WINDOW_COLUMN], bytes_reversed(bits) if rows[i, ORDER_COLUMN] else bits)
+        write_window(
+            data[0],
+            1,
+            rows[i, WINDOW_COLUMN],
+            bytes_reversed(bits) if rows[i, ORDER_COLUMN] else bits,
+        )
 
 
 class SignalTable:
@@ -332,11 +355,13 @@ class SignalTable:
         """Build the arrays of a message. Signals of quantity UNUSED are left out."""
         self.message = message
         signals = [signal for signal in message.signals if signal.quantity != Quantity.UNUSED]
-        self.wholes: IntegerArray = np.array([integer_columns(signal) for signal in signals], dtype=np.int64).reshape(
-            -1, INTEGER_COLUMN_COUNT
-        )
+        self.wholes: IntegerArray = np.array(
+            [integer_columns(signal) for signal in signals], dtype=np.int64
+        ).reshape(-1, INTEGER_COLUMN_COUNT)
         self._names = [(one.name, one.unit) for one in signals]
-        self.reals: RealArray = np.array([(one.scale, one.offset) for one in signals], dtype=np.float64).reshape(-1, 2)
+        self.reals: RealArray = np.array(
+            [(one.scale, one.offset) for one in signals], dtype=np.float64
+        ).reshape(-1, 2)
 
     def unpack(self, data: bytes) -> list[float]:
         """Return the value of each signal in a payload, NaN for a float that is not finite."""

@@ -24,7 +24,13 @@ from handctl.core.gains.gains import packaged_gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut, Vector
 from handctl.errors import ConfigError
-from handctl.gym.observed import FIELD_OF_NAME, Float32Array, ObservationLayout, ObservationPart, telemetry_part
+from handctl.gym.observed import (
+    FIELD_OF_NAME,
+    Float32Array,
+    ObservationLayout,
+    ObservationPart,
+    telemetry_part,
+)
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.programs.requests import REFUSED_PREFIX, target_text
@@ -204,17 +210,23 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         super().reset(seed=seed)
         self._open.close()
         plant_seed = int(self.np_random.integers(1 << 31))
-        simulator = SimulatorSettings(self._path, self.scene(), plant_seed, self._perturb or None, homed=True)
+        simulator = SimulatorSettings(
+            self._path, self.scene(), plant_seed, self._perturb or None, homed=True
+        )
         run = self._open.enter_context(simulator.against(self._controller))
         run.record = False
         self._run = run
         if not run.until(lambda out: out.phase == "live", READY_TIMEOUT_S):
             problem = run.state.failure or "not ready"
-            raise ConfigError(problem, f"the simulated {self.hand.name}", "a hand that can be armed")
+            raise ConfigError(
+                problem, f"the simulated {self.hand.name}", "a hand that can be armed"
+            )
         self.steps = 0
         self._number = 0
         self._streamed = ()
-        self._target_deg = np.clip(np.degrees(self.values_of(self.out.telemetry.q)), self.low_deg, self.high_deg)
+        self._target_deg = np.clip(
+            np.degrees(self.values_of(self.out.telemetry.q)), self.low_deg, self.high_deg
+        )
         self.begin()
         return self._observation(), self._extra_information()
 
@@ -226,11 +238,15 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         run = self.run
         clipped = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
         if clipped.shape != self.action_space.shape or not np.isfinite(clipped).all():
-            raise ConfigError(f"{action!r}", "action", f"{math.prod(self.action_space.shape or ())} finite values")
+            raise ConfigError(
+                f"{action!r}", "action", f"{math.prod(self.action_space.shape or ())} finite values"
+            )
         out = run.tick(requests=tuple(self._step_requests(clipped)))
         refused = [event.text for event in out.events if event.text.startswith(REFUSED_PREFIX)]
         if refused and out.mode == Mode.ACTIVE:
-            raise ConfigError(refused[0], f"the controller of {self.hand.name}", "targets within the limits")
+            raise ConfigError(
+                refused[0], f"the controller of {self.hand.name}", "targets within the limits"
+            )
         for _ in range(self.ticks - 1):
             if out.mode == Mode.DONE:
                 break
@@ -239,7 +255,13 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         reward, ended, information = self.judge()
         failed = out.mode != Mode.ACTIVE
         truncated = self.steps >= self.longest and not (ended or failed)
-        return self._observation(), float(reward), ended or failed, truncated, self._extra_information() | information
+        return (
+            self._observation(),
+            float(reward),
+            ended or failed,
+            truncated,
+            self._extra_information() | information,
+        )
 
     def close(self) -> None:
         """End the simulation of the hand."""
@@ -256,14 +278,18 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
 
         The action has no tensions of digits.
         """
-        scaled = 2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
+        scaled = (
+            2.0 * (np.asarray(angles_deg) - self.low_deg) / (self.high_deg - self.low_deg) - 1.0
+        )
         return np.clip(scaled, -1.0, 1.0).astype(np.float32)
 
     def values_of(self, q: Vector) -> Vector:
         """Return joint angles (J,) in the form of an action's targets (V,), in the unit of the angles."""
         if self._space == "joint":
             return np.asarray(q)
-        return np.array([(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits])
+        return np.array(
+            [(digit.joints_to_coordinates @ q[digit.joints]).mean() for digit in self.model.digits]
+        )
 
     def _step_requests(self, action: Vector) -> list[str]:
         """Return all requests of a step.
@@ -287,18 +313,27 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         The target moves towards the target of the action, at most at the largest rate.
         """
         change = self.angles_deg(action) - self._target_deg
-        self._target_deg = self._target_deg + np.clip(change, -self._largest_step_deg, self._largest_step_deg)
+        self._target_deg = self._target_deg + np.clip(
+            change, -self._largest_step_deg, self._largest_step_deg
+        )
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
         number = self._number
         self._number += 1
         return target_text(
-            STREAM_NAME, number, self.run.k * self.run.period_ns, [angles[name] for name in self._streamed]
+            STREAM_NAME,
+            number,
+            self.run.k * self.run.period_ns,
+            [angles[name] for name in self._streamed],
         )
 
     def _observation(self) -> Float32Array:
         telemetry = self.out.telemetry
         return self.layout.vector(
-            lambda name: getattr(telemetry, FIELD_OF_NAME[name]) if name in FIELD_OF_NAME else self.extra_values(name)
+            lambda name: (
+                getattr(telemetry, FIELD_OF_NAME[name])
+                if name in FIELD_OF_NAME
+                else self.extra_values(name)
+            )
         )
 
     def _extra_information(self) -> dict[str, Any]:
@@ -334,7 +369,9 @@ def _target_range_deg(model: HandModel, space: TargetSpace) -> tuple[Vector, Vec
     if space == "joint":
         digits = model.hand.digit
         lowest = [angle for digit in digits for angle in digit.joint_min_deg]
-        return np.array(lowest), np.array([angle for digit in digits for angle in digit.joint_max_deg])
+        return np.array(lowest), np.array(
+            [angle for digit in digits for angle in digit.joint_max_deg]
+        )
     reach = [digit.reach for digit in model.digits]
     low = np.array([math.degrees(bounds[0].max()) for bounds in reach])
     high = np.array([math.degrees(bounds[1].min()) for bounds in reach])

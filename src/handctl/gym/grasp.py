@@ -58,12 +58,18 @@ class GraspEnv(HandEnv):
         """
         low, high = diameter_mm
         if not 5.0 <= low <= high <= 100.0:
-            raise ConfigError(f"{diameter_mm}", "diameter_mm", "two ascending numbers from 5 to 100")
+            raise ConfigError(
+                f"{diameter_mm}", "diameter_mm", "two ascending numbers from 5 to 100"
+            )
         self._diameter_mm = float(low), float(high)
         super().__init__(hand, space, duration_s, perturb, speed_deg_s)
-        self._largest_N = np.array([self.model.ceiling[tendons].min() for tendons in self.model.digit_tendons])
+        self._largest_N = np.array(
+            [self.model.ceiling[tendons].min() for tendons in self.model.digit_tendons]
+        )
         self._digit_of = [
-            d for d, digit in enumerate(self.model.digits) for _ in (digit.joint_names if space == "joint" else (0,))
+            d
+            for d, digit in enumerate(self.model.digits)
+            for _ in (digit.joint_names if space == "joint" else (0,))
         ]
 
     def scene(self) -> str:
@@ -93,17 +99,27 @@ class GraspEnv(HandEnv):
         self._height_m = engine.object_pose()[2]
         if max(np.abs(self._forces())) > FULL_REWARD_FORCE_N:
             scene = self.world.plant.scene.name
-            raise ConfigError(f"{scene} touches the open {self.hand.name}", "diameter_mm", "a smaller object")
+            raise ConfigError(
+                f"{scene} touches the open {self.hand.name}", "diameter_mm", "a smaller object"
+            )
         self._pressing = 0.0
         self._held: dict[str, float] = {}
 
     def requests(self, action: Vector) -> list[str]:
         """Return the request with the new tensions of digits that hold a tension, if there are any."""
         tension = self._tensions(action).tolist()
-        held = {name: value for name, value in zip(self.hand.digit_names, tension, strict=True) if value > 0.0}
+        held = {
+            name: value
+            for name, value in zip(self.hand.digit_names, tension, strict=True)
+            if value > 0.0
+        }
         new = {name: value for name, value in held.items() if value != self._held.get(name)}
         self._held = held
-        return [json.dumps({"do": "hold", "tension_N": new, "rate_N_per_s": RATE_N_PER_S})] if new else []
+        return (
+            [json.dumps({"do": "hold", "tension_N": new, "rate_N_per_s": RATE_N_PER_S})]
+            if new
+            else []
+        )
 
     def streamed(self, action: Vector) -> tuple[str, ...]:
         """Return the joints or digits of an action that follow targets.
@@ -136,5 +152,10 @@ class GraspEnv(HandEnv):
             reward += SUCCESS_REWARD
         elif dropped or self.out.mode != Mode.ACTIVE:
             reward += FAILURE_REWARD
-        information = {"is_success": held, "force_N": forces, "fallen_m": fallen_m, "table_sinks": since is not None}
+        information = {
+            "is_success": held,
+            "force_N": forces,
+            "fallen_m": fallen_m,
+            "table_sinks": since is not None,
+        }
         return reward, held or dropped, information

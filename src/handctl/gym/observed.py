@@ -58,7 +58,9 @@ class ObservationLayout:
                 value (NaN) becomes 0.
         """
         row = np.concatenate([np.asarray(values(part.name), np.float64) for part in self.parts])
-        inside = np.clip(np.nan_to_num(row, nan=0.0).astype(np.float32), self.space.low, self.space.high)
+        inside = np.clip(
+            np.nan_to_num(row, nan=0.0).astype(np.float32), self.space.low, self.space.high
+        )
         return np.asarray(inside, np.float32)
 
 

@@ -108,7 +108,9 @@ class TrackEnv(HandEnv):
         """Return the values of the references that correspond to joint angles (J,), in the unit of these angles."""
         if self._space == "digit":
             return self.values_of(q)
-        return np.concatenate([digit.joints_to_coordinates @ q[digit.joints] for digit in self.model.digits])
+        return np.concatenate(
+            [digit.joints_to_coordinates @ q[digit.joints] for digit in self.model.digits]
+        )
 
     def _joints_of(self, coordinates: Vector) -> Vector:
         """Return the joint angles (J,) that correspond to coordinates, in the unit of the coordinates.

@@ -97,7 +97,12 @@ class Hand(Section):
         if not isinstance(given, dict) or "sensor_node" in given:
             return given
         buses = given.get("bus")
-        if not isinstance(buses, list | tuple) or not buses or not isinstance(buses[0], dict) or "name" not in buses[0]:
+        if (
+            not isinstance(buses, list | tuple)
+            or not buses
+            or not isinstance(buses[0], dict)
+            or "name" not in buses[0]
+        ):
             # pydantic reports missing buses as a separate mistake. With any name of a bus, the
             # sensor node causes no second report.
             return given | {"sensor_node": NO_SENSORS | {"bus": "main"}}
@@ -186,7 +191,8 @@ class Hand(Section):
     def arm_polynomials(self) -> NDArray[np.float64]:
         """Return the moment arms as polynomials of the joint angle, (N, J, quantities.COEFFICIENTS), read-only."""
         rows = [
-            [polynomial_of_arm(tendon.moment_arm_m.get(joint, 0.0)) for joint in self.joints] for tendon in self.tendon
+            [polynomial_of_arm(tendon.moment_arm_m.get(joint, 0.0)) for joint in self.joints]
+            for tendon in self.tendon
         ]
         polynomials = np.array(rows)
         polynomials.setflags(write=False)
@@ -195,13 +201,17 @@ class Hand(Section):
     @cached_property
     def has_varying_arm(self) -> NDArray[np.bool_]:
         """Return True for each tendon with a moment arm that depends on the joint angle, (N,)."""
-        return np.array([any(map(is_arm_varying, tendon.moment_arm_m.values())) for tendon in self.tendon])
+        return np.array(
+            [any(map(is_arm_varying, tendon.moment_arm_m.values())) for tendon in self.tendon]
+        )
 
     @cached_property
     def joint_limits(self) -> NDArray[np.float64]:
         """Return the smallest and the largest angle of each joint, (2, J) [rad]."""
         keys = ("joint_min_deg", "joint_max_deg")
-        return np.radians([[angle for digit in self.digit for angle in getattr(digit, key)] for key in keys])
+        return np.radians(
+            [[angle for digit in self.digit for angle in getattr(digit, key)] for key in keys]
+        )
 
     @cached_property
     def tendons_with_encoders(self) -> NDArray[np.bool_]:
@@ -213,7 +223,11 @@ class Hand(Section):
     def digit_joints(self) -> dict[str, slice]:
         """Return the slice of ``joints`` that contains the joints of each digit."""
         return dict(
-            zip(self.digit_names, _consecutive_slices([len(digit.joints) for digit in self.digit]), strict=True)
+            zip(
+                self.digit_names,
+                _consecutive_slices([len(digit.joints) for digit in self.digit]),
+                strict=True,
+            )
         )
 
     @cached_property
@@ -247,7 +261,11 @@ class Hand(Section):
 
         If no crossed digit is carried by all others, return None.
         """
-        crossed = [digit.name for digit in self.digit if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
+        crossed = [
+            digit.name
+            for digit in self.digit
+            if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)
+        ]
         outermost = [name for name in crossed if {name, *self.carriers_of(name)} >= set(crossed)]
         return outermost[0] if outermost else None
 
@@ -287,7 +305,9 @@ class Hand(Section):
                 for key in keys:
                     if section[key] is None:  # a hand file without the key keeps its identity
                         del section[key]
-        content["mount"] = {key: value for key, value in content["mount"].items() if value is not None}
+        content["mount"] = {
+            key: value for key, value in content["mount"].items() if value is not None
+        }
         # The content of a sensor node has only the keys of its protocol. Thus a file from before
         # sensor protocols existed keeps its identity.
         for key in HANDCTL_NODE_KEYS if self.sensor_node.is_cia404 else ("protocol", *CIA404_KEYS):

@@ -10,7 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from handctl.hand import rigid_body as body
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
-from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rotation_of_rpy
+from handctl.hand.link_bodies import (
+    centre_of_mass,
+    joint_axes,
+    link_inertia,
+    link_placement,
+    rotation_of_rpy,
+)
 from handctl.hand.moment_arms import arms_at, excursions_at
 
 Array = NDArray[np.float64]
@@ -187,9 +193,13 @@ class DigitModel:
             excursion_to_joints=_read_only_copy(coupling @ to_coordinates),
             torque_to_tension=_read_only_copy(to_coordinates.T @ coupling.T),
             joints_to_coordinates=_read_only_copy(np.linalg.pinv(coupling)),
-            friction=_read_only_copy([tendon.friction_coefficient for tendon in hand.tendon[tendons]]),
+            friction=_read_only_copy(
+                [tendon.friction_coefficient for tendon in hand.tendon[tendons]]
+            ),
             wrap=_read_only_copy([tendon.wrap_angle_rad for tendon in hand.tendon[tendons]]),
-            motor_mass=_read_only_copy([motor.inertia_kg_m2 / motor.spool_radius_m**2 for motor in motors]),
+            motor_mass=_read_only_copy(
+                [motor.inertia_kg_m2 / motor.spool_radius_m**2 for motor in motors]
+            ),
             arm_polynomials=_read_only_copy(hand.arm_polynomials[tendons, joints]),
             has_varying_arm=bool(hand.has_varying_arm[tendons].any()),
         )
@@ -244,7 +254,9 @@ class DigitModel:
         theta = self.joints_to_coordinates @ self.joint_limits.mean(axis=0)
         for _ in range(NEWTON_STEPS):
             q = self.coupling @ theta
-            step = np.linalg.pinv(self.arms_at(q) @ self.coupling) @ (excursion - self.excursion_at(q))
+            step = np.linalg.pinv(self.arms_at(q) @ self.coupling) @ (
+                excursion - self.excursion_at(q)
+            )
             theta = theta + step
             if np.abs(step).max() < NEWTON_TOLERANCE_RAD:
                 break
@@ -268,7 +280,9 @@ class DigitModel:
             now: (n_c,) coordinates from which all other joints move as little as possible.
         """
         rows = self.coupling[list(angles)]
-        return np.asarray(now + np.linalg.pinv(rows) @ (np.array(list(angles.values())) - rows @ np.asarray(now)))
+        return np.asarray(
+            now + np.linalg.pinv(rows) @ (np.array(list(angles.values())) - rows @ np.asarray(now))
+        )
 
     def with_gravity(self, gravity: JointValues) -> "DigitModel":
         """Return a copy of the digit with another gravitational acceleration, (3,) in the palm frame [m/s2]."""
@@ -312,12 +326,16 @@ def link_table(digit: Digit) -> Array:
         mass = digit.link_mass_kg[i]
         com = centre_of_mass(digit, i)
         # Steiner's theorem moves the inertia from the centre of mass to the joint.
-        moments = link_inertia(digit, i) + mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
+        moments = link_inertia(digit, i) + mass * (
+            float(com @ com) * np.eye(3) - np.outer(com, com)
+        )
         table[body.ORIGIN_ROW : body.ORIGIN_ROW + 3, i] = position
         table[body.AXIS_ROW : body.AXIS_ROW + 3, i] = axis
         table[body.MASS_ROW, i] = mass
         table[body.MOMENT_ROW : body.MOMENT_ROW + 3, i] = mass * com
-        table[body.INERTIA_ROW : body.INERTIA_ROW + 6, i] = moments[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+        table[body.INERTIA_ROW : body.INERTIA_ROW + 6, i] = moments[
+            (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+        ]
         table[body.ARMATURE_ROW, i] = digit.joint_armature_kg_m2[i]
         table[body.LENGTH_ROW, i] = digit.link_length_m[i]
     return table

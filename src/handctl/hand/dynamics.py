@@ -33,7 +33,9 @@ NO_GRAVITY = np.zeros(3)
 """Gravity of zero [m/s2]."""
 
 
-def inverse_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> JointTorques:
+def inverse_dynamics(
+    digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
+) -> JointTorques:
     """Return the joint torque that a motion needs against inertia and weight: M q'' + C q' + g.
 
     Springs and damping are left out.
@@ -50,7 +52,9 @@ def inverse_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, ddq: Jo
     return _rigid_body_torque(digit, digit.gravity, q, dq, ddq)
 
 
-def required_torque(digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues) -> JointTorques:
+def required_torque(
+    digit: DigitModel, q: JointValues, dq: JointValues, ddq: JointValues
+) -> JointTorques:
     """Return the joint torque that the tendons must make for a motion, (n,) [N m].
 
     It is the sum of inverse dynamics, spring torque and damping torque.
@@ -74,7 +78,9 @@ def bias_torque(digit: DigitModel, q: JointValues, dq: JointValues) -> JointTorq
 
 def gravity_torque(digit: DigitModel, q: JointValues) -> JointTorques:
     """Return the joint torque that balances the weight of the links, (n,) [N m]."""
-    return tuple(rigid_body.weight_torques(digit.table, digit.parent, digit.gravity, _as_array(q)).tolist())
+    return tuple(
+        rigid_body.weight_torques(digit.table, digit.parent, digit.gravity, _as_array(q)).tolist()
+    )
 
 
 def spring_torque(digit: DigitModel, q: JointValues) -> JointTorques:
@@ -89,17 +95,24 @@ def spring_torque(digit: DigitModel, q: JointValues) -> JointTorques:
 
 def damping_torque(digit: DigitModel, dq: JointValues) -> JointTorques:
     """Return the joint torque that balances the viscous damping of the joints, (n,) [N m]."""
-    return tuple(damping * rate for damping, rate in zip(digit.joint_damping, _as_plain_floats(dq), strict=True))
+    return tuple(
+        damping * rate
+        for damping, rate in zip(digit.joint_damping, _as_plain_floats(dq), strict=True)
+    )
 
 
 def passive_torque(digit: DigitModel, q: JointValues, dq: JointValues) -> JointTorques:
     """Return the joint torque that balances return springs and viscous damping, (n,) [N m]."""
-    return tuple(a + b for a, b in zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True))
+    return tuple(
+        a + b for a, b in zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True)
+    )
 
 
 def static_torque(digit: DigitModel, q: JointValues) -> JointTorques:
     """Return the joint torque that holds the digit at rest against weight and return springs, (n,) [N m]."""
-    return tuple(a + b for a, b in zip(gravity_torque(digit, q), spring_torque(digit, q), strict=True))
+    return tuple(
+        a + b for a, b in zip(gravity_torque(digit, q), spring_torque(digit, q), strict=True)
+    )
 
 
 def mass_matrix(digit: DigitModel, q: JointValues) -> Array:
@@ -120,7 +133,9 @@ def forward_dynamics(digit: DigitModel, q: JointValues, dq: JointValues, tau: Jo
     return np.asarray(np.linalg.solve(mass_matrix(digit, q), np.subtract(tau, standing)))
 
 
-def reduced_dynamics(digit: DigitModel, theta: JointValues, dtheta: JointValues) -> tuple[Array, Array]:
+def reduced_dynamics(
+    digit: DigitModel, theta: JointValues, dtheta: JointValues
+) -> tuple[Array, Array]:
     """Return mass matrix and bias of the equations of motion in reduced coordinates.
 
     M_r = B^T M B and h_r = B^T (C q' + g + springs + damping). The torque in reduced coordinates is
@@ -154,7 +169,9 @@ def potential_energy(digit: DigitModel, q: JointValues) -> float:
     """
     first = rigid_body.link_poses(digit.table, digit.parent, _as_array(q))[0]
     moment = first[rigid_body.CARRIED_MOMENT_COLUMN : rigid_body.CARRIED_MOMENT_COLUMN + 3]
-    return -float(digit.gravity @ (moment - first[rigid_body.CARRIED_MASS_COLUMN] * digit.mount_position))
+    return -float(
+        digit.gravity @ (moment - first[rigid_body.CARRIED_MASS_COLUMN] * digit.mount_position)
+    )
 
 
 def spring_energy(digit: DigitModel, q: JointValues) -> float:

@@ -68,7 +68,9 @@ def inverse_kinematics(
     if digit.joint_count == 2:
         return _two_link_solutions(digit.lengths[0], digit.lengths[1], x, y)
     if digit.joint_count != 3 or angle is None:
-        raise ValueError(f"{digit.name} has {digit.joint_count} joints; needed: two, or three and a direction")
+        raise ValueError(
+            f"{digit.name} has {digit.joint_count} joints; needed: two, or three and a direction"
+        )
     l1, l2, l3 = digit.lengths
     wrist = _two_link_solutions(l1, l2, x - l3 * math.cos(angle), y - l3 * math.sin(angle))
     return tuple((q1, q2, _wrapped_angle(angle - q1 - q2)) for q1, q2 in wrist)
@@ -118,7 +120,9 @@ def inverse_kinematics_coupled(digit: DigitModel, position: JointValues) -> tupl
 
 def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
     """Return the range of a coupled digit's single coordinate within all joint limits [rad]."""
-    low, high = coordinate_range(digit.coupling, np.array([digit.joint_min, digit.joint_max]))[:, 0].tolist()
+    low, high = coordinate_range(digit.coupling, np.array([digit.joint_min, digit.joint_max]))[
+        :, 0
+    ].tolist()
     return low, high
 
 
@@ -128,11 +132,18 @@ def _is_planar(digit: DigitModel) -> bool:
         digit.table[body.FIXED_ROTATION_ROW : body.COSINE_ROTATION_ROW]
         + digit.table[body.COSINE_ROTATION_ROW : body.SINE_ROTATION_ROW]
     )
-    straight = np.array([digit.mount_rotation, *[np.eye(3)] * (digit.joint_count - 1)]).reshape(-1, 9).T
-    return bool(np.all(digit.axes == (0.0, 0.0, 1.0)) and np.allclose(at_zero, straight, rtol=0.0, atol=1e-12))
+    straight = (
+        np.array([digit.mount_rotation, *[np.eye(3)] * (digit.joint_count - 1)]).reshape(-1, 9).T
+    )
+    return bool(
+        np.all(digit.axes == (0.0, 0.0, 1.0))
+        and np.allclose(at_zero, straight, rtol=0.0, atol=1e-12)
+    )
 
 
-def _two_link_solutions(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, float], ...]:
+def _two_link_solutions(
+    l1: float, l2: float, x: float, y: float
+) -> tuple[tuple[float, float], ...]:
     """Return the joint angles with which two links reach a point.
 
     There are two solutions, one if the links are stretched or folded, and none if the point is out
@@ -160,7 +171,9 @@ def _wrapped_angle(angle: float) -> float:
     return math.remainder(angle, 2.0 * math.pi)
 
 
-def closest_tip(digit: DigitModel, position: JointValues, start: JointValues | None = None) -> ClosestTip:
+def closest_tip(
+    digit: DigitModel, position: JointValues, start: JointValues | None = None
+) -> ClosestTip:
     """Return the coordinates within the joint limits that bring the tip of a digit closest to a point.
 
     The search makes Levenberg-Marquardt steps of the coordinates that are not at a limit (projected
@@ -179,7 +192,9 @@ def closest_tip(digit: DigitModel, position: JointValues, start: JointValues | N
     target = np.asarray(position, dtype=np.float64)
     low, high = digit.reach
     if start is None:
-        found = [_local_minimum(digit, target, low + part * (high - low)) for part in START_FRACTIONS]
+        found = [
+            _local_minimum(digit, target, low + part * (high - low)) for part in START_FRACTIONS
+        ]
         return min(found, key=lambda one: one.distance)
     return _local_minimum(digit, target, np.clip(np.asarray(start, dtype=np.float64), low, high))
 
@@ -197,15 +212,21 @@ def _local_minimum(digit: DigitModel, target: Array, start: Array) -> ClosestTip
         free = ~(((theta <= low) & (slope > 0.0)) | ((theta >= high) & (slope < 0.0)))
         if not free.any():
             break
-        curvature = jacobian[:, free].T @ jacobian[:, free] + START_WEIGHT_M_PER_RAD**2 * np.eye(int(free.sum()))
+        curvature = jacobian[:, free].T @ jacobian[:, free] + START_WEIGHT_M_PER_RAD**2 * np.eye(
+            int(free.sum())
+        )
         scale = float(curvature.diagonal().max())
         moved = theta
         while damping < DAMPING_RANGE[1]:
             trial = theta.copy()
-            trial[free] -= np.linalg.solve(curvature + damping * scale * np.eye(len(curvature)), slope[free])
+            trial[free] -= np.linalg.solve(
+                curvature + damping * scale * np.eye(len(curvature)), slope[free]
+            )
             trial = np.clip(trial, low, high)
             ahead = joint_points(digit, digit.coupling @ trial)[-1] - target
-            steady = (START_WEIGHT_M_PER_RAD * (trial - start)) @ (START_WEIGHT_M_PER_RAD * (trial - start))
+            steady = (START_WEIGHT_M_PER_RAD * (trial - start)) @ (
+                START_WEIGHT_M_PER_RAD * (trial - start)
+            )
             if (now := float(ahead @ ahead + steady)) < cost:
                 moved = trial
                 gap = ahead

@@ -70,7 +70,11 @@ def rpy_of_rotation(rotation: Array) -> tuple[float, float, float]:
     pitch = math.atan2(-rotation[2, 0], horizontal)
     if horizontal < GIMBAL_LOCK:
         return math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
-    return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
+    return (
+        math.atan2(rotation[2, 1], rotation[2, 2]),
+        pitch,
+        math.atan2(rotation[1, 0], rotation[0, 0]),
+    )
 
 
 def rotation_of_rpy(roll: float, pitch: float, yaw: float) -> Array:

@@ -29,7 +29,9 @@ def link_transforms(digit: DigitModel, q: JointValues) -> tuple[Transform, ...]:
     turned = [quaternion_of_rotation(rotation) for rotation in link_rotations(poses)]
     return tuple(
         Transform(name, (position[0], position[1], position[2]), turn)
-        for name, position, turn in zip(names, joint_points(digit, q).tolist(), [*turned, turned[-1]], strict=True)
+        for name, position, turn in zip(
+            names, joint_points(digit, q).tolist(), [*turned, turned[-1]], strict=True
+        )
     )
 
 

@@ -69,7 +69,11 @@ def hand_path(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if not path.is_file():
         near = similar_name(str(name_or_path), names)
-        raise ConfigError("no such hand or file", str(path), (f"{near}? or " if near else "") + _valid_names(names))
+        raise ConfigError(
+            "no such hand or file",
+            str(path),
+            (f"{near}? or " if near else "") + _valid_names(names),
+        )
     return path
 
 
@@ -84,9 +88,13 @@ def read_toml(path: Path) -> dict[str, Any]:
             raise ConfigError("not a file", str(path), "a TOML file")
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", str(path), "a readable file") from None
+        raise ConfigError(
+            f"cannot be read: {error.strerror}", str(path), "a readable file"
+        ) from None
     except UnicodeDecodeError as error:
-        raise ConfigError(f"byte {error.start} is not UTF-8", str(path), "a UTF-8 text file") from None
+        raise ConfigError(
+            f"byte {error.start} is not UTF-8", str(path), "a UTF-8 text file"
+        ) from None
     return parse_toml(text, str(path))
 
 
@@ -163,7 +171,8 @@ def validate_content(content: Mapping[str, Any]) -> tuple[Hand | None, list[File
     """
     if not content:
         right = (
-            f"schema = {WRITTEN_SCHEMA} and the sections of a hand; handctl config init writes them from a few answers"
+            f"schema = {WRITTEN_SCHEMA} and the sections of a hand; "
+            "handctl config init writes them from a few answers"
         )
         return None, [FileMistake("the file is empty", "schema", right)]
     version = content.get("schema", RESOLVED_SCHEMA)
@@ -222,7 +231,9 @@ def inspect_content(content: Mapping[str, Any]) -> InspectedHand:
     return InspectedHand(hand, group_mistakes(mistakes), origins)
 
 
-def _valid_sections(content: Mapping[str, Any], kind: str, model: type[ValidatedSection]) -> Iterator[ValidatedSection]:
+def _valid_sections(
+    content: Mapping[str, Any], kind: str, model: type[ValidatedSection]
+) -> Iterator[ValidatedSection]:
     """Yield the sections of a kind that are valid without regard to other sections."""
     sections = content.get(kind)
     for section in sections if isinstance(sections, list | tuple) else ():

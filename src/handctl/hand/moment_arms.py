@@ -36,7 +36,9 @@ def polynomial_of_arm(arm: MomentArm) -> Array:
         coefficients = np.asarray(arm["polynomial_m"])
     else:
         angle, values = table_of_arm(arm)
-        coefficients = np.polynomial.polynomial.polyfit(angle, values, min(TABLE_DEGREE, len(angle) - 1))
+        coefficients = np.polynomial.polynomial.polyfit(
+            angle, values, min(TABLE_DEGREE, len(angle) - 1)
+        )
     result[: len(coefficients)] = coefficients
     return result
 
@@ -90,7 +92,9 @@ def excursions_at(polynomials: Array, limits: Array, q: ArrayLike) -> Array:
     """
     angles = np.asarray(q, dtype=np.float64)[..., None, :]
     held = np.clip(angles, limits[0], limits[1])
-    integral = held * _evaluate_polynomials(polynomials / np.arange(1.0, POLYNOMIAL_COEFFICIENTS + 1.0), held)
+    integral = held * _evaluate_polynomials(
+        polynomials / np.arange(1.0, POLYNOMIAL_COEFFICIENTS + 1.0), held
+    )
     return integral + (angles - held) * _evaluate_polynomials(polynomials, held)
 
 
@@ -104,7 +108,9 @@ def mean_arm(arm: MomentArm, low: float, high: float) -> float:
     """
     if not isinstance(arm, Mapping):
         return arm
-    ends = excursions_at(polynomial_of_arm(arm)[None, None], np.array([[low], [high]]), [[low], [high]])
+    ends = excursions_at(
+        polynomial_of_arm(arm)[None, None], np.array([[low], [high]]), [[low], [high]]
+    )
     return float(ends[1, 0, 0] - ends[0, 0, 0]) / (high - low)
 
 

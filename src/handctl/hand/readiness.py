@@ -42,10 +42,14 @@ def _check_rates(bus: Bus) -> Iterator[FileMistake]:
     """Check that CAN controllers can have the bit rates of a bus."""
     where = f"bus[{bus.name}]"
     if bus.bitrate > MAX_ARBITRATION_BITRATE:
-        right = f"at most {MAX_ARBITRATION_BITRATE}; the faster data phase of CAN FD is data_bitrate"
+        right = (
+            f"at most {MAX_ARBITRATION_BITRATE}; the faster data phase of CAN FD is data_bitrate"
+        )
         yield FileMistake(f"{bus.bitrate}", f"{where}.bitrate", right)
     elif bus.data_bitrate is not None and bus.data_bitrate < bus.bitrate:
-        yield FileMistake(f"{bus.data_bitrate}", f"{where}.data_bitrate", f"at least bitrate = {bus.bitrate}")
+        yield FileMistake(
+            f"{bus.data_bitrate}", f"{where}.data_bitrate", f"at least bitrate = {bus.bitrate}"
+        )
 
 
 def _check_direction(digit: Digit) -> Iterator[FileMistake]:
@@ -58,7 +62,11 @@ def _check_direction(digit: Digit) -> Iterator[FileMistake]:
             right = "signs and sizes that leave the joints a common range within their limits"
             yield FileMistake(f"column {i} moves no joint within its limits", where, right)
         elif low + high < 0.0:
-            yield FileMistake(f"column {i} opens the digit", where, "the opposite sign: a positive coordinate flexes")
+            yield FileMistake(
+                f"column {i} opens the digit",
+                where,
+                "the opposite sign: a positive coordinate flexes",
+            )
 
 
 def coordinate_range_deg(digit: Digit) -> tuple[Vector, Vector]:
@@ -83,7 +91,10 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
     if hand.has_varying_arm[tendons].any():
         limits = hand.joint_limits[:, hand.digit_joints[digit.name]]
         polynomials = hand.arm_polynomials[tendons, hand.digit_joints[digit.name]]
-        postures = list(arms_at(polynomials, limits, np.linspace(limits[0], limits[1], CHECKED_POSTURES)) @ coupling)
+        postures = list(
+            arms_at(polynomials, limits, np.linspace(limits[0], limits[1], CHECKED_POSTURES))
+            @ coupling
+        )
     arms = postures[0]  # moment arms of the open digit
     floor = np.array([tendon.tension_floor_N for tendon in hand.tendon[tendons]])
     stiffness = np.array(digit.spring_stiffness_N_m_per_rad)
@@ -94,7 +105,9 @@ def _check_opening(hand: Hand, digit: Digit) -> Iterator[FileMistake]:
         return
     if (arms.min(axis=0) < 0.0).any() and not stiffness.any():
         right = "tensions above 0 that make no torque together: one more tendon than coordinates, or other arms"
-        yield FileMistake("its tendons cannot hold each other", f"digit[{digit.name}].tendon", right)
+        yield FileMistake(
+            "its tendons cannot hold each other", f"digit[{digit.name}].tendon", right
+        )
         return
     weak = (springs <= closing) & (arms.min(axis=0) >= 0.0)
     if not weak.any():
@@ -116,10 +129,16 @@ def table_fits(hand: Hand) -> tuple[str, ...]:
     """
     lines = []
     for tendon in hand.tendon:
-        tables = {joint: arm for joint, arm in tendon.moment_arm_m.items() if len(table_of_arm(arm)[0])}
+        tables = {
+            joint: arm for joint, arm in tendon.moment_arm_m.items() if len(table_of_arm(arm)[0])
+        }
         if tables:
-            left = ", ".join(f"{1e3 * table_residual(arm):.2g} mm at {joint}" for joint, arm in tables.items())
-            lines.append(f"{tendon.name}: the polynomial of its table of moment arms differs by at most {left}")
+            left = ", ".join(
+                f"{1e3 * table_residual(arm):.2g} mm at {joint}" for joint, arm in tables.items()
+            )
+            lines.append(
+                f"{tendon.name}: the polynomial of its table of moment arms differs by at most {left}"
+            )
     return tuple(lines)
 
 
@@ -131,7 +150,9 @@ def can_hold_each_other(arms: Vector) -> bool:
     """
     largest = np.abs(arms).max()
     if ((arms.min(axis=0) >= 0.0) & (arms.max(axis=0) > MAX_TORQUE_RESIDUAL * largest)).any():
-        return False  # if all arms at a coordinate are positive, all tensions together make a torque
+        return (
+            False  # if all arms at a coordinate are positive, all tensions together make a torque
+        )
     from scipy.optimize import nnls  # the import takes as long as the whole check of a hand
 
     # Tensions 1 + w with w >= 0 make no torque together if this non-negative least-squares problem

@@ -100,7 +100,9 @@ def write_link_poses(table: Array, row: int, parent: IndexArray, q: Array, pose:
                 second = pose[before, ROTATION_COLUMN + 3 * a + 1]
                 third = pose[before, ROTATION_COLUMN + 3 * a + 2]
                 for b in range(3):
-                    pose[j, ROTATION_COLUMN + 3 * a + b] = first * turn[b] + second * turn[3 + b] + third * turn[6 + b]
+                    pose[j, ROTATION_COLUMN + 3 * a + b] = (
+                        first * turn[b] + second * turn[3 + b] + third * turn[6 + b]
+                    )
                 pose[j, POSITION_COLUMN + a] = (
                     pose[before, POSITION_COLUMN + a]
                     + first * table[row + ORIGIN_ROW, j]
@@ -126,7 +128,9 @@ def write_carried_masses(table: Array, row: int, parent: IndexArray, pose: Array
         pose[j, CARRIED_MASS_COLUMN] = table[row + MASS_ROW, j]
         for a in range(3):
             moment = _component_along(table, row + MOMENT_ROW, pose, j, a)
-            pose[j, CARRIED_MOMENT_COLUMN + a] = table[row + MASS_ROW, j] * pose[j, POSITION_COLUMN + a] + moment
+            pose[j, CARRIED_MOMENT_COLUMN + a] = (
+                table[row + MASS_ROW, j] * pose[j, POSITION_COLUMN + a] + moment
+            )
     # The loop visits the links from the tips to the palm.
     for j in range(len(pose) - 1, -1, -1):
         before = parent[j]
@@ -191,12 +195,18 @@ def write_levers(pose: Array, first: int, touched: int, along: float, lever: Arr
 
 
 @kernel_helper
-def _lever(pose: Array, j: int, px: float, py: float, pz: float, nx: float, ny: float, nz: float) -> float:
+def _lever(
+    pose: Array, j: int, px: float, py: float, pz: float, nx: float, ny: float, nz: float
+) -> float:
     """Return the lever about joint j of a force along a unit vector n at a point p [m].
 
     It is axis . ((p - joint) x n).
     """
-    x, y, z = px - pose[j, POSITION_COLUMN], py - pose[j, POSITION_COLUMN + 1], pz - pose[j, POSITION_COLUMN + 2]
+    x, y, z = (
+        px - pose[j, POSITION_COLUMN],
+        py - pose[j, POSITION_COLUMN + 1],
+        pz - pose[j, POSITION_COLUMN + 2],
+    )
     return (
         pose[j, DIRECTION_COLUMN] * (y * nz - z * ny)
         + pose[j, DIRECTION_COLUMN + 1] * (z * nx - x * nz)
@@ -222,11 +232,31 @@ def write_turned_levers(
         angle: angle of the turn [rad].
         lever: (n,) levers before the turn, modified in place up to the turned joint.
     """
-    ax, ay, az = pose[turned, DIRECTION_COLUMN], pose[turned, DIRECTION_COLUMN + 1], pose[turned, DIRECTION_COLUMN + 2]
-    nx, ny, nz = pose[last, ROTATION_COLUMN + 1], pose[last, ROTATION_COLUMN + 4], pose[last, ROTATION_COLUMN + 7]
-    x = pose[last, POSITION_COLUMN] + along * pose[last, ROTATION_COLUMN] - pose[turned, POSITION_COLUMN]
-    y = pose[last, POSITION_COLUMN + 1] + along * pose[last, ROTATION_COLUMN + 3] - pose[turned, POSITION_COLUMN + 1]
-    z = pose[last, POSITION_COLUMN + 2] + along * pose[last, ROTATION_COLUMN + 6] - pose[turned, POSITION_COLUMN + 2]
+    ax, ay, az = (
+        pose[turned, DIRECTION_COLUMN],
+        pose[turned, DIRECTION_COLUMN + 1],
+        pose[turned, DIRECTION_COLUMN + 2],
+    )
+    nx, ny, nz = (
+        pose[last, ROTATION_COLUMN + 1],
+        pose[last, ROTATION_COLUMN + 4],
+        pose[last, ROTATION_COLUMN + 7],
+    )
+    x = (
+        pose[last, POSITION_COLUMN]
+        + along * pose[last, ROTATION_COLUMN]
+        - pose[turned, POSITION_COLUMN]
+    )
+    y = (
+        pose[last, POSITION_COLUMN + 1]
+        + along * pose[last, ROTATION_COLUMN + 3]
+        - pose[turned, POSITION_COLUMN + 1]
+    )
+    z = (
+        pose[last, POSITION_COLUMN + 2]
+        + along * pose[last, ROTATION_COLUMN + 6]
+        - pose[turned, POSITION_COLUMN + 2]
+    )
     nx, ny, nz = _rotated(ax, ay, az, angle, nx, ny, nz)
     x, y, z = _rotated(ax, ay, az, angle, x, y, z)
     px, py, pz = (
@@ -239,7 +269,9 @@ def write_turned_levers(
 
 
 @kernel_helper
-def _rotated(ax: float, ay: float, az: float, angle: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _rotated(
+    ax: float, ay: float, az: float, angle: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
     """Return a vector (x, y, z), turned about a unit axis by an angle [rad].
 
     Source: Rodrigues' formula.
@@ -256,7 +288,14 @@ def _rotated(ax: float, ay: float, az: float, angle: float, x: float, y: float, 
 
 @kernel_helper
 def write_newton_euler(
-    table: Array, row: int, parent: IndexArray, gravity: Array, q: Array, dq: Array, ddq: Array, torque: Array
+    table: Array,
+    row: int,
+    parent: IndexArray,
+    gravity: Array,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    torque: Array,
 ) -> None:
     """Write the joint torques (n,) that a motion needs against inertia and weight, M q'' + C q' + g [N m].
 
@@ -290,7 +329,15 @@ def write_newton_euler(
 
 @kernel_helper
 def _move_link(
-    table: Array, row: int, before: int, gravity: Array, q: float, dq: float, ddq: float, work: Array, j: int
+    table: Array,
+    row: int,
+    before: int,
+    gravity: Array,
+    q: float,
+    dq: float,
+    ddq: float,
+    work: Array,
+    j: int,
 ) -> None:
     """Write the motion of link j in the frame of the link.
 
@@ -312,7 +359,11 @@ def _move_link(
     if before >= 0:
         wx, wy, wz = work[before, _RATE], work[before, _RATE + 1], work[before, _RATE + 2]
         tx, ty, tz = work[before, _TURN], work[before, _TURN + 1], work[before, _TURN + 2]
-        ox, oy, oz = table[row + ORIGIN_ROW, j], table[row + ORIGIN_ROW + 1, j], table[row + ORIGIN_ROW + 2, j]
+        ox, oy, oz = (
+            table[row + ORIGIN_ROW, j],
+            table[row + ORIGIN_ROW + 1, j],
+            table[row + ORIGIN_ROW + 2, j],
+        )
         # The acceleration of the joint's position is a + t x o + w x (w x o).
         ux, uy, uz = wy * oz - wz * oy, wz * ox - wx * oz, wx * oy - wy * ox
         mx = work[before, _MOVE] + (ty * oz - tz * oy) + (wy * uz - wz * uy)
@@ -323,7 +374,11 @@ def _move_link(
         work[j, _RATE + a] = work[j, a] * wx + work[j, 3 + a] * wy + work[j, 6 + a] * wz
         work[j, _TURN + a] = work[j, a] * tx + work[j, 3 + a] * ty + work[j, 6 + a] * tz
         work[j, _MOVE + a] = work[j, a] * mx + work[j, 3 + a] * my + work[j, 6 + a] * mz
-    ax, ay, az = table[row + AXIS_ROW, j], table[row + AXIS_ROW + 1, j], table[row + AXIS_ROW + 2, j]
+    ax, ay, az = (
+        table[row + AXIS_ROW, j],
+        table[row + AXIS_ROW + 1, j],
+        table[row + AXIS_ROW + 2, j],
+    )
     wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
     work[j, _TURN] += ax * ddq + (wy * az - wz * ay) * dq
     work[j, _TURN + 1] += ay * ddq + (wz * ax - wx * az) * dq
@@ -337,7 +392,11 @@ def _move_link(
 def _load_link(table: Array, row: int, work: Array, j: int) -> None:
     """Write the force and the torque about the joint that the motion of link j needs, in the link's frame."""
     mass = table[row + MASS_ROW, j]
-    hx, hy, hz = table[row + MOMENT_ROW, j], table[row + MOMENT_ROW + 1, j], table[row + MOMENT_ROW + 2, j]
+    hx, hy, hz = (
+        table[row + MOMENT_ROW, j],
+        table[row + MOMENT_ROW + 1, j],
+        table[row + MOMENT_ROW + 2, j],
+    )
     wx, wy, wz = work[j, _RATE], work[j, _RATE + 1], work[j, _RATE + 2]
     tx, ty, tz = work[j, _TURN], work[j, _TURN + 1], work[j, _TURN + 2]
     mx, my, mz = work[j, _MOVE], work[j, _MOVE + 1], work[j, _MOVE + 2]
@@ -346,10 +405,22 @@ def _load_link(table: Array, row: int, work: Array, j: int) -> None:
     work[j, _FORCE] = mass * mx + (ty * hz - tz * hy) + (wy * uz - wz * uy)
     work[j, _FORCE + 1] = mass * my + (tz * hx - tx * hz) + (wz * ux - wx * uz)
     work[j, _FORCE + 2] = mass * mz + (tx * hy - ty * hx) + (wx * uy - wy * ux)
-    xx, yy, zz = table[row + INERTIA_ROW, j], table[row + INERTIA_ROW + 1, j], table[row + INERTIA_ROW + 2, j]
-    xy, xz, yz = table[row + INERTIA_ROW + 3, j], table[row + INERTIA_ROW + 4, j], table[row + INERTIA_ROW + 5, j]
+    xx, yy, zz = (
+        table[row + INERTIA_ROW, j],
+        table[row + INERTIA_ROW + 1, j],
+        table[row + INERTIA_ROW + 2, j],
+    )
+    xy, xz, yz = (
+        table[row + INERTIA_ROW + 3, j],
+        table[row + INERTIA_ROW + 4, j],
+        table[row + INERTIA_ROW + 5, j],
+    )
     # The torque is I t + w x (I w) + h x a.
-    lx, ly, lz = xx * wx + xy * wy + xz * wz, xy * wx + yy * wy + yz * wz, xz * wx + yz * wy + zz * wz
+    lx, ly, lz = (
+        xx * wx + xy * wy + xz * wz,
+        xy * wx + yy * wy + yz * wz,
+        xz * wx + yz * wy + zz * wz,
+    )
     work[j, _TORQUE] = xx * tx + xy * ty + xz * tz + (wy * lz - wz * ly) + (hy * mz - hz * my)
     work[j, _TORQUE + 1] = xy * tx + yy * ty + yz * tz + (wz * lx - wx * lz) + (hz * mx - hx * mz)
     work[j, _TORQUE + 2] = xz * tx + yz * ty + zz * tz + (wx * ly - wy * lx) + (hx * my - hy * mx)
@@ -363,14 +434,24 @@ def _add_load_to_parent(table: Array, row: int, work: Array, j: int, before: int
     gx = work[j, 0] * fx + work[j, 1] * fy + work[j, 2] * fz
     gy = work[j, 3] * fx + work[j, 4] * fy + work[j, 5] * fz
     gz = work[j, 6] * fx + work[j, 7] * fy + work[j, 8] * fz
-    ox, oy, oz = table[row + ORIGIN_ROW, j], table[row + ORIGIN_ROW + 1, j], table[row + ORIGIN_ROW + 2, j]
+    ox, oy, oz = (
+        table[row + ORIGIN_ROW, j],
+        table[row + ORIGIN_ROW + 1, j],
+        table[row + ORIGIN_ROW + 2, j],
+    )
     work[before, _FORCE] += gx
     work[before, _FORCE + 1] += gy
     work[before, _FORCE + 2] += gz
     # The force acts at the joint's position. Thus the torque on the parent is R n + o x (R f).
-    work[before, _TORQUE] += work[j, 0] * nx + work[j, 1] * ny + work[j, 2] * nz + (oy * gz - oz * gy)
-    work[before, _TORQUE + 1] += work[j, 3] * nx + work[j, 4] * ny + work[j, 5] * nz + (oz * gx - ox * gz)
-    work[before, _TORQUE + 2] += work[j, 6] * nx + work[j, 7] * ny + work[j, 8] * nz + (ox * gy - oy * gx)
+    work[before, _TORQUE] += (
+        work[j, 0] * nx + work[j, 1] * ny + work[j, 2] * nz + (oy * gz - oz * gy)
+    )
+    work[before, _TORQUE + 1] += (
+        work[j, 3] * nx + work[j, 4] * ny + work[j, 5] * nz + (oz * gx - ox * gz)
+    )
+    work[before, _TORQUE + 2] += (
+        work[j, 6] * nx + work[j, 7] * ny + work[j, 8] * nz + (ox * gy - oy * gx)
+    )
 
 
 @kernel("matrix", "counts", "vector")
@@ -393,7 +474,9 @@ def weight_torques(table: Array, parent: IndexArray, gravity: Array, q: Array) -
 
 
 @kernel("matrix", "counts", "vector", "vector", "vector", "vector")
-def rigid_body_torques(table: Array, parent: IndexArray, gravity: Array, q: Array, dq: Array, ddq: Array) -> Array:
+def rigid_body_torques(
+    table: Array, parent: IndexArray, gravity: Array, q: Array, dq: Array, ddq: Array
+) -> Array:
     """Return the joint torques (n,) of inertia and weight [N m], see ``write_newton_euler``."""
     torque = np.empty(len(q))
     write_newton_euler(table, 0, parent, gravity, q, dq, ddq, torque)

@@ -47,7 +47,9 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
         peak = motor.torque_peak_N_m / motor.spool_radius_m
         for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
             if strength < STRENGTH_MARGIN * runaway_tension(force):
-                rows.setdefault(_runaway_text(key, force, strength, motor.spool_radius_m), []).append(tendon.name)
+                rows.setdefault(
+                    _runaway_text(key, force, strength, motor.spool_radius_m), []
+                ).append(tendon.name)
     unrated = [digit.name for digit in hand.digit if digit.joint_rated_torque_N_m is None]
     if unrated:
         key = "joint_rated_torque_N_m"
@@ -83,11 +85,15 @@ def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
     tendons = hand.digit_tendons[digit]
     joints = hand.digit_joints[digit]
     motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
-    peaks = np.array([runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors])
+    peaks = np.array(
+        [runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors]
+    )
     limits = hand.joint_limits[:, joints]
     arms = hand.moment_arms[tendons, joints]
     if hand.has_varying_arm[tendons].any():
         postures = np.linspace(limits[0], limits[1], CHECKED_POSTURES)
         arms = np.abs(arms_at(hand.arm_polynomials[tendons, joints], limits, postures)).max(axis=0)
     torques = np.abs(arms).T @ peaks
-    yield from zip(described.joints, torques.tolist(), described.joint_rated_torque_N_m, strict=True)
+    yield from zip(
+        described.joints, torques.tolist(), described.joint_rated_torque_N_m, strict=True
+    )

@@ -103,11 +103,15 @@ class TendonElasticity:
         """Return the tension minus that at the knee [N], for the stretch x beyond the knee [m]."""
         # expm1 is accurate for x near 0.
         softer = self.stiffness - self.stiffness_beyond
-        return self.stiffness_beyond * x - softer * self.knee_width * math.expm1(-x / self.knee_width)
+        return self.stiffness_beyond * x - softer * self.knee_width * math.expm1(
+            -x / self.knee_width
+        )
 
     def _slope(self, x: float) -> float:
         """Return the stiffness [N/m] at the stretch x beyond the knee [m]."""
-        return self.stiffness_beyond + (self.stiffness - self.stiffness_beyond) * math.exp(-x / self.knee_width)
+        return self.stiffness_beyond + (self.stiffness - self.stiffness_beyond) * math.exp(
+            -x / self.knee_width
+        )
 
 
 NEWTON_STEPS = 100

@@ -48,7 +48,9 @@ class HandTree:
         """
         digits = tuple(digits) or DigitModel.all_of(hand)
         parents = [
-            np.where(digit.parent < 0, hand.base_joints[digit.name], digit.parent + digit.joints.start)
+            np.where(
+                digit.parent < 0, hand.base_joints[digit.name], digit.parent + digit.joints.start
+            )
             for digit in digits
         ]
         return HandTree(

@@ -10,7 +10,13 @@ from pathlib import Path
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.formats.meshes import LinkMesh, mesh_mistakes, mesh_sizes, meshes_of_hand, read_meshes
+from handctl.hand.formats.meshes import (
+    LinkMesh,
+    mesh_mistakes,
+    mesh_sizes,
+    meshes_of_hand,
+    read_meshes,
+)
 
 MAX_BYTES = 4 << 20
 """Largest total size of the mesh files in a log [bytes].
@@ -49,7 +55,9 @@ def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[s
     total = sum(mesh_sizes(hand, folder).values())
     if total > MAX_BYTES:
         sizes = f"{total / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.1f} MB"
-        return {}, [f"the meshes have {sizes}, and are not stored in the log: its views show capsules"]
+        return {}, [
+            f"the meshes have {sizes}, and are not stored in the log: its views show capsules"
+        ]
     mistakes = list(mesh_mistakes(hand, folder))
     wrong = {mistake.where for mistake in mistakes}
     files = [mesh.file for mesh in meshes_of_hand(hand) if mesh.key not in wrong]
@@ -57,7 +65,9 @@ def mesh_attachments(hand: Hand, folder: Path) -> tuple[dict[str, bytes], list[s
     return {attachment_name(file): data for file, data in read_meshes(files, folder).items()}, lines
 
 
-def attached_meshes(hand: Hand, attachments: Mapping[str, bytes]) -> tuple[dict[str, AttachedMesh], list[str]]:
+def attached_meshes(
+    hand: Hand, attachments: Mapping[str, bytes]
+) -> tuple[dict[str, AttachedMesh], list[str]]:
     """Return the meshes in a log by name of their link, and the links whose mesh is missing or damaged.
 
     Args:
@@ -69,7 +79,9 @@ def attached_meshes(hand: Hand, attachments: Mapping[str, bytes]) -> tuple[dict[
     for mesh in meshes_of_hand(hand):
         data = attachments.get(attachment_name(mesh.file), b"")
         try:
-            found[mesh.link] = AttachedMesh(mesh, data, mesh.place(mesh_triangles(data, mesh.suffix)))
+            found[mesh.link] = AttachedMesh(
+                mesh, data, mesh.place(mesh_triangles(data, mesh.suffix))
+            )
         except ValueError:
             missing.append(mesh.link)
     return found, missing

@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TELEMETRY_FIRST
 from handctl.log.header import RunHeader
-from handctl.log.record import FRAME_SIZE, TICK_HEAD_STRUCT, TICK_SIZES_STRUCT, TickRecord, message_layout, unpack_tick
+from handctl.log.record import (
+    FRAME_SIZE,
+    TICK_HEAD_STRUCT,
+    TICK_SIZES_STRUCT,
+    TickRecord,
+    message_layout,
+    unpack_tick,
+)
 
 FRAME_DTYPE = np.dtype(
     [
@@ -101,7 +108,9 @@ def column_count(header: RunHeader, fields: tuple[str, ...]) -> int:
     return sum(len(header.axis(TELEMETRY_AXES[name])) for name in fields)
 
 
-def columns_of_fields(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> dict[str, slice]:
+def columns_of_fields(
+    header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS
+) -> dict[str, slice]:
     """Return the column numbers of each telemetry field in a row.
 
     Args:
@@ -134,7 +143,9 @@ class _FrameCollector:
     def frames(self) -> FrameBatch:
         """Return the collected frames of all ticks."""
         tick = np.repeat(np.arange(len(self.counts)), self.counts)
-        return FrameBatch(np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_parts))
+        return FrameBatch(
+            np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_parts)
+        )
 
 
 class TickBatcher:
@@ -151,7 +162,9 @@ class TickBatcher:
         Args:
             header: header of the run, with the number of telemetry columns.
         """
-        self._sizes = tuple(len(header.axis(name)) for name in ("joint", "tendon", "motor", "digit"))
+        self._sizes = tuple(
+            len(header.axis(name)) for name in ("joint", "tendon", "motor", "digit")
+        )
         self._width = sum(len(header.axis(axis)) for axis in TELEMETRY_AXES.values())
         self._phase_of_tail: dict[bytes, str] = {}
         self.misshapen = 0
@@ -234,7 +247,8 @@ class TickBatcher:
         """Return the batch of all ticks added since the last call, and begin another batch."""
         # Four bytes of CDR encapsulation precede the part of constant length in each message.
         fixed = np.frombuffer(
-            b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]), FIXED_DTYPE
+            b"".join([message[4 : 4 + TICK_HEAD_STRUCT.size] for message in self._messages]),
+            FIXED_DTYPE,
         )
         numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(len(fixed), self._width)
         batch = TickBatch(

@@ -66,7 +66,9 @@ class ChunkTable:
         """
         layout = b"".join([_CHANNEL_STRUCT.pack(*item) for item in index_offsets.items()])
         # `setdefault` numbers the arrangements in the order of their first use.
-        self._latest += _CHUNK_ROW_STRUCT.pack(*chunk, self._layouts.setdefault(layout, len(self._layouts)))
+        self._latest += _CHUNK_ROW_STRUCT.pack(
+            *chunk, self._layouts.setdefault(layout, len(self._layouts))
+        )
         if len(self._latest) == CHUNKS_PER_BLOCK * _CHUNK_ROW_STRUCT.size:
             self._packed.append(zlib.compress(self._latest))
             self._latest.clear()

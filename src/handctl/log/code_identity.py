@@ -21,6 +21,10 @@ def code_identity() -> str:
     digest = hashlib.sha256()
     # Sorted paths and NUL separators make the hash depend only on names and contents, not on the
     # order in which the file system lists the files.
-    for path in sorted(path for name in CONTROL_PACKAGES for path in (package / name).rglob("*.py")):
-        digest.update(path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    for path in sorted(
+        path for name in CONTROL_PACKAGES for path in (package / name).rglob("*.py")
+    ):
+        digest.update(
+            path.relative_to(package).as_posix().encode() + b"\0" + path.read_bytes() + b"\0"
+        )
     return digest.hexdigest()[:12]

@@ -167,7 +167,9 @@ class McapContainer:
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record."""
         raw = records_as_bytes([Metadata(name=name, metadata=values)])
-        self._summary.metadata.append(MetadataIndex(offset=self._write_bytes(raw), length=len(raw), name=name))
+        self._summary.metadata.append(
+            MetadataIndex(offset=self._write_bytes(raw), length=len(raw), name=name)
+        )
 
     def chunk(
         self,
@@ -184,7 +186,9 @@ class McapContainer:
         packed = lz4.frame.compress(content)
         first = min((int(block.log_times.min()) for block in blocks), default=0)
         last = max((int(block.log_times.max()) for block in blocks), default=0)
-        fields = _CHUNK_STRUCT.pack(first, last, len(content), zlib.crc32(content), 3, b"lz4", len(packed))
+        fields = _CHUNK_STRUCT.pack(
+            first, last, len(content), zlib.crc32(content), 3, b"lz4", len(packed)
+        )
         chunk = _RECORD_STRUCT.pack(Opcode.CHUNK, len(fields) + len(packed)) + fields + packed
         indexes, index_offsets = _message_indexes(blocks, len(head))
         start = self._write_bytes(chunk + indexes)
@@ -204,7 +208,9 @@ class McapContainer:
         # The CRC covers the summary section and those fields of the footer that precede the CRC:
         # opcode, length 20, and both offsets.
         fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
-        footer = records_as_bytes([Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))])
+        footer = records_as_bytes(
+            [Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))]
+        )
         self._write_bytes(body + footer + MAGIC)
 
     def _statistics(self) -> Statistics:
@@ -242,7 +248,11 @@ class McapContainer:
         for code, group in groups:
             raw = records_as_bytes(group)
             if raw:
-                offsets.append(SummaryOffset(group_length=len(raw), group_opcode=code, group_start=start + len(body)))
+                offsets.append(
+                    SummaryOffset(
+                        group_length=len(raw), group_opcode=code, group_start=start + len(body)
+                    )
+                )
             body += raw
         return body + records_as_bytes(offsets), start + len(body)
 
@@ -267,6 +277,8 @@ def _message_indexes(blocks: Sequence[MessageBlock], base: int) -> tuple[bytes, 
     for channel, parts in entries.items():
         raw = b"".join(part.tobytes() for part in parts)
         offsets[channel] = at
-        out.append(_MESSAGE_INDEX_STRUCT.pack(Opcode.MESSAGE_INDEX, 6 + len(raw), channel, len(raw)) + raw)
+        out.append(
+            _MESSAGE_INDEX_STRUCT.pack(Opcode.MESSAGE_INDEX, 6 + len(raw), channel, len(raw)) + raw
+        )
         at += len(out[-1])
     return b"".join(out), offsets

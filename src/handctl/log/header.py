@@ -75,8 +75,13 @@ class RunHeader:
             more: values of the other attributes of the header.
         """
         hand = tomllib.loads(hand_toml)
-        joints = tuple(f"{d['name']}_j{i + 1}" for d in hand["digit"] for i in range(len(d["link_length_m"])))
-        names = {part: tuple(item["name"] for item in hand[part]) for part in ("tendon", "motor", "digit", "bus")}
+        joints = tuple(
+            f"{d['name']}_j{i + 1}" for d in hand["digit"] for i in range(len(d["link_length_m"]))
+        )
+        names = {
+            part: tuple(item["name"] for item in hand[part])
+            for part in ("tendon", "motor", "digit", "bus")
+        }
         return cls(
             hand_toml,
             joints,
@@ -128,8 +133,14 @@ class RunHeader:
             LogError: the value in the log is not a time.
         """
         text = self.metadata.get(TRUTH_OFFSET_KEY, "0")
-        if not (text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= MAX_LOG_TIME_NS):
-            raise LogError(f"{TRUTH_OFFSET_KEY} = {text}", "the log", f"a whole number from 0 to {MAX_LOG_TIME_NS}")
+        if not (
+            text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= MAX_LOG_TIME_NS
+        ):
+            raise LogError(
+                f"{TRUTH_OFFSET_KEY} = {text}",
+                "the log",
+                f"a whole number from 0 to {MAX_LOG_TIME_NS}",
+            )
         return int(text)
 
     def axis(self, name: str) -> tuple[str, ...]:
@@ -146,7 +157,10 @@ class RunHeader:
         sizes = {name: len(data) for name, data in self.attachments.items()}
         fields = asdict(self) | {"attachments": sizes}
         for table in ("metadata", "gains", "wall"):
-            fields[table] = {escape_surrogates(name): escape_surrogates(text) for name, text in fields[table].items()}
+            fields[table] = {
+                escape_surrogates(name): escape_surrogates(text)
+                for name, text in fields[table].items()
+            }
         return json.dumps(fields).encode() + b"\n" + b"".join(self.attachments.values())
 
     @classmethod
@@ -185,7 +199,9 @@ def _checked_names(key: str, value: Any) -> tuple[str, ...]:
         raise ValueError(f"{key} is {_brief_text(value)}, not a list of at most {MAX_NAMES} names")
     for name in value:
         if not isinstance(name, str) or not NAME_PATTERN.fullmatch(name):
-            raise ValueError(f"{key} contains {_brief_text(name)}, not a name of letters, digits and _")
+            raise ValueError(
+                f"{key} contains {_brief_text(name)}, not a name of letters, digits and _"
+            )
     if len(set(value)) < len(value):
         raise ValueError(f"{key} contains a name twice")
     return tuple(value)

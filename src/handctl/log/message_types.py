@@ -35,7 +35,8 @@ MESSAGE_DEFINITIONS = {
     "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
     "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
     "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
-    "geometry_msgs/TransformStamped": _HEADER_FIELD + "string child_frame_id\ngeometry_msgs/Transform transform\n",
+    "geometry_msgs/TransformStamped": _HEADER_FIELD
+    + "string child_frame_id\ngeometry_msgs/Transform transform\n",
     "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n",
     "geometry_msgs/WrenchStamped": _HEADER_FIELD + "geometry_msgs/Wrench wrench\n",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
@@ -47,11 +48,13 @@ MESSAGE_DEFINITIONS = {
     "ros2_socketcan_msgs/FdFrame": _HEADER_FIELD
     + "uint32 id\nbool is_extended\nbool is_error\nuint8 len\nuint8[<=64] data\n",
     "pal_statistics_msgs/StatisticsNames": _HEADER_FIELD + "string[] names\nuint32 names_version\n",
-    "pal_statistics_msgs/StatisticsValues": _HEADER_FIELD + "float64[] values\nuint32 names_version\n",
+    "pal_statistics_msgs/StatisticsValues": _HEADER_FIELD
+    + "float64[] values\nuint32 names_version\n",
     "diagnostic_msgs/KeyValue": "string key\nstring value\n",
     "diagnostic_msgs/DiagnosticStatus": "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\n"
     "byte level\nstring name\nstring message\nstring hardware_id\ndiagnostic_msgs/KeyValue[] values\n",
-    "diagnostic_msgs/DiagnosticArray": _HEADER_FIELD + "diagnostic_msgs/DiagnosticStatus[] status\n",
+    "diagnostic_msgs/DiagnosticArray": _HEADER_FIELD
+    + "diagnostic_msgs/DiagnosticStatus[] status\n",
     "rcl_interfaces/Log": "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
     "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line\n",
     "rcl_interfaces/ParameterValue": "uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\n"
@@ -75,7 +78,8 @@ MESSAGE_DEFINITIONS = {
     "# skipped before this one; stale: age of each motor's feedback [s].\n"
     + _HEADER_FIELD
     + "float64 period\nfloat64 late\nfloat64 last_reply\nuint32 missed\nuint8 mode\nuint8 action\nfloat64[] stale\n",
-    "handctl_msgs/Estimate": _HEADER_FIELD + "string[] name\nfloat64[] value\nfloat64[] variance\nstring[] unit\n",
+    "handctl_msgs/Estimate": _HEADER_FIELD
+    + "string[] name\nfloat64[] value\nfloat64[] variance\nstring[] unit\n",
     "handctl_msgs/CanFrame": "# flags: BRS 1, ESI 2, FDF 4; bus: index in the hand file; data: the first eight bytes.\n"
     "int64 t_ns\nuint32 can_id\nuint16 flags\nuint8 bus\nuint8 length\nuint8[8] data\n",
     "handctl_msgs/IoEvent": "string kind\nstring where\nint64 number\n",

@@ -205,7 +205,10 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     beginnings = [records.getfield(_SHORT_FRAME_DTYPE).tobytes() for records in (received, sent)]
     long_part = _NO_LONG_DATA
     # The slice with a stride reads the length bytes of all frames, without decoding the frames.
-    if max(b"".join([part[_LENGTH_AT::FRAME_SIZE] for part in beginnings]), default=0) > _SHORT_DATA:
+    if (
+        max(b"".join([part[_LENGTH_AT::FRAME_SIZE] for part in beginnings]), default=0)
+        > _SHORT_DATA
+    ):
         long_data = _long_data(received) + _long_data(sent)
         long_part = _COUNT_STRUCT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
     # The first member of a frame is an int64. Therefore CDR aligns the frames to 8 bytes. An empty
@@ -233,19 +236,29 @@ def pack_tick_record(tick_in: TickIn, out: TickOut) -> bytes:
     values = out.telemetry.packed()
     sizes = TICK_SIZES_STRUCT.pack(len(message), *_axis_lengths(out.telemetry))
     return b"".join(
-        (RECORD_FRAMING_STRUCT.pack(12 + len(message) + len(values), TICK_RECORD_KIND), sizes, message, values)
+        (
+            RECORD_FRAMING_STRUCT.pack(12 + len(message) + len(values), TICK_RECORD_KIND),
+            sizes,
+            message,
+            values,
+        )
     )
 
 
 def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
     """Encode the controller's state after a tick as a record for the pipe."""
-    return record_bytes(SNAPSHOT_RECORD_KIND, SNAPSHOT_HEAD_STRUCT.pack(tick_in.k, tick_in.t_ns) + data)
+    return record_bytes(
+        SNAPSHOT_RECORD_KIND, SNAPSHOT_HEAD_STRUCT.pack(tick_in.k, tick_in.t_ns) + data
+    )
 
 
 def _axis_lengths(numbers: Telemetry | PackedTelemetry) -> list[int]:
     """Return the numbers of joints, tendons, motors and digits in the telemetry."""
     if isinstance(numbers, PackedTelemetry):
-        return [columns.stop - columns.start for columns in map(numbers.places.__getitem__, _FIELD_OF_EACH_AXIS)]
+        return [
+            columns.stop - columns.start
+            for columns in map(numbers.places.__getitem__, _FIELD_OF_EACH_AXIS)
+        ]
     return [len(getattr(numbers, name)) for name in _FIELD_OF_EACH_AXIS]
 
 
@@ -280,7 +293,9 @@ def message_layout(message: bytes) -> MessageLayout:
     (size,) = _COUNT_STRUCT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
     # The long bytes may end at any offset. The text that follows them is aligned to 4 bytes.
-    return MessageLayout(slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4)
+    return MessageLayout(
+        slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4
+    )
 
 
 def _decode_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
@@ -341,12 +356,16 @@ def unpack_tick(message: bytes) -> TickRecord:
         frames_out, rest = _decode_frames(message[parts.sent], rest)
         if rest:
             raise ValueError("more data than frames")
-        return _build_tick(TICK_HEAD_STRUCT.unpack_from(message, 4), frames_in, frames_out, message, parts.tail)
+        return _build_tick(
+            TICK_HEAD_STRUCT.unpack_from(message, 4), frames_in, frames_out, message, parts.tail
+        )
     except struct.error as error:
         raise ValueError(f"the message ends early: {error}") from None
 
 
-def _build_tick(fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail: int) -> TickRecord:
+def _build_tick(
+    fixed: _TickHead, received: Frames, sent: Frames, message: bytes, tail: int
+) -> TickRecord:
     """Build a tick from the parts of a Tick message, and return the tick.
 
     Args:
@@ -363,14 +382,21 @@ def _build_tick(fixed: _TickHead, received: Frames, sent: Frames, message: bytes
     reader = CdrReader(message)
     reader.take(tail - 4)
     phase = reader.text()
-    io_events = tuple(IoEvent(reader.text(), reader.text(), reader.i64()) for _ in range(reader.count()))
+    io_events = tuple(
+        IoEvent(reader.text(), reader.text(), reader.i64()) for _ in range(reader.count())
+    )
     requests = tuple(reader.text() for _ in range(reader.count()))
-    events = tuple(TickEvent(reader.text(), reader.text(), reader.text(), reader.text()) for _ in range(reader.count()))
+    events = tuple(
+        TickEvent(reader.text(), reader.text(), reader.text(), reader.text())
+        for _ in range(reader.count())
+    )
     tick_in = TickIn(k, t_ns, late_ns, received, io_events, requests)
     return TickRecord(tick_in, sent, Mode(mode), phase, Action(action), events, state_hash)
 
 
-def _tick_without_events(fixed: _TickHead, received: Frames, sent: Frames, phase: str) -> TickRecord:
+def _tick_without_events(
+    fixed: _TickHead, received: Frames, sent: Frames, phase: str
+) -> TickRecord:
     """Return a tick that has no io events, no requests and no events."""
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     tick_in = new_tuple(TickIn, (k, t_ns, late_ns, received, (), ()))
@@ -445,5 +471,7 @@ def unpack_tick_record(record: bytes) -> tuple[TickIn, TickOut]:
     ends = np.cumsum([lengths[TELEMETRY_AXES[name]] for name in TELEMETRY_FIELDS])
     parts = np.split(np.frombuffer(record[start + size :], "<f8"), ends[:-1])
     telemetry = Telemetry(*parts)
-    out = TickOut(tick.frames, tick.mode, tick.phase, tick.action, telemetry, tick.events, tick.state_hash)
+    out = TickOut(
+        tick.frames, tick.mode, tick.phase, tick.action, telemetry, tick.events, tick.state_hash
+    )
     return tick.tick_in, out

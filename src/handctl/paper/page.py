@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from handctl.paper.item import ErrataItem
-from handctl.paper.sections import INTRODUCTION_TEXT, PAGE_TITLE, PAPER_CITATION, PageSection, count_by_verdict
+from handctl.paper.sections import (
+    INTRODUCTION_TEXT,
+    PAGE_TITLE,
+    PAPER_CITATION,
+    PageSection,
+    count_by_verdict,
+)
 
 FIGURES_FOLDER = "../figures"
 """Folder of the figures, relative to the folder of the Markdown page."""

@@ -141,7 +141,9 @@ def _dynamics_section() -> PageSection:
 def _assumptions_section() -> PageSection:
     return PageSection(
         "Assumptions that the model does not state",
-        ("These items are no misprints, but parts of the paper that contradict each other or the laws of mechanics.",),
+        (
+            "These items are no misprints, but parts of the paper that contradict each other or the laws of mechanics.",
+        ),
         (),
         tuple(assumptions.assumption_items()),
     )

@@ -70,7 +70,12 @@ def tension_per_newton(digit: Digit) -> Fraction:
 
 def tension_of_payload_kg(mass: int) -> Fraction:
     """Return the tension of each finger's tendon at which the friction of three fingers holds a mass [kg] [N]."""
-    return mass * GRAVITY_M_PER_S2 / (FINGER_COUNT * FRICTION_COEFFICIENT) * tension_per_newton(paper_finger())
+    return (
+        mass
+        * GRAVITY_M_PER_S2
+        / (FINGER_COUNT * FRICTION_COEFFICIENT)
+        * tension_per_newton(paper_finger())
+    )
 
 
 def wire_diameter_mm(tension_n: Fraction | float) -> float:

@@ -60,7 +60,11 @@ def verdict_of_lower_bound(printed: str, value: float) -> ErrataVerdict:
     ``wrong`` for a value below.
     """
     verdict = verdict_of_number(printed, value)
-    return ErrataVerdict.BOUND if verdict == ErrataVerdict.WRONG and value > float(printed) else verdict
+    return (
+        ErrataVerdict.BOUND
+        if verdict == ErrataVerdict.WRONG and value > float(printed)
+        else verdict
+    )
 
 
 def verdict_of_readings(right: Sequence[bool]) -> ErrataVerdict:
@@ -68,7 +72,9 @@ def verdict_of_readings(right: Sequence[bool]) -> ErrataVerdict:
     return verdict_of_statement(all(right)) if len(set(right)) == 1 else ErrataVerdict.UNDECIDABLE
 
 
-def verdict_of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> ErrataVerdict:
+def verdict_of_contradiction(
+    printed: Sequence[str], exact: Fraction | float | None
+) -> ErrataVerdict:
     """Return the verdict on several printed values of the same quantity.
 
     If the printed values differ and there is no exact value, the verdict is undecidable.

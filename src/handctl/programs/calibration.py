@@ -33,7 +33,9 @@ class TendonCalibration(Document):
     @classmethod
     def _readable(cls, tare: float) -> float:
         if not TARE_MIN_N <= tare <= TARE_MAX_N:
-            raise ValueError(f"{TARE_MIN_N:g} to {TARE_MAX_N:g} N: adjust the load cell, then commission again")
+            raise ValueError(
+                f"{TARE_MIN_N:g} to {TARE_MAX_N:g} N: adjust the load cell, then commission again"
+            )
         return tare
 
 

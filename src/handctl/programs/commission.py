@@ -64,7 +64,16 @@ MIN_ANSWER_FRACTION = 0.6
 MAX_CROSSTALK_FRACTION = 0.3
 """Largest accepted response of any other load cell, as a fraction of the pull."""
 
-TARE_SUM, TARE_SAMPLES, ZERO_COLUMN, ANSWER_COLUMN, CROSSTALK_COLUMN, PULL_SUM, REST_SUM, REST_SAMPLES = range(8)
+(
+    TARE_SUM,
+    TARE_SAMPLES,
+    ZERO_COLUMN,
+    ANSWER_COLUMN,
+    CROSSTALK_COLUMN,
+    PULL_SUM,
+    REST_SUM,
+    REST_SAMPLES,
+) = range(8)
 COLUMN_COUNT = 8
 """Number of columns of the table in `ProgramProgress.record`.
 
@@ -89,10 +98,17 @@ class CommissionProgram:
     def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress at the start: no torque, and a table of zeros."""
         empty = (0.0,) * (COLUMN_COUNT * model.tendon_count)
-        return replace(ProgramProgress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty)
+        return replace(
+            ProgramProgress.initial(len(model.digits), TARE_PHASE), since=-1.0, record=empty
+        )
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Advance commissioning by one tick. See `Program`."""
         if progress.finished:
@@ -203,7 +219,12 @@ class CommissionProgram:
         )
 
     def _hold(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Wait until the held digit rests, read all load cells and the motor zeros, then pull the present tendon."""
         i = progress.step - 1
@@ -234,9 +255,9 @@ class CommissionProgram:
         table[:, REST_SAMPLES] += 1.0
         if first:
             stretch = tension[own] / model.space.stiffness[own]
-            table[own, ZERO_COLUMN] += (measured.travel[own] - stretch - excursion) / model.space.spool[
-                own
-            ]
+            table[own, ZERO_COLUMN] += (
+                measured.travel[own] - stretch - excursion
+            ) / model.space.spool[own]
         progress = replace(
             _with_table(progress, table), touching=(waiting + 1, *progress.touching[1:])
         )
@@ -254,10 +275,17 @@ class CommissionProgram:
             phase=f"pull {name}",
             touching=(1,) * len(progress.goals),
         )
-        return pulling, (TickEvent("info", "phase", name, f"pulling {name} with {PULL_N:g} N more"),)
+        return pulling, (
+            TickEvent("info", "phase", name, f"pulling {name} with {PULL_N:g} N more"),
+        )
 
     def _pull(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Pull the present tendon: wait until it is taut, let it settle, and measure its response."""
         i = progress.step - 1
@@ -288,7 +316,9 @@ class CommissionProgram:
             _with_table(progress, table), touching=(samples + 1, *progress.touching[1:])
         ), ()
 
-    def _judge(self, model: HandModel, progress: ProgramProgress, i: int, t: float) -> ProgressAndEvents:
+    def _judge(
+        self, model: HandModel, progress: ProgramProgress, i: int, t: float
+    ) -> ProgressAndEvents:
         """Accept the measured response of tendon i, or refuse the hand."""
         answer, crosstalk = _table_of(progress)[i, [ANSWER_COLUMN, CROSSTALK_COLUMN]]
         if answer < MIN_ANSWER_FRACTION * PULL_N:
@@ -329,7 +359,9 @@ class CommissionProgram:
             touching=(BEFORE_PULL,) * len(passive),
         ), ()
 
-    def _refuse(self, model: HandModel, progress: ProgramProgress, i: int, text: str) -> ProgressAndEvents:
+    def _refuse(
+        self, model: HandModel, progress: ProgramProgress, i: int, text: str
+    ) -> ProgressAndEvents:
         """End the program with a failure of tendon i."""
         name = model.hand.tendon_names[i]
         failed = replace(
@@ -365,7 +397,9 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
     return DigitGoal(GoalKind.TENSION, tension=tension, rate=20.0, force_limit=PULL_FORCE_LIMIT_N)
 
 
-def _known_tensions(model: HandModel, measured: TickMeasurements, estimate: Estimate | None = None) -> Vector:
+def _known_tensions(
+    model: HandModel, measured: TickMeasurements, estimate: Estimate | None = None
+) -> Vector:
     """Return the tensions (N,) of a tick [N]: readings of load cells, and estimates of tendons without load cell.
 
     If no estimate is given, a tendon without load cell counts as slack.
@@ -398,7 +432,9 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
     torque = digit.coupling.T @ np.asarray(static_torque(digit, digit.joint_min)) - press
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
     limit = float(np.abs(tension).max()) + PULL_FORCE_LIMIT_N
-    goal = DigitGoal(GoalKind.TENSION, tension=tension + more[tendons], rate=20.0, force_limit=limit)
+    goal = DigitGoal(
+        GoalKind.TENSION, tension=tension + more[tendons], rate=20.0, force_limit=limit
+    )
     return tuple(goal if d == held else DigitGoal() for d in range(len(model.digits)))
 
 

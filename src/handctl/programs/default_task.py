@@ -75,7 +75,9 @@ def default_task(hand: Hand) -> tuple[Task, str]:
     """
     largest = min(tendon.tension_max_N for tendon in hand.tendon)
     floor = max(tendon.tension_floor_N for tendon in hand.tendon)
-    opened = {name: np.zeros_like(_closed_angles_deg(hand, name)).tolist() for name in hand.digit_names}
+    opened = {
+        name: np.zeros_like(_closed_angles_deg(hand, name)).tolist() for name in hand.digit_names
+    }
     # A digit that carries other digits, such as a wrist, keeps its angle.
     closing = [name for name in hand.digit_names if name not in hand.carrier_digits]
     content: dict[str, Any] = {
@@ -95,16 +97,25 @@ def default_task(hand: Hand) -> tuple[Task, str]:
                 "kind": "hold",
                 "name": "hold",
                 "tension_N": {
-                    name: _hold_tensions(hand, name, share) for name, share in _tension_factors(hand).items()
+                    name: _hold_tensions(hand, name, share)
+                    for name, share in _tension_factors(hand).items()
                 },
                 "rate_N_per_s": 40.0,
                 "duration_s": 5.0,
             },
-            {"kind": "release", "name": "release", "tension_N": min(floor + RELEASE_N, largest), "rate_N_per_s": 60.0},
+            {
+                "kind": "release",
+                "name": "release",
+                "tension_N": min(floor + RELEASE_N, largest),
+                "rate_N_per_s": 60.0,
+            },
             {"kind": "move", "name": "open", "angle_deg": opened, "duration_s": OPENING_S},
         ],
     }
-    text = f"# Made for {hand.name} by handctl: open, close until contact, hold, release, open.\n" + toml_text(content)
+    text = (
+        f"# Made for {hand.name} by handctl: open, close until contact, hold, release, open.\n"
+        + toml_text(content)
+    )
     return validate_content(parse_toml(text, "default task"), Task, "default task"), text
 
 
@@ -131,7 +142,10 @@ def _tension_factors(hand: Hand) -> dict[str, float]:
     behind = sum(opposed.values())
     if behind == 0:
         return dict.fromkeys(opposed, 1.0)
-    return {name: count / 2 / (behind if is_opposed else count - behind) for name, is_opposed in opposed.items()}
+    return {
+        name: count / 2 / (behind if is_opposed else count - behind)
+        for name, is_opposed in opposed.items()
+    }
 
 
 def _balance_factors(hand: Hand) -> dict[str, float] | None:
@@ -152,7 +166,9 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
     tree = HandTree.of(hand)
     turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {
-        digit.name: turned[digit.joints][-1, :, 1] for digit in tree.digits if digit.name not in hand.carrier_digits
+        digit.name: turned[digit.joints][-1, :, 1]
+        for digit in tree.digits
+        if digit.name not in hand.carrier_digits
     }
 
 
@@ -177,7 +193,10 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
         round(
-            min(share * max(HOLD_FRACTION * tendon.tension_max_N, pressing), LARGEST_HOLD * tendon.tension_max_N)
+            min(
+                share * max(HOLD_FRACTION * tendon.tension_max_N, pressing),
+                LARGEST_HOLD * tendon.tension_max_N,
+            )
             if arm > 0.0
             else EXTENSOR_FACTOR * tendon.tension_floor_N,
             1,
@@ -191,7 +210,9 @@ def _pressing_tension(hand: Hand, name: str) -> float:
     digit = DigitModel.of(hand, name)
     half = np.radians(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half
-    springs = digit.coupling.T @ (np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload)))
+    springs = digit.coupling.T @ (
+        np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload))
+    )
     torque = springs + PRESS_N * reduced_tip_lever(digit, q)
     arms = digit.at(q).reduced_moment_arms
     closing = arms[arms.sum(axis=1) > 0.0].sum(axis=0)

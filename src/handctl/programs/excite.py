@@ -96,7 +96,12 @@ class ExciteProgram:
         return replace(ProgramProgress.initial(len(model.digits), "start"), step=-1)
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Advance the excitation by one tick. See `Program`."""
         if progress.finished:
@@ -137,25 +142,33 @@ class ExciteProgram:
         phase = f"{step.digit} {step.name}"
         same_phase = phase == progress.phase
         contact = tuple(i == d and step.held for i in range(len(goals)))
-        progress = replace(progress, step=index, since=t, phase=phase, goals=tuple(goals), contact=contact)
+        progress = replace(
+            progress, step=index, since=t, phase=phase, goals=tuple(goals), contact=contact
+        )
         # Consecutive steps with the same name are one phase in the log.
         return progress, () if same_phase else (TickEvent("info", "phase", step.digit, phase),)
 
 
-def _digit_goal(model: HandModel, d: int, step: ExciteStep, estimate: Estimate, t: float) -> DigitGoal:
+def _digit_goal(
+    model: HandModel, d: int, step: ExciteStep, estimate: Estimate, t: float
+) -> DigitGoal:
     """Return the goal of digit d in a step."""
     digit = model.digits[d]
     tendons = model.digit_tendons[d]
     here = coordinates_by_excursion(digit, estimate)
     targets = np.array(step.targets) if step.targets else None
     if step.kind == "move":
-        path = MinimumJerk(here, np.full_like(here, step.target) if targets is None else targets, step.duration_s)
+        path = MinimumJerk(
+            here, np.full_like(here, step.target) if targets is None else targets, step.duration_s
+        )
         return DigitGoal(GoalKind.MOTION, path, since=t)
     if step.kind == "chirp":
         amplitudes = step.amplitudes or (step.amplitude,) * len(here)
         chirp = ChirpTrajectory(0.0, 1.0, step.low_Hz, step.high_Hz, step.duration_s, 1)
         swing = SwingTrajectory(
-            np.full_like(here, step.target) if targets is None else targets, np.array(amplitudes), chirp
+            np.full_like(here, step.target) if targets is None else targets,
+            np.array(amplitudes),
+            chirp,
         )
         return DigitGoal(GoalKind.MOTION, swing, since=t)
     if step.kind == "limp":

@@ -8,7 +8,13 @@ from handctl.core.law.goal import DigitGoal
 from handctl.core.model import HandModel
 from handctl.core.types import TickEvent
 from handctl.programs.live import LiveProgram
-from handctl.programs.program import ProgramProgress, ProgressAndEvents, motion_to, pull_tensions, tension_goal
+from handctl.programs.program import (
+    ProgramProgress,
+    ProgressAndEvents,
+    motion_to,
+    pull_tensions,
+    tension_goal,
+)
 
 REST_S = 0.15
 """Time at the end of every move, in which the digit may still oscillate [s]."""
@@ -89,24 +95,39 @@ class ExerciseProgram:
         if not model.is_pair.any():
             return self.stages
         gentle = ExerciseStage("close", GENTLE_CLOSE_S, tension=GENTLE_CLOSE_N)
-        return tuple(part for stage in self.stages for part in ((gentle, stage) if stage.name == "close" else (stage,)))
+        return tuple(
+            part
+            for stage in self.stages
+            for part in ((gentle, stage) if stage.name == "close" else (stage,))
+        )
 
     def initial(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
         return LiveProgram().initial(model)
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Advance the exercise by one tick. See `Program`."""
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
-            return self._enter(model, progress, estimate, 0, t) if progress.phase == "live" else (progress, events)
+            return (
+                self._enter(model, progress, estimate, 0, t)
+                if progress.phase == "live"
+                else (progress, events)
+            )
         parts = self.stages_of(model)
         if t - progress.since < parts[progress.step].duration:
             return progress, ()
         if progress.step + 1 == len(parts):
-            return replace(progress, finished=True, phase="end"), (TickEvent("info", "phase", "", "exercise complete"),)
+            return replace(progress, finished=True, phase="end"), (
+                TickEvent("info", "phase", "", "exercise complete"),
+            )
         return self._enter(model, progress, estimate, progress.step + 1, t)
 
     def _enter(
@@ -119,10 +140,14 @@ class ExerciseProgram:
         event = TickEvent("info", "phase", "", f"{stage.name} {step + 1} of {len(parts)}")
         # In `hold` every digit rests on its closed stop.
         blocked = (stage.name == "hold",) * len(goals)
-        return replace(progress, step=step, since=t, phase=stage.name, goals=goals, contact=blocked), (event,)
+        return replace(
+            progress, step=step, since=t, phase=stage.name, goals=goals, contact=blocked
+        ), (event,)
 
 
-def _digit_goal(model: HandModel, d: int, stage: ExerciseStage, estimate: Estimate, t: float) -> DigitGoal:
+def _digit_goal(
+    model: HandModel, d: int, stage: ExerciseStage, estimate: Estimate, t: float
+) -> DigitGoal:
     """Return the goal of digit d in a stage."""
     if not math.isnan(stage.angle):
         return motion_to(model.digits[d], estimate, stage.angle, stage.duration - stage.rest, t)

@@ -79,7 +79,12 @@ class TaskProgram:
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Advance the task by one tick. See `Program`."""
         if progress.finished:
@@ -161,14 +166,22 @@ class TaskProgram:
         if isinstance(phase, HoldPhase) and not any(contact):
             events.append(TickEvent("warn", "phase", "", f"{phase.name}: no digit is in contact"))
         grip = (
-            GripState.of(model, goals, estimate, t) if isinstance(phase, HoldPhase) and any(contact) else None
+            GripState.of(model, goals, estimate, t)
+            if isinstance(phase, HoldPhase) and any(contact)
+            else None
         )
         untouched = (0,) * len(names)
         progress = replace(progress, goals=goals, touching=untouched, grip=grip)
         return replace(progress, closing=_closing_digits(phase, progress)), tuple(events)
 
     def _goal(
-        self, model: HandModel, progress: ProgramProgress, d: int, name: str, estimate: Estimate, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        d: int,
+        name: str,
+        estimate: Estimate,
+        t: float,
     ) -> DigitGoal:
         """Return the goal of digit d at the beginning of the present phase."""
         phase = self.task.phase[progress.step - 1]
@@ -243,11 +256,11 @@ class TaskProgram:
             return progress, ()
         limit = phase.slip_limit_N
         plan = _grip_plan(
-            model, phase.stiffness_N_per_mm, tuple(limit.items()) if isinstance(limit, dict) else limit
+            model,
+            phase.stiffness_N_per_mm,
+            tuple(limit.items()) if isinstance(limit, dict) else limit,
         )
-        grip, goals, events = advance_grip(
-            model, progress.grip, plan, progress.goals, estimate, t
-        )
+        grip, goals, events = advance_grip(model, progress.grip, plan, progress.goals, estimate, t)
         if grip is progress.grip and goals is progress.goals:
             return progress, events
         return replace(progress, grip=grip, goals=goals), events
@@ -283,7 +296,9 @@ class TaskProgram:
                 goals[d] = tension_goal(model, d, start, model.gains.tension.rate_N_per_s, estimate)
                 name = model.hand.digit_names[d]
                 events.append(
-                    TickEvent("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip")
+                    TickEvent(
+                        "info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"
+                    )
                 )
         if not events and tuple(touching) == progress.touching:
             return progress, ()
@@ -337,7 +352,8 @@ class TaskProgram:
 
 
 def _closing_digits(
-    phase: MovePhase | FollowPhase | ClosePhase | HoldPhase | ReleasePhase, progress: ProgramProgress
+    phase: MovePhase | FollowPhase | ClosePhase | HoldPhase | ReleasePhase,
+    progress: ProgramProgress,
 ) -> tuple[bool, ...]:
     """Return for each digit True if it closes until contact.
 
@@ -364,7 +380,9 @@ def _still_tensioned(
 
 @functools.lru_cache(maxsize=8)
 def _grip_plan(
-    model: HandModel, stiffness_N_per_mm: float, slip_limit: float | tuple[tuple[str, float], ...] | None
+    model: HandModel,
+    stiffness_N_per_mm: float,
+    slip_limit: float | tuple[tuple[str, float], ...] | None,
 ) -> GripPlan:
     """Return the grip that a hold phase requires, with numbers for each tendon.
 
@@ -400,7 +418,9 @@ def _distance_error(model: HandModel, phase: FollowPhase, estimate: Estimate) ->
     return ""
 
 
-def _curve_of_digit(phase: FollowPhase, digit: DigitModel, estimate: Estimate) -> CurveTrajectory | None:
+def _curve_of_digit(
+    phase: FollowPhase, digit: DigitModel, estimate: Estimate
+) -> CurveTrajectory | None:
     """Return the curve of a digit, None if the phase gives it no angle.
 
     Joints without angles keep their positions.

@@ -55,7 +55,9 @@ class GripState(NamedTuple):
     limited: bool = False
 
     @staticmethod
-    def of(model: HandModel, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float) -> "GripState":
+    def of(
+        model: HandModel, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float
+    ) -> "GripState":
         """Return the grip at the beginning of a hold, for goals that have just been set."""
         tension = np.full(model.tendon_count, np.nan)
         settling_s = 0.0
@@ -118,7 +120,9 @@ def advance_grip(
         grip = grip._replace(anchor=estimate.grip.copy())
     if judged:
         # A tendon that opens its digit pays out while the digit closes.
-        opening = np.where(np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening)
+        opening = np.where(
+            np.isnan(grip.tension), 0.0, model.redundancy.side * estimate.grip_opening
+        )
         if opening.max() > SLIP_EXCURSION_M:
             grip, events = _raise_after_slip(model, grip, plan, opening, t)
     if not (judged or settled) or not (events or plan.stiffness):
@@ -151,7 +155,11 @@ def _raise_after_slip(
 
 
 def _held_goals(
-    model: HandModel, grip: GripState, plan: GripPlan, goals: tuple[DigitGoal, ...], excursion: Vector
+    model: HandModel,
+    grip: GripState,
+    plan: GripPlan,
+    goals: tuple[DigitGoal, ...],
+    excursion: Vector,
 ) -> tuple[DigitGoal, ...]:
     """Return the goals with the tensions that slip and stiffness require, but at least the floor."""
     limit = np.fmax(plan.limit, grip.tension)
@@ -164,6 +172,8 @@ def _held_goals(
         limit if plan.stiffness == 0.0 else model.ceiling,
     )
     return tuple(
-        goal if np.isnan(target[tendons]).any() else replace(goal, tension=target[tendons], rate=RAISE_RATE_N_PER_S)
+        goal
+        if np.isnan(target[tendons]).any()
+        else replace(goal, tension=target[tendons], rate=RAISE_RATE_N_PER_S)
         for goal, tendons in zip(goals, model.digit_tendons, strict=True)
     )

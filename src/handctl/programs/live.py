@@ -58,7 +58,12 @@ class LiveProgram:
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Advance the session by one tick. See `Program`."""
         if progress.task is not None:
@@ -177,7 +182,12 @@ class JogProgram:
         return LiveProgram().initial(model)
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Advance the jog by one tick. See `Program`."""
         progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
@@ -288,7 +298,10 @@ def _end_of_move(
         )
     )
     end = digit.with_joint_angles(given, now)
-    if np.abs((digit.coupling @ end)[list(given)] - list(given.values())).max() > COUPLING_TOLERANCE_DEG:
+    if (
+        np.abs((digit.coupling @ end)[list(given)] - list(given.values())).max()
+        > COUPLING_TOLERANCE_DEG
+    ):
         return f"{', '.join(joints[j] for j in given)} are coupled, expected {name}, one angle for all of them"
     return end
 
@@ -305,7 +318,9 @@ def _move_goal(
     """Return a move of a digit from its present reference (3, n), or from the estimate if there is no reference."""
     if start is None:
         return motion_to(model.digits[d], estimate, end, duration, t)
-    return DigitGoal(GoalKind.MOTION, continued_move(start, end, duration, model.digits[d].reach), since=t)
+    return DigitGoal(
+        GoalKind.MOTION, continued_move(start, end, duration, model.digits[d].reach), since=t
+    )
 
 
 def _out_of_reach(

@@ -53,7 +53,9 @@ class RecordedGoals:
         Raises:
             ValueError: The text is not a table of this width.
         """
-        table = np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(-1, 3 * joints + tendons)
+        table = np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(
+            -1, 3 * joints + tendons
+        )
         q, dq, ddq, tension = np.split(table, [joints, 2 * joints, 3 * joints], axis=1)
         return RecordedGoals(q, dq, ddq, tension)
 
@@ -77,14 +79,23 @@ class PlaybackProgram:
         return LiveProgram().initial(model)
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Advance the playback by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
-            return (self._approach(model, progress, estimate, t)) if progress.phase == "live" else (progress, events)
+            return (
+                (self._approach(model, progress, estimate, t))
+                if progress.phase == "live"
+                else (progress, events)
+            )
         if progress.phase == "approach" and t - progress.since < APPROACH_S:
             return progress, ()
         if progress.phase == "approach":
@@ -96,7 +107,9 @@ class PlaybackProgram:
             )
         return self._follow(model, replace(progress, step=progress.step + 1)), ()
 
-    def _approach(self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float) -> ProgressAndEvents:
+    def _approach(
+        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+    ) -> ProgressAndEvents:
         """Start the slow move to the first pose of the recording."""
         goals = []
         for d, digit in enumerate(model.digits):
@@ -104,7 +117,9 @@ class PlaybackProgram:
             first = self.recording.q[0, digit.joints]
             if np.isnan(first).any():
                 tension = self.recording.tension[0, tendons]
-                goals.append(DigitGoal(GoalKind.TENSION, tension=tension, rate=APPROACH_RATE_N_PER_S))
+                goals.append(
+                    DigitGoal(GoalKind.TENSION, tension=tension, rate=APPROACH_RATE_N_PER_S)
+                )
             else:
                 end = np.asarray(digit.joints_to_coordinates @ first)
                 path = MinimumJerk(coordinates_by_excursion(digit, estimate), end, APPROACH_S)
@@ -131,5 +146,7 @@ class PlaybackProgram:
                 goals.append(DigitGoal(GoalKind.MOTION, reference))
                 continue
             tension = rows.tension[i, model.digit_tendons[d]]
-            goals.append(DigitGoal(GoalKind.TENSION, reference, tension=tension, rate=FOLLOW_RATE_N_PER_S))
+            goals.append(
+                DigitGoal(GoalKind.TENSION, reference, tension=tension, rate=FOLLOW_RATE_N_PER_S)
+            )
         return replace(progress, goals=tuple(goals), contact=tuple(contact))

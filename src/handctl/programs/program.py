@@ -54,7 +54,9 @@ class ProgramProgress:
     @staticmethod
     def initial(digits: int, phase: str) -> "ProgramProgress":
         """Return the progress before the first step: no torque, no contact."""
-        return ProgramProgress(0, 0.0, (DigitGoal(),) * digits, (False,) * digits, (0,) * digits, phase)
+        return ProgramProgress(
+            0, 0.0, (DigitGoal(),) * digits, (False,) * digits, (0,) * digits, phase
+        )
 
 
 ProgressAndEvents = tuple[ProgramProgress, tuple[TickEvent, ...]]
@@ -69,7 +71,12 @@ class Program(Protocol):
         ...
 
     def advance(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, measured: TickMeasurements, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        measured: TickMeasurements,
+        t: float,
     ) -> ProgressAndEvents:
         """Advance the program by one tick while the hand is active.
 
@@ -121,7 +128,9 @@ def _tightening_tension(model: HandModel, tendons: slice) -> Vector:
     return np.asarray(balance * (least / balance).max() if balance.all() else least)
 
 
-def pull_tensions(model: HandModel, d: int, tension: float | tuple[float, ...], estimate: Estimate) -> Vector:
+def pull_tensions(
+    model: HandModel, d: int, tension: float | tuple[float, ...], estimate: Estimate
+) -> Vector:
     """Return tensions (n_t,) of digit d under tension control [N].
 
     If one tension is given, the tendons that close the digit get this tension, and their
@@ -140,7 +149,9 @@ def pull_tensions(model: HandModel, d: int, tension: float | tuple[float, ...], 
     return np.where(opens, model.redundancy.balance[tendons], tension)
 
 
-def tension_goal(model: HandModel, d: int, tension: Vector, rate: float, estimate: Estimate) -> DigitGoal:
+def tension_goal(
+    model: HandModel, d: int, tension: Vector, rate: float, estimate: Estimate
+) -> DigitGoal:
     """Return the goal of digit d to approach tensions (n_t,) [N] at a rate [N/s].
 
     Spool pairs that move the digit sideways hold their position.
@@ -148,7 +159,9 @@ def tension_goal(model: HandModel, d: int, tension: Vector, rate: float, estimat
     if model.redundancy.side[model.digit_tendons[d]].all():
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
     here = coordinates_by_excursion(model.digits[d], estimate)
-    return DigitGoal(GoalKind.TENSION, MinimumJerk(here, here, HOLD_STILL_S), tension=tension, rate=rate)
+    return DigitGoal(
+        GoalKind.TENSION, MinimumJerk(here, here, HOLD_STILL_S), tension=tension, rate=rate
+    )
 
 
 def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
@@ -182,7 +195,11 @@ def coordinates_by_excursion(digit: DigitModel, estimate: Estimate) -> Vector:
     return digit.coordinates_of(estimate.excursion[digit.tendons])
 
 
-def motion_to(digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float) -> DigitGoal:
+def motion_to(
+    digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float
+) -> DigitGoal:
     """Return a goal that moves all coordinates of a digit to one angle, or each to its angle [rad], in a time [s]."""
     start = coordinates_by_excursion(digit, estimate)
-    return DigitGoal(GoalKind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t)
+    return DigitGoal(
+        GoalKind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t
+    )

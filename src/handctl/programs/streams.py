@@ -349,7 +349,9 @@ def progress_at_rest(
             position, rate, _ = reference[d]
             end = np.clip(position + 0.5 * STOP_DURATION_S * rate, *reach[d])
             goals[d] = DigitGoal(
-                GoalKind.MOTION, continued_move(reference[d], end, STOP_DURATION_S, reach[d]), since=t
+                GoalKind.MOTION,
+                continued_move(reference[d], end, STOP_DURATION_S, reach[d]),
+                since=t,
             )
     return replace(progress, goals=tuple(goals))
 

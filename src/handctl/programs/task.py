@@ -17,7 +17,9 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import read_toml
 
-if TYPE_CHECKING:  # imported for types only, because it imports numba, which the reading of a task does not need
+if (
+    TYPE_CHECKING
+):  # imported for types only, because it imports numba, which the reading of a task does not need
     from handctl.hand.digit import DigitModel
 
 AngleDeg = Annotated[float, Field(ge=-30, le=150)]
@@ -126,7 +128,9 @@ class FollowPhase(Document):
 
     kind: Literal["follow"]
     name: str = "follow"
-    time_s: tuple[Annotated[float, Field(ge=0, le=3600)], ...] = Field(min_length=2, max_length=100_000)
+    time_s: tuple[Annotated[float, Field(ge=0, le=3600)], ...] = Field(
+        min_length=2, max_length=100_000
+    )
     """Times of the given angles, rising from 0."""
     angle_deg: dict[str, tuple[AngleDeg, ...]] = Field(min_length=1)
     """Angles of each digit or joint, one for each time.
@@ -140,11 +144,15 @@ class FollowPhase(Document):
             raise ValueError("time_s must rise from 0")
         for digit, angles in self.angle_deg.items():
             if len(angles) != len(self.time_s):
-                raise ValueError(f"{digit} must have an angle for each of the {len(self.time_s)} times")
+                raise ValueError(
+                    f"{digit} must have an angle for each of the {len(self.time_s)} times"
+                )
             peak = math.degrees(_peak_speed(self.time_s, tuple(map(math.radians, angles))))
             # The comparison is negated, so that NaN is refused.
             if not peak <= FOLLOW_SPEED_DEG_S:
-                raise ValueError(f"at most {FOLLOW_SPEED_DEG_S:g} deg/s on the way; {digit} reaches {peak:.0f}")
+                raise ValueError(
+                    f"at most {FOLLOW_SPEED_DEG_S:g} deg/s on the way; {digit} reaches {peak:.0f}"
+                )
         return self
 
 
@@ -168,7 +176,9 @@ def curve_through(times: tuple[float, ...], angles: tuple[float, ...]) -> CurveT
     return CurveTrajectory.through(times, angles, 1)
 
 
-TaskPhase = Annotated[MovePhase | ClosePhase | HoldPhase | ReleasePhase | FollowPhase, Field(discriminator="kind")]
+TaskPhase = Annotated[
+    MovePhase | ClosePhase | HoldPhase | ReleasePhase | FollowPhase, Field(discriminator="kind")
+]
 
 
 class Task(Document):
@@ -253,7 +263,9 @@ def shapes_of_digits(hand: Hand) -> dict[str, DigitShape]:
     counts = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
     return {
         digit.name: DigitShape(
-            len(digit.coupling[0]) if digit.coupling else len(digit.joints), counts[digit.name], digit.joints
+            len(digit.coupling[0]) if digit.coupling else len(digit.joints),
+            counts[digit.name],
+            digit.joints,
         )
         for digit in hand.digit
     }
@@ -287,10 +299,14 @@ def check_task(
             joints = _digit_of_joint(digit_shapes) if key == "angle_deg" else {}
             for name in sorted(per_digit.keys() - {*digits, *joints}):
                 joint = f", or a joint such as {next(iter(joints))}" if joints else ""
-                raise ConfigError(f"no digit {name!r}", key_path, "one of " + ", ".join(digits) + joint)
+                raise ConfigError(
+                    f"no digit {name!r}", key_path, "one of " + ", ".join(digits) + joint
+                )
             for name in sorted(per_digit.keys() & joints.keys()):
                 if joints[name] in per_digit:
-                    raise ConfigError(f"{joints[name]} and {name}", key_path, "either the digit or its joints")
+                    raise ConfigError(
+                        f"{joints[name]} and {name}", key_path, "either the digit or its joints"
+                    )
             if key.endswith("deg") and isinstance(phase, FollowPhase):
                 continue
             for digit, setting in per_digit.items():
@@ -299,21 +315,31 @@ def check_task(
             numbers = [n for v in values for n in (v if isinstance(v, tuple) else (v,))]
             largest = max((n for n in numbers if n is not None), default=0.0)
             if key in ("tension_N", "contact_tension_N", "slip_limit_N") and largest > ceiling:
-                raise ConfigError(f"{largest:g} N", key_path, f"at most tension_max_N = {ceiling:g} N")
+                raise ConfigError(
+                    f"{largest:g} N", key_path, f"at most tension_max_N = {ceiling:g} N"
+                )
 
 
-def _check_count(digit: str, value: object, digit_shapes: Mapping[str, DigitShape] | None, key_path: str) -> None:
+def _check_count(
+    digit: str, value: object, digit_shapes: Mapping[str, DigitShape] | None, key_path: str
+) -> None:
     """Check the length of a list of values for a digit: one angle per coordinate, or one tension per tendon."""
     if digit_shapes is None or not isinstance(value, tuple):
         return
     if digit not in digit_shapes:
-        raise ConfigError(f"{len(value)} numbers for {digit}", key_path, "one number: it is one joint")
+        raise ConfigError(
+            f"{len(value)} numbers for {digit}", key_path, "one number: it is one joint"
+        )
     shape = digit_shapes[digit]
     count = shape.coordinates if key_path.endswith("deg") else shape.tendons
     if len(value) == count:
         return
     noun = "coordinate" if key_path.endswith("deg") else "tendon"
-    expected = f"one number, or {count}: it has {count} {noun}s" if count > 1 else f"one number: it has one {noun}"
+    expected = (
+        f"one number, or {count}: it has {count} {noun}s"
+        if count > 1
+        else f"one number: it has one {noun}"
+    )
     raise ConfigError(f"{len(value)} numbers for {digit}", key_path, expected)
 
 

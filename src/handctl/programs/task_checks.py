@@ -31,7 +31,9 @@ CoordinateRange = tuple[Vector, Vector]
 """Lowest and highest value of the coordinates of a digit [deg]."""
 
 
-def check_task_for_hand(task: Task, hand: Hand, where: str, digits: Sequence[DigitModel] = ()) -> None:
+def check_task_for_hand(
+    task: Task, hand: Hand, where: str, digits: Sequence[DigitModel] = ()
+) -> None:
     """Check that a hand can execute a task.
 
     Args:
@@ -47,7 +49,11 @@ def check_task_for_hand(task: Task, hand: Hand, where: str, digits: Sequence[Dig
             underactuated digit, or a slip limit is below the tension.
     """
     check_task(
-        task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes_of_digits(hand)
+        task,
+        hand.digit_names,
+        min(tendon.tension_max_N for tendon in hand.tendon),
+        where,
+        shapes_of_digits(hand),
     )
     check_tip_force(task, hand, where)
     check_slip_limit(task, hand, where)
@@ -81,13 +87,23 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
                 continue
             if isinstance(phase, MovePhase):
                 travel = float(np.maximum(np.abs(from_low - low), np.abs(high - from_high)).max())
-                min_duration = math.ceil(100.0 * duration_for(travel, FOLLOW_SPEED_DEG_S, 0.0)) / 100.0
+                min_duration = (
+                    math.ceil(100.0 * duration_for(travel, FOLLOW_SPEED_DEG_S, 0.0)) / 100.0
+                )
                 if phase.duration_s < min_duration:
-                    distance = f"{digit} may have {travel:g} deg to go, at {FOLLOW_SPEED_DEG_S:g} deg/s"
+                    distance = (
+                        f"{digit} may have {travel:g} deg to go, at {FOLLOW_SPEED_DEG_S:g} deg/s"
+                    )
                     expected = f"at least {min_duration:g} s: {distance}"
-                    raise ConfigError(f"{phase.duration_s:g}", f"{where}: phase[{i}].duration_s", expected)
+                    raise ConfigError(
+                        f"{phase.duration_s:g}", f"{where}: phase[{i}].duration_s", expected
+                    )
             touches = isinstance(phase, ClosePhase)  # a close phase may stop at any angle
-            ends = (np.minimum(low, from_low), np.maximum(high, from_high)) if touches else (from_low, from_high)
+            ends = (
+                (np.minimum(low, from_low), np.maximum(high, from_high))
+                if touches
+                else (from_low, from_high)
+            )
             spans[digit] = ends
 
 
@@ -128,16 +144,22 @@ def check_joint_range(task: Task, hand: Hand, where: str, digits: Sequence[Digit
         if not isinstance(phase, MovePhase | ClosePhase | FollowPhase):
             continue
         for digit in digits:
-            _check_joints(phase, digit, hand.digit_named(digit.name), f"{where}: phase[{i}].angle_deg")
+            _check_joints(
+                phase, digit, hand.digit_named(digit.name), f"{where}: phase[{i}].angle_deg"
+            )
         for name, (low, high) in reaches.items():
             for row in _reached_angles(phase, name):
                 for angle, lower, upper in np.broadcast(row, low, high):
                     if not lower - ROUNDING_DEG <= angle <= upper + ROUNDING_DEG:
                         place = f"{where}: phase[{i}].angle_deg"
-                        raise ConfigError(f"{angle:g} deg for {name}", place, f"{lower:g} to {upper:g} deg")
+                        raise ConfigError(
+                            f"{angle:g} deg for {name}", place, f"{lower:g} to {upper:g} deg"
+                        )
 
 
-def _check_joints(phase: MovePhase | ClosePhase | FollowPhase, digit: DigitModel, described: Digit, place: str) -> None:
+def _check_joints(
+    phase: MovePhase | ClosePhase | FollowPhase, digit: DigitModel, described: Digit, place: str
+) -> None:
     """Check that joint angles are within their limits, and that coupled joints can have these angles together."""
     given = joint_values(phase.angle_deg, digit)
     if not given:
@@ -151,11 +173,19 @@ def _check_joints(phase: MovePhase | ClosePhase | FollowPhase, digit: DigitModel
     for row in np.atleast_2d(np.array(list(given.values()), dtype=float).T):
         for j, angle in zip(given, row, strict=True):
             if not low[j] - ROUNDING_DEG <= angle <= high[j] + ROUNDING_DEG:
-                raise ConfigError(f"{angle:g} deg for {digit.joint_names[j]}", place, f"{low[j]:g} to {high[j]:g} deg")
-        end = digit.with_joint_angles(dict(zip(given, row.tolist(), strict=True)), np.zeros(digit.coupling.shape[1]))
+                raise ConfigError(
+                    f"{angle:g} deg for {digit.joint_names[j]}",
+                    place,
+                    f"{low[j]:g} to {high[j]:g} deg",
+                )
+        end = digit.with_joint_angles(
+            dict(zip(given, row.tolist(), strict=True)), np.zeros(digit.coupling.shape[1])
+        )
         if np.abs((digit.coupling @ end)[list(given)] - row).max() > COUPLING_TOLERANCE_DEG:
             names = ", ".join(digit.joint_names[j] for j in given)
-            raise ConfigError(f"{names} are coupled", place, f"{digit.name}, one angle for all of them")
+            raise ConfigError(
+                f"{names} are coupled", place, f"{digit.name}, one angle for all of them"
+            )
 
 
 def check_tip_force(task: Task, hand: Hand, where: str) -> None:
@@ -184,7 +214,9 @@ def check_tip_force(task: Task, hand: Hand, where: str) -> None:
             if tendon_count < joint_count and value_for_digit(phase.tip_force_N, name) is not None:
                 tendons_text = f"{tendon_count} tendon{'s' * (tendon_count > 1)}"
                 problem = f"{name} has {tendons_text} for {joint_count} joints: no force at its tip can be made"
-                raise ConfigError(problem, f"{where}: phase[{i}].tip_force_N", f"tension_N for {name}")
+                raise ConfigError(
+                    problem, f"{where}: phase[{i}].tip_force_N", f"tension_N for {name}"
+                )
 
 
 def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
@@ -199,17 +231,25 @@ def check_slip_limit(task: Task, hand: Hand, where: str) -> None:
         ConfigError: A hold has a `slip_limit_N` below its `tension_N`.
     """
     for i, phase in enumerate(task.phase):
-        if not isinstance(phase, HoldPhase) or phase.slip_limit_N is None or phase.tension_N is None:
+        if (
+            not isinstance(phase, HoldPhase)
+            or phase.slip_limit_N is None
+            or phase.tension_N is None
+        ):
             continue
         for name in hand.digit_names:
             limit = value_for_digit(phase.slip_limit_N, name)
             tension = value_for_digit(phase.tension_N, name)
             if limit is not None and tension is not None and np.max(limit) < np.max(tension):
                 expected = f"at least tension_N of {name}, {np.max(tension):g}"
-                raise ConfigError(f"{np.max(limit):g}", f"{where}: phase[{i}].slip_limit_N", expected)
+                raise ConfigError(
+                    f"{np.max(limit):g}", f"{where}: phase[{i}].slip_limit_N", expected
+                )
 
 
-def _reached_angles(phase: MovePhase | ClosePhase | FollowPhase, name: str) -> Iterable[float | tuple[float, ...]]:
+def _reached_angles(
+    phase: MovePhase | ClosePhase | FollowPhase, name: str
+) -> Iterable[float | tuple[float, ...]]:
     """Return the angles of a phase that a digit must reach: one for all its coordinates, or one for each."""
     if isinstance(phase, FollowPhase):
         angles = phase.angle_deg.get(name)

@@ -53,7 +53,9 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
         )
 
 
-def compare_signals(names: tuple[str, ...], before: Array, after: Array, period: float) -> dict[str, dict[str, float]]:
+def compare_signals(
+    names: tuple[str, ...], before: Array, after: Array, period: float
+) -> dict[str, dict[str, float]]:
     """Compare two signals whose rows belong to the same times.
 
     Args:
@@ -69,7 +71,8 @@ def compare_signals(names: tuple[str, ...], before: Array, after: Array, period:
     rows = min(len(before), len(after))
     change = after[:rows] - before[:rows]
     return {
-        name: rms_and_peak(change[:, i]) | {"delay_s": signal_delay(before[:rows, i], after[:rows, i], period)}
+        name: rms_and_peak(change[:, i])
+        | {"delay_s": signal_delay(before[:rows, i], after[:rows, i], period)}
         for i, name in enumerate(names)
     }
 
@@ -102,9 +105,16 @@ def signal_delay(before: Array, after: Array, period: float) -> float:
         return float("nan")
     inner = slice(reach, len(before) - reach)
     # `roll` moves rows from one end of the signal to the other end. `inner` excludes these rows.
-    residual = np.array([np.var(np.roll(after, -shift)[inner] - before[inner]) for shift in range(-reach, reach + 1)])
+    residual = np.array(
+        [
+            np.var(np.roll(after, -shift)[inner] - before[inner])
+            for shift in range(-reach, reach + 1)
+        ]
+    )
     best = int(np.argmin(residual))
-    if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(before[inner]):
+    if not 0 < best < 2 * reach or not residual[best] < MAX_UNEXPLAINED_FRACTION * np.var(
+        before[inner]
+    ):
         return float("nan")
     earlier, lowest, later = residual[best - 1 : best + 2]
     # The bend is the second difference of the variance. If it is not positive, the minimum is flat,
@@ -127,7 +137,9 @@ def resampled_field(log: RunLog, field: str, start: float, times: Array) -> Arra
     return np.column_stack([np.interp(times + start, log.times, column) for column in values.T])
 
 
-def compare_runs(a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float) -> dict[str, Any]:
+def compare_runs(
+    a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float
+) -> dict[str, Any]:
     """Compare the angles of all joints [deg] and the tensions of all tendons [N] in two runs over an interval.
 
     Args:
@@ -141,7 +153,10 @@ def compare_runs(a: RunLog, start_a: float, b: RunLog, start_b: float, duration:
     times = np.asarray(np.arange(round(duration / period)) * period, np.float64)
     result: dict[str, Any] = {}
     for field, (axis, factor, unit) in COMPARED_SIGNALS.items():
-        before, after = (factor * resampled_field(*run, times) for run in ((a, field, start_a), (b, field, start_b)))
+        before, after = (
+            factor * resampled_field(*run, times)
+            for run in ((a, field, start_a), (b, field, start_b))
+        )
         result[f"{axis}_{unit}"] = compare_signals(a.header.axis(axis), before, after, period)
     return result
 
@@ -156,7 +171,13 @@ def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
         unit = signal.partition("_")[2]
         for name, row in rows.items():
             ms = 1e3 * row["delay_s"]
-            late = "" if math.isnan(ms) else ", in time" if abs(ms) < MIN_REPORTED_DELAY_MS else f", {_delay_text(ms)}"
+            late = (
+                ""
+                if math.isnan(ms)
+                else ", in time"
+                if abs(ms) < MIN_REPORTED_DELAY_MS
+                else f", {_delay_text(ms)}"
+            )
             if not math.isnan(row["rms"]):
                 yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}"
 

@@ -48,13 +48,19 @@ class CommandCollector:
         return np.array(self._tension)
 
 
-def command_change(log: RunLog, commands: CommandCollector) -> dict[str, dict[str, dict[str, float]]]:
+def command_change(
+    log: RunLog, commands: CommandCollector
+) -> dict[str, dict[str, dict[str, float]]]:
     """Return RMS and peak of the change against the logged command, for each motor [N m] and each tendon [N]."""
     torque = commands.torque - log.field("motor_torque_goal")
     tension = commands.tension - log.field("tension_goal")
     return {
-        "motor_torque_N_m": {name: rms_and_peak(torque[:, i]) for i, name in enumerate(log.header.motors)},
-        "tension_N": {name: rms_and_peak(tension[:, i]) for i, name in enumerate(log.header.tendons)},
+        "motor_torque_N_m": {
+            name: rms_and_peak(torque[:, i]) for i, name in enumerate(log.header.motors)
+        },
+        "tension_N": {
+            name: rms_and_peak(tension[:, i]) for i, name in enumerate(log.header.tendons)
+        },
     }
 
 

@@ -57,8 +57,14 @@ def first_damage(path: Path) -> str:
             except LogError as error:
                 return f"{error}; its chunk begins {_position_text(before)}"
             for tick in ticks:
-                if before and tick.digest and tick_hash(before[-HASH_SIZE:], tick.message, tick.numbers) != tick.digest:
-                    return f"tick {tick.k} was changed after it was written" + (f": {defect}" if defect else "")
+                if (
+                    before
+                    and tick.digest
+                    and tick_hash(before[-HASH_SIZE:], tick.message, tick.numbers) != tick.digest
+                ):
+                    return f"tick {tick.k} was changed after it was written" + (
+                        f": {defect}" if defect else ""
+                    )
                 before = tick.k.to_bytes(8, "little") + tick.digest
             if defect:
                 where = _tick_range_text(ticks)
@@ -83,10 +89,14 @@ def _intact_content(file: LogFile, chunk: ChunkLocation) -> tuple[bytes, str]:
 def _channel_ids(content: bytes) -> tuple[int, ...]:
     """Return the channel numbers of the ticks, the telemetry and the chain hashes."""
     channels = {topic: number for number, _, topic, _, _ in schemas_and_channels(content).channels}
-    return tuple(channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC))
+    return tuple(
+        channels.get(topic, NO_CHANNEL) for topic in (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC)
+    )
 
 
-def _chunk_ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]) -> Iterator[_StoredTick]:
+def _chunk_ticks(
+    content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]
+) -> Iterator[_StoredTick]:
     """Yield the ticks that a chunk contains.
 
     Raises:
@@ -104,12 +114,18 @@ def _chunk_ticks(content: bytes, chunk: ChunkLocation, channels: tuple[int, ...]
     for message, values, digest in zip(messages, values_of, digests, strict=True):
         # The tick number follows the four bytes of CDR encapsulation in the message.
         k = int.from_bytes(message[4:12], "little", signed=True)
-        yield _StoredTick(k, message, values[VALUES_START_OFFSET:VALUES_END_OFFSET], digest[-HASH_SIZE:])
+        yield _StoredTick(
+            k, message, values[VALUES_START_OFFSET:VALUES_END_OFFSET], digest[-HASH_SIZE:]
+        )
 
 
 def _position_text(before: bytes) -> str:
     """Return a text about the last intact tick before the damage."""
-    return f"after tick {int.from_bytes(before[:8], 'little', signed=True)}" if before else "before the first tick"
+    return (
+        f"after tick {int.from_bytes(before[:8], 'little', signed=True)}"
+        if before
+        else "before the first tick"
+    )
 
 
 def _tick_range_text(ticks: list[_StoredTick]) -> str:

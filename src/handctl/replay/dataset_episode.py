@@ -63,7 +63,10 @@ def find_episode(
     """
     info = _read_info(dataset)
     rate = info.get("fps")
-    if not isinstance(rate, int | float) or not FRAME_RATE_RANGE_HZ[0] <= rate <= FRAME_RATE_RANGE_HZ[1]:
+    if (
+        not isinstance(rate, int | float)
+        or not FRAME_RATE_RANGE_HZ[0] <= rate <= FRAME_RATE_RANGE_HZ[1]
+    ):
         raise ConfigError(
             _value_text(rate),
             f"{_info_path(dataset)}: fps",
@@ -76,7 +79,9 @@ def find_episode(
     angles = _clip_to_range(_joint_angles(actions, info, hand, dataset), hand, where)
     if speed_deg_s is not None:
         if not 0.0 < speed_deg_s <= FOLLOW_SPEED_DEG_S:
-            raise ConfigError(f"{speed_deg_s:g} deg/s", "--speed", f"above 0, at most {FOLLOW_SPEED_DEG_S:g}")
+            raise ConfigError(
+                f"{speed_deg_s:g} deg/s", "--speed", f"above 0, at most {FOLLOW_SPEED_DEG_S:g}"
+            )
         angles = _limit_rate(angles, np.radians(speed_deg_s) / rate)
     return _smooth_curve(angles, float(rate), hand, period, where)
 
@@ -124,16 +129,22 @@ def _read_actions(dataset: Path, info: Mapping[str, Any], episode: int) -> Array
     try:
         path = dataset / str(info["data_path"]).format(**numbers)
     except (KeyError, ValueError, IndexError, AttributeError):
-        raise ConfigError(_value_text(info.get("data_path")), f"{_info_path(dataset)}: data_path", "a path") from None
+        raise ConfigError(
+            _value_text(info.get("data_path")), f"{_info_path(dataset)}: data_path", "a path"
+        ) from None
     table = _read_table(path, ["episode_index", "frame_index", "action"])
     table = table.filter(pa.compute.equal(table["episode_index"], episode)).sort_by("frame_index")
     length = len(table)
     if table["frame_index"].to_pylist() != list(range(length)):
-        raise ConfigError(f"frames of episode {episode} are missing", str(path), "frames 0, 1, 2 ...")
+        raise ConfigError(
+            f"frames of episode {episode} are missing", str(path), "frames 0, 1, 2 ..."
+        )
     try:
         values = np.array(table["action"].to_pylist(), np.float64)
     except (ValueError, TypeError):
-        raise ConfigError(f"actions of episode {episode}", str(path), "vectors of one length") from None
+        raise ConfigError(
+            f"actions of episode {episode}", str(path), "vectors of one length"
+        ) from None
     return values.reshape(length, -1)
 
 
@@ -145,7 +156,9 @@ def _read_episodes(dataset: Path) -> pa.Table:
     """
     paths = sorted((dataset / "meta" / "episodes").glob("*/*.parquet"))
     if not paths:
-        raise ConfigError("no table of episodes", str(dataset / "meta" / "episodes"), "chunk-000/file-000.parquet")
+        raise ConfigError(
+            "no table of episodes", str(dataset / "meta" / "episodes"), "chunk-000/file-000.parquet"
+        )
     columns = ["episode_index", "data/chunk_index", "data/file_index"]
     return pa.concat_tables([_read_table(path, columns) for path in paths])
 
@@ -160,7 +173,9 @@ def _read_table(path: Path, columns: list[str]) -> pa.Table:
         table = pq.read_table(path, columns=columns)
     except (OSError, pa.ArrowException, ValueError) as error:
         reason = printable_text(str(error).splitlines()[0]) if str(error) else type(error).__name__
-        raise ConfigError(f"cannot be read: {reason}", str(path), "a table of a LeRobot dataset") from None
+        raise ConfigError(
+            f"cannot be read: {reason}", str(path), "a table of a LeRobot dataset"
+        ) from None
     if missing := [name for name in columns if name not in table.column_names]:
         raise ConfigError(f"no column {missing[0]}", str(path), "a table of a LeRobot dataset")
     return table
@@ -176,9 +191,13 @@ def _joint_angles(actions: Array, info: Mapping[str, Any], hand: Hand, dataset: 
     try:
         names = list(info["features"]["action"]["names"])
     except (KeyError, TypeError):
-        raise ConfigError("no names", where, f"{hand.joints[0]}{POSITION_SUFFIX} and so on") from None
+        raise ConfigError(
+            "no names", where, f"{hand.joints[0]}{POSITION_SUFFIX} and so on"
+        ) from None
     if len(names) != actions.shape[1]:
-        raise ConfigError(f"{len(names)} names for {actions.shape[1]} values", where, "a name for each value")
+        raise ConfigError(
+            f"{len(names)} names for {actions.shape[1]} values", where, "a name for each value"
+        )
     wanted = [f"{joint}{POSITION_SUFFIX}" for joint in hand.joints]
     if missing := [name for name in wanted if name not in names]:
         raise ConfigError(f"no {missing[0]}", where, f"an angle for each joint of {hand.name}")
@@ -197,8 +216,12 @@ def _clip_to_range(angles: Array, hand: Hand, where: str) -> Array:
     wrong = ~(beyond <= MAX_CLIPPED_DEG)  # the negation also finds NaN
     if wrong.any():
         frame, joint = (int(index) for index in np.argwhere(wrong)[0])
-        problem = f"{np.degrees(angles[frame, joint]):.6g} deg for {hand.joints[joint]} in frame {frame}"
-        raise ConfigError(problem, where, f"{np.degrees(low[joint]):g} to {np.degrees(high[joint]):g} deg")
+        problem = (
+            f"{np.degrees(angles[frame, joint]):.6g} deg for {hand.joints[joint]} in frame {frame}"
+        )
+        raise ConfigError(
+            problem, where, f"{np.degrees(low[joint]):g} to {np.degrees(high[joint]):g} deg"
+        )
     return np.clip(angles, low, high)
 
 
@@ -210,7 +233,9 @@ def _limit_rate(angles: Array, step: float) -> Array:
     return slowed
 
 
-def _smooth_curve(angles: Array, rate: float, hand: Hand, period: float, where: str) -> RecordedGoals:
+def _smooth_curve(
+    angles: Array, rate: float, hand: Hand, period: float, where: str
+) -> RecordedGoals:
     """Return a smooth curve through angles, with a point for each control period. The curve begins and ends at rest.
 
     Raises:
@@ -223,8 +248,12 @@ def _smooth_curve(angles: Array, rate: float, hand: Hand, period: float, where: 
     if rates.max() > FOLLOW_SPEED_DEG_S:
         tick, joint = np.unravel_index(int(rates.argmax()), rates.shape)
         problem = f"{hand.joints[joint]} with {rates.max():.0f} deg/s after {at[tick]:.2f} s"
-        raise ConfigError(problem, where, f"at most {FOLLOW_SPEED_DEG_S:g} deg/s, or a limit by --speed")
-    return RecordedGoals(curve(at), curve(at, 1), curve(at, 2), np.zeros((len(at), len(hand.tendon))))
+        raise ConfigError(
+            problem, where, f"at most {FOLLOW_SPEED_DEG_S:g} deg/s, or a limit by --speed"
+        )
+    return RecordedGoals(
+        curve(at), curve(at, 1), curve(at, 2), np.zeros((len(at), len(hand.tendon)))
+    )
 
 
 def _value_text(value: object) -> str:

@@ -39,7 +39,11 @@ def phase_spans(log: RunLog) -> list[PhaseSpan]:
     ends = [change.t_ns * 1e-9 for change in changes[1:]] + log.times[-1:].tolist()
     for change, end in zip(changes, ends, strict=True):
         counts[change.name] = number = counts.get(change.name, 0) + 1
-        spans.append(PhaseSpan(change.name if number == 1 else f"{change.name} ({number})", change.t_ns * 1e-9, end))
+        spans.append(
+            PhaseSpan(
+                change.name if number == 1 else f"{change.name} ({number})", change.t_ns * 1e-9, end
+            )
+        )
     return spans
 
 
@@ -64,7 +68,9 @@ def compare_logs(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
     check_same_hand(a, theirs.get("hand", "?"), theirs.get("identity", "?"), where)
     for names in ("joints", "tendons", "motors", "digits"):
         if getattr(a.header, names) != getattr(b.header, names):
-            raise IncomparableError(f"other {names} than in the other log", where, "a log of the same hand")
+            raise IncomparableError(
+                f"other {names} than in the other log", where, "a log of the same hand"
+            )
     for log in (a, b):
         check_order(log.t_ns, log.header.period_ns)
     first, second = ({part.name: part for part in phase_spans(log)} for log in (a, b))

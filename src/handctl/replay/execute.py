@@ -102,7 +102,14 @@ def execute_log(
     wall = time.perf_counter() - start
     cpu = _cpu_seconds() - cpu_start
     length = float(log.times[-1]) if len(log) else 0.0
-    parts = (tally.ticks, tally.differing, tally.different_decisions, tally.first, tally.state, tally.largest)
+    parts = (
+        tally.ticks,
+        tally.differing,
+        tally.different_decisions,
+        tally.first,
+        tally.state,
+        tally.largest,
+    )
     return LogExecution(*parts, wall, cpu, length)
 
 

@@ -118,7 +118,9 @@ class LogRunner:
         # With other gains, the states differ from the snapshots in the log, which are therefore not
         # used.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
-        return LogRunner(log, rebuild_controller(log, gains), TelemetryColumns.of(log.header), snapshots)
+        return LogRunner(
+            log, rebuild_controller(log, gains), TelemetryColumns.of(log.header), snapshots
+        )
 
     def run(
         self,

@@ -40,7 +40,11 @@ def active_interval(log: RunLog) -> tuple[float, float]:
     active = (log.mode == int(Mode.ACTIVE)) & ~preparing
     at = np.flatnonzero(active & ~np.isnan(log.field("tension_goal")).any(axis=1))
     if len(at) < 2:
-        reason = "not all tendons had targets at the same time" if active.any() else "the hand was never active"
+        reason = (
+            "not all tendons had targets at the same time"
+            if active.any()
+            else "the hand was never active"
+        )
         raise LogError(f"{reason} in it", "the log", "a run in which the whole hand moved")
     return float(log.times[at[0]]), float(log.times[at[-1]])
 
@@ -58,7 +62,11 @@ def count_missing_ticks(log: RunLog) -> int:
     at = np.flatnonzero((times >= start) & (times < end))
     for i in at[times[at + 1] - times[at] > MAX_GAP_S]:
         gap = f"no ticks between {times[i]:.3f} and {times[i + 1]:.3f} s"
-        raise LogError(gap, "the log", f"gaps of at most {MAX_GAP_S:g} s in the part of the log that is repeated")
+        raise LogError(
+            gap,
+            "the log",
+            f"gaps of at most {MAX_GAP_S:g} s in the part of the log that is repeated",
+        )
     return int((log.k[at + 1] - log.k[at] - 1).sum())
 
 
@@ -81,7 +89,9 @@ def recorded_targets(log: RunLog, period: float) -> RecordedGoals:
     # The times equal those of `log.times` to the bit. So no interpolation is needed if both control
     # periods are equal.
     times = np.asarray((round(start * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
-    q, dq, tension = (_interpolate_field(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal"))
+    q, dq, tension = (
+        _interpolate_field(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal")
+    )
     ddq = np.gradient(log.field("dq_goal"), log.times, axis=0)
     rate = _interpolate(log, ddq, times)
     return RecordedGoals(q, dq, np.where(np.isnan(q), np.nan, np.nan_to_num(rate)), tension)
@@ -125,7 +135,9 @@ def compare_replay(before: RunLog, after: RunLog) -> dict[str, Any]:
     return (
         {}
         if replay_start is None
-        else compare_runs(before, active_interval(before)[0], after, replay_start, driven_duration(before, after))
+        else compare_runs(
+            before, active_interval(before)[0], after, replay_start, driven_duration(before, after)
+        )
     )
 
 

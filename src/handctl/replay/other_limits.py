@@ -104,15 +104,23 @@ def load_limits(path: Path, controller: Controller) -> SafetyLimits:
     return replace(
         old,
         tension_trip=trip,
-        silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS) if silent else old.silent_ticks,
-        one_silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS) if silent else old.one_silent_ticks,
-        stalled_ticks=ticks_for(stalled / 1e3, period, MIN_STALLED_TICKS) if stalled else old.stalled_ticks,
+        silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS)
+        if silent
+        else old.silent_ticks,
+        one_silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS)
+        if silent
+        else old.one_silent_ticks,
+        stalled_ticks=ticks_for(stalled / 1e3, period, MIN_STALLED_TICKS)
+        if stalled
+        else old.stalled_ticks,
         temperature_soft=soft or old.temperature_soft,
         temperature_hard=hard or old.temperature_hard,
     )
 
 
-def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | None = None) -> LimitsJudgement:
+def judge_by_limits(
+    log: RunLog, path: Path, progress: Callable[[int], None] | None = None
+) -> LimitsJudgement:
     """Judge every tick of a run by other limits, and return their effect. The logged run itself is not changed.
 
     Args:
@@ -131,7 +139,10 @@ def judge_by_limits(log: RunLog, path: Path, progress: Callable[[int], None] | N
 
 
 def _judge_ticks(
-    log: RunLog, controller: Controller, limits: SafetyLimits, progress: Callable[[int], None] | None
+    log: RunLog,
+    controller: Controller,
+    limits: SafetyLimits,
+    progress: Callable[[int], None] | None,
 ) -> LimitsJudgement:
     """Judge each tick from the state that the run had, with the debounce counters and latches of the other limits."""
     other = replace(controller, other_limits=limits)
@@ -151,7 +162,9 @@ def _judge_ticks(
             state, out = controller.tick(state, entry)
         except ValueError as error:
             raise refusal_error(error, entry.k) from None
-        logged_faults = {_fault_id(event) + event.where for event in out.events if event.name == "fault"}
+        logged_faults = {
+            _fault_id(event) + event.where for event in out.events if event.name == "fault"
+        }
         ticks += 1
         if progress and ticks % TICKS_PER_PROGRESS_REPORT == 0:
             progress(ticks)

@@ -80,7 +80,9 @@ class ProgressCounts:
         self._progress(int(self._done.sum()))
 
 
-def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None]) -> DifferenceTally:
+def run_parallel(
+    runner: LogRunner, workers: int, progress: Callable[[int], None]
+) -> DifferenceTally:
     """Execute a whole log in several processes. The errors are those of `LogRunner.run`.
 
     Args:
@@ -96,9 +98,15 @@ def run_parallel(runner: LogRunner, workers: int, progress: Callable[[int], None
         for worker in running:
             # If the hashes are equal, the worker's part started from the state that a serial
             # execution has here.
-            result = _wait_for_result(runner, worker, counts) if state.digest() == worker.part.state.digest() else None
+            result = (
+                _wait_for_result(runner, worker, counts)
+                if state.digest() == worker.part.state.digest()
+                else None
+            )
             if result is None:
-                _, remainder = runner.run(worker.part.start, len(runner.log), state, None, counts.of(0))
+                _, remainder = runner.run(
+                    worker.part.start, len(runner.log), state, None, counts.of(0)
+                )
                 return total.merged_with(remainder)
             state, tally = result
             total = total.merged_with(tally)
@@ -118,10 +126,14 @@ def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
     snapshot_ticks = np.array(sorted(runner.snapshots), np.int64)
     at = np.searchsorted(k, snapshot_ticks)
     usable = [
-        int(index) + 1 for index, tick in zip(at, snapshot_ticks, strict=True) if index < ticks and k[index] == tick
+        int(index) + 1
+        for index, tick in zip(at, snapshot_ticks, strict=True)
+        if index < ticks and k[index] == tick
     ]
     count = min(workers, max(ticks // MIN_TICKS, 1), len(usable) + 1)
-    nearest = [min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)]
+    nearest = [
+        min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)
+    ]
     starts = {0: runner.controller.initial()}
     for start in nearest:
         state = _state_after(runner, start - 1)

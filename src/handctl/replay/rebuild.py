@@ -72,7 +72,9 @@ def _read_attachment(log: RunLog, name: str, model: type[D]) -> D:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = "".join(f" {part}" for part in first["loc"])
-        raise LogError(printable_text(f"{name} cannot be read:{place}: {first['msg']}"), *_versions_text(log)) from None
+        raise LogError(
+            printable_text(f"{name} cannot be read:{place}: {first['msg']}"), *_versions_text(log)
+        ) from None
 
 
 def _versions_text(log: RunLog) -> tuple[str, str]:
@@ -80,4 +82,6 @@ def _versions_text(log: RunLog) -> tuple[str, str]:
     metadata = log.header.metadata
     wrote = f"handctl {metadata.get('version', UNKNOWN_IDENTITY)}, code {metadata.get('code', UNKNOWN_IDENTITY)}"
     here = f"handctl {version('handctl')}, code {code_identity()}"
-    return printable_text(f"the log, written by {wrote}"), f"a log that this one can execute: {here}"
+    return printable_text(
+        f"the log, written by {wrote}"
+    ), f"a log that this one can execute: {here}"

@@ -46,8 +46,14 @@ class TelemetryColumns(NamedTuple):
     @staticmethod
     def of(header: RunHeader) -> "TelemetryColumns":
         """Return the column names for a log with this header."""
-        pairs = [(field, name) for field in TELEMETRY_FIELDS for name in header.axis(TELEMETRY_AXES[field])]
-        return TelemetryColumns(tuple(field for field, _ in pairs), tuple(name for _, name in pairs))
+        pairs = [
+            (field, name)
+            for field in TELEMETRY_FIELDS
+            for name in header.axis(TELEMETRY_AXES[field])
+        ]
+        return TelemetryColumns(
+            tuple(field for field, _ in pairs), tuple(name for _, name in pairs)
+        )
 
 
 def distance_in_ulps(a: float, b: float) -> int:
@@ -95,7 +101,13 @@ def differing_fields(
     if packed != numbers:
         for column, was, now in _changed_numbers(numbers, packed):
             yield TickDifference(
-                k, t_s, columns.field[column], columns.name[column], was, now, distance_in_ulps(was, now)
+                k,
+                t_s,
+                columns.field[column],
+                columns.name[column],
+                was,
+                now,
+                distance_in_ulps(was, now),
             )
     yield from text("number of frames", len(logged.frames), len(computed.frames))
     for i, (old, new) in enumerate(zip(logged.frames, computed.frames, strict=False)):
@@ -103,7 +115,9 @@ def differing_fields(
     yield from text("state_hash", logged.state_hash.hex(), computed.state_hash.hex())
 
 
-def state_difference(header: RunHeader, logged: TickRecord, was: State, now: State) -> TickDifference | None:
+def state_difference(
+    header: RunHeader, logged: TickRecord, was: State, now: State
+) -> TickDifference | None:
     """Return the first field that differs between two states of the controller, in the order of the state's schema.
 
     Args:
@@ -121,7 +135,9 @@ def state_difference(header: RunHeader, logged: TickRecord, was: State, now: Sta
         names = header.axis(axis) if axis in ("joint", "tendon", "digit") else ()
         name = names[element % len(names)] if names else f"[{element}]"
         return TickDifference(k, t_s, f"state {field}", name, old, new, distance_in_ulps(old, new))
-    for field, old_part, new_part in zip(Decisions._fields, was.decisions, now.decisions, strict=True):
+    for field, old_part, new_part in zip(
+        Decisions._fields, was.decisions, now.decisions, strict=True
+    ):
         if plain_bytes(old_part) != plain_bytes(new_part):
             return TickDifference(k, t_s, f"state {field}", "", str(old_part), str(new_part))
     return None

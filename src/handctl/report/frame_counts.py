@@ -45,11 +45,17 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
             group = node.ids.index(frame.can_id)
             silent_ids.discard(frame.can_id)
             if len(frame.data) == node.lengths[group] and not silent_ids:
-                fresh = node.answers(frame.data, sync_counter) and frame.t_ns >= node.earliest_answer_ns(sync_ns)
+                fresh = node.answers(
+                    frame.data, sync_counter
+                ) and frame.t_ns >= node.earliest_answer_ns(sync_ns)
                 late += not fresh
                 fresh_frames += fresh and group < node.tension_frames
         for frame in tick.frames:
-            if frame.bus == node.bus and frame.can_id == node.sync_id and len(frame.data) == node.sync_message.length:
+            if (
+                frame.bus == node.bus
+                and frame.can_id == node.sync_id
+                and len(frame.data) == node.sync_message.length
+            ):
                 sync_counter = frame.data[0] & 0xF if frame.data else 0
                 sync_ns = tick.tick_in.t_ns
                 # An amplifier of load cells replies to a SYNC only after its set-up is complete.

@@ -54,7 +54,9 @@ def draw_hand(path: Path, hand: Hand) -> None:
     joints = max(len(digit.joints) for digit in hand.digit)
     left = MOTOR_X - 1.6 - BUS_STEP * len(hand.bus)
     right = JOINTS_X + JOINT_STEP * joints + 0.6
-    figure = Figure(figsize=(1.05 * (right - left), ROW_HEIGHT_IN * rows + 0.5), layout="constrained")
+    figure = Figure(
+        figsize=(1.05 * (right - left), ROW_HEIGHT_IN * rows + 0.5), layout="constrained"
+    )
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set_xlim(left, right)
@@ -81,7 +83,9 @@ def text_graph(hand: Hand) -> str:
         if node.bus == bus.name:
             counts = f"{len(node.tendons)} load cells and {len(node.joints)} joint encoders"
             sensors = f", {_sensors_text(hand)} with {counts}"
-        lines.append(f"bus {bus.name}: {bus.bitrate / 1e6:g} Mbit/s{data}, {motors} motors{sensors}")
+        lines.append(
+            f"bus {bus.name}: {bus.bitrate / 1e6:g} Mbit/s{data}, {motors} motors{sensors}"
+        )
     for digit in hand.digit:
         joints = " - ".join(
             f"{'(' if joint in node.joints else ''}j{i + 1}{')' if joint in node.joints else ''} {1e3 * length:g} mm"
@@ -96,7 +100,8 @@ def text_graph(hand: Hand) -> str:
                 for joint in tendon.moment_arm_m
             )
             drive = (
-                f"{motor.bus}:{motor.node_id} {motor.protocol} {motor.name} (spool {1e3 * motor.spool_radius_m:g} mm)"
+                f"{motor.bus}:{motor.node_id} {motor.protocol} "
+                f"{motor.name} (spool {1e3 * motor.spool_radius_m:g} mm)"
             )
             lines.append(f"  {drive}{cell}- {_tendon_label(tendon)}: {arms}")
     if any(joint in node.joints for joint in hand.joints):
@@ -127,7 +132,9 @@ def _arm_text(hand: Hand, tendon: Tendon, joint: str, sign: str = "") -> str:
 
 def _digit_tendons(hand: Hand, digit: Digit) -> list[Tendon]:
     """Return the tendons that cross at least one joint of a digit."""
-    return [tendon for tendon in hand.tendon if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
+    return [
+        tendon for tendon in hand.tendon if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)
+    ]
 
 
 def _tendon_label(tendon: Tendon) -> str:
@@ -149,21 +156,59 @@ def _sensor_node(axes: Any, hand: Hand) -> float:
     text = f"{_sensors_text(hand)} on {node.bus}, SYNC 0x{node.sync_id:X}: {len(node.tendons)} load cells"
     axes.plot(JOINTS_X, -0.1, "s", color=CELL_COLOUR, markersize=7)
     axes.text(JOINTS_X + 0.2, -0.1, text, va="center", fontsize=7.5)
-    axes.plot(JOINTS_X, -0.6, "o", color="white", markeredgecolor=ENCODER_COLOUR, markeredgewidth=2, markersize=8)
+    axes.plot(
+        JOINTS_X,
+        -0.6,
+        "o",
+        color="white",
+        markeredgecolor=ENCODER_COLOUR,
+        markeredgewidth=2,
+        markersize=8,
+    )
     axes.text(JOINTS_X + 0.2, -0.6, f"{len(node.joints)} joint encoders", va="center", fontsize=7.5)
     return 1.5
 
 
-def _draw_digit(axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, list[float]]) -> float:
+def _draw_digit(
+    axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, list[float]]
+) -> float:
     """Draw a digit at row ``y`` and the tendons of the digit below, and return the row after the last tendon."""
     columns = dict(_joint_xs(digit))
     axes.text(JOINTS_X - 0.35, y, digit.name, ha="right", va="center", fontsize=9, weight="bold")
     for (joint, x), length in zip(columns.items(), digit.link_length_m, strict=True):
-        axes.plot([x, x + JOINT_STEP], [y, y], color=LINK_COLOUR, linewidth=7, solid_capstyle="round", zorder=1)
-        axes.text(x + JOINT_STEP / 2, y, f"{1e3 * length:g} mm", ha="center", va="center", fontsize=7, zorder=3)
-        edge, width = (ENCODER_COLOUR, 2.0) if joint in hand.sensor_node.joints else ("#555555", 1.0)
-        axes.plot(x, y, "o", color="white", markeredgecolor=edge, markeredgewidth=width, markersize=9, zorder=3)
-        axes.text(x, y + 0.35, joint.removeprefix(f"{digit.name}_"), ha="center", va="center", fontsize=7)
+        axes.plot(
+            [x, x + JOINT_STEP],
+            [y, y],
+            color=LINK_COLOUR,
+            linewidth=7,
+            solid_capstyle="round",
+            zorder=1,
+        )
+        axes.text(
+            x + JOINT_STEP / 2,
+            y,
+            f"{1e3 * length:g} mm",
+            ha="center",
+            va="center",
+            fontsize=7,
+            zorder=3,
+        )
+        edge, width = (
+            (ENCODER_COLOUR, 2.0) if joint in hand.sensor_node.joints else ("#555555", 1.0)
+        )
+        axes.plot(
+            x,
+            y,
+            "o",
+            color="white",
+            markeredgecolor=edge,
+            markeredgewidth=width,
+            markersize=9,
+            zorder=3,
+        )
+        axes.text(
+            x, y + 0.35, joint.removeprefix(f"{digit.name}_"), ha="center", va="center", fontsize=7
+        )
     for tendon in _digit_tendons(hand, digit):
         y -= 1.0
         _draw_tendon(axes, hand, tendon, columns, y)
@@ -173,18 +218,31 @@ def _draw_digit(axes: Any, hand: Hand, digit: Digit, y: float, ends: dict[str, l
     return y - 1.0
 
 
-def _draw_tendon(axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float], y: float) -> None:
+def _draw_tendon(
+    axes: Any, hand: Hand, tendon: Tendon, columns: dict[str, float], y: float
+) -> None:
     """Draw the row of a tendon, from the bus of the motor to the last joint that the tendon crosses."""
     motor = hand.motor_of(tendon.name)
     bus = hand.bus_names.index(motor.bus)
     colour = BUS_COLOURS[bus % len(BUS_COLOURS)]
     means = hand.moment_arms[hand.tendon.index(tendon)]
-    crossed = {joint: means[hand.joints.index(joint)] for joint in tendon.moment_arm_m if joint in columns}
+    crossed = {
+        joint: means[hand.joints.index(joint)] for joint in tendon.moment_arm_m if joint in columns
+    }
     last = max(columns[joint] for joint in crossed)
     axes.plot([_bus_x(bus), MOTOR_X], [y, y], color=colour, linewidth=1.2, zorder=1)
     axes.plot([MOTOR_X, last + 0.45], [y, y], color=FLEXOR_COLOUR, linewidth=1.0, zorder=1)
     axes.plot(last + 0.45, y, "|", color=FLEXOR_COLOUR, markersize=8)
-    axes.plot(MOTOR_X, y, "o", color="white", markeredgecolor=colour, markeredgewidth=1.6, markersize=15, zorder=2)
+    axes.plot(
+        MOTOR_X,
+        y,
+        "o",
+        color="white",
+        markeredgecolor=colour,
+        markeredgewidth=1.6,
+        markersize=15,
+        zorder=2,
+    )
     axes.text(MOTOR_X, y, f"{motor.node_id}", ha="center", va="center", fontsize=7, zorder=3)
     spool = f"{motor.name}, {motor.protocol}, spool {1e3 * motor.spool_radius_m:g} mm"
     axes.text(MOTOR_X + 0.2, y + 0.25, spool, ha="left", va="center", fontsize=6.5)
@@ -213,7 +271,20 @@ def _draw_buses(axes: Any, hand: Hand, ends: dict[str, list[float]]) -> None:
         x = _bus_x(i)
         top, bottom = ends[bus.name]
         colour = BUS_COLOURS[i % len(BUS_COLOURS)]
-        axes.plot([x, x], [top + 0.4, bottom - 0.4], color=colour, linewidth=3, solid_capstyle="round")
-        rates = f"{bus.bitrate / 1e6:g}" + (f"/{bus.data_bitrate / 1e6:g}" if bus.data_bitrate else "")
+        axes.plot(
+            [x, x], [top + 0.4, bottom - 0.4], color=colour, linewidth=3, solid_capstyle="round"
+        )
+        rates = f"{bus.bitrate / 1e6:g}" + (
+            f"/{bus.data_bitrate / 1e6:g}" if bus.data_bitrate else ""
+        )
         label = f"{bus.name}, {rates} Mbit/s"
-        axes.text(x - 0.12, (top + bottom) / 2, label, rotation=90, ha="right", va="center", fontsize=7.5, color=colour)
+        axes.text(
+            x - 0.12,
+            (top + bottom) / 2,
+            label,
+            rotation=90,
+            ha="right",
+            va="center",
+            fontsize=7.5,
+            color=colour,
+        )

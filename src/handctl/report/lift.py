@@ -23,7 +23,9 @@ Objects that the hand holds in the demo move by 3 mm at most.
 """
 
 
-def judge_lift(log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Collection[str]) -> dict[str, Any]:
+def judge_lift(
+    log: RunLog, truth: TruthRecord | None, offset_ns: int, holds: Collection[str]
+) -> dict[str, Any]:
     """Return how far the table sank while the hand held the object, and how far the object moved meanwhile.
 
     Args:

@@ -39,12 +39,18 @@ class TableRow(NamedTuple):
     def tick_s(self) -> float:
         """Return the time that the frames of one tick take on the bus [s]."""
         sizes = [*self.per_motor * self.motors, *self.shared]
-        return bus_time_s([(size, self.fd, 1.0) for size in sizes], BITRATE_BIT_PER_S, DATA_BITRATE_BIT_PER_S)
+        return bus_time_s(
+            [(size, self.fd, 1.0) for size in sizes], BITRATE_BIT_PER_S, DATA_BITRATE_BIT_PER_S
+        )
 
     def numbers(self) -> dict[str, Any]:
         """Return the row as a mapping for JSON output."""
         loads = {f"{rate:g}": rate * self.tick_s for rate in TABLE_RATES_HZ}
-        return self._asdict() | {"tick_us": self.tick_s * 1e6, "load": loads, "max_hz": MAX_BUS_LOAD / self.tick_s}
+        return self._asdict() | {
+            "tick_us": self.tick_s * 1e6,
+            "load": loads,
+            "max_hz": MAX_BUS_LOAD / self.tick_s,
+        }
 
 
 TABLE_ROWS = (

@@ -71,7 +71,9 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
             # the last link.
             push = -max(float(force[index, d]), 0.0) * turned[digits[d].joints][-1, :, 1]
             shown = [meshes.get(f"{digits[d].name}_link{i + 1}") for i in range(len(paths[d]) - 1)]
-            for mesh, position, rotation in zip(shown, paths[d], turned[digits[d].joints], strict=False):
+            for mesh, position, rotation in zip(
+                shown, paths[d], turned[digits[d].joints], strict=False
+            ):
                 if mesh:
                     _draw_mesh(axes, mesh.triangles @ rotation.T + position, colours[d])
             _draw_digit(axes, paths[d], push, colours[d], [mesh is not None for mesh in shown])
@@ -88,7 +90,9 @@ def _project_points(points_m: Array) -> Array:
 
     The viewer looks along the hinge axes, at an oblique angle.
     """
-    return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(OBLIQUE_SHIFT)), np.float64)
+    return np.asarray(
+        1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(OBLIQUE_SHIFT)), np.float64
+    )
 
 
 def _picture_limits(tree: HandTree, palm: Array) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -134,7 +138,9 @@ def _draw_mesh(axes: Any, triangles: Array, colour: str) -> None:
     )  # fmt: skip
 
 
-def _draw_digit(axes: Any, joints: Array, push: Array, colour: str, has_mesh: Sequence[bool]) -> None:
+def _draw_digit(
+    axes: Any, joints: Array, push: Array, colour: str, has_mesh: Sequence[bool]
+) -> None:
     """Draw the links of a digit from the palm to the tip, and the estimated force on the tip as an arrow.
 
     Args:
@@ -192,7 +198,10 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     """Return the name and the index of the middle tick of each phase in which the hand is active."""
     changes = log.phases
     ends = [change.k for change in changes[1:]] + log.k[-1:].tolist()
-    middles = [(c.name, int(np.searchsorted(log.k, (c.k + end) // 2))) for c, end in zip(changes, ends, strict=True)]
+    middles = [
+        (c.name, int(np.searchsorted(log.k, (c.k + end) // 2)))
+        for c, end in zip(changes, ends, strict=True)
+    ]
     inside = [
         (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
     ]  # the ticks may be unordered
@@ -243,7 +252,9 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
                 fd = bool(frame.flags & FDF)
                 size = len(frame.data)
                 extended = bool(frame.can_id & EXTENDED)
-                busy[i, frame.bus] += frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, extended)
+                busy[i, frame.bus] += frame_time_s(
+                    size, fd, bus.bitrate, bus.data_bitrate, extended
+                )
     window = max(1, min(round(LOAD_WINDOW_S * 1e9 / log.header.period_ns), len(log)))
     kernel = np.ones(window) / (window * log.header.period_ns * 1e-9)
     load = busy

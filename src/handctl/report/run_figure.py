@@ -38,10 +38,14 @@ Array = NDArray[np.float64]
 
 def digit_colours(hand: Hand) -> list[str]:
     """Return the colour of each digit. A digit of one name has the same colour on every hand."""
-    return [DIGIT_COLOURS[number % len(DIGIT_COLOURS)] for number in colour_numbers(hand.digit_names)]
+    return [
+        DIGIT_COLOURS[number % len(DIGIT_COLOURS)] for number in colour_numbers(hand.digit_names)
+    ]
 
 
-def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, title: str) -> None:
+def draw_run(
+    path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, title: str
+) -> None:
     """Draw the figure of a run as PNG.
 
     Args:
@@ -71,7 +75,13 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, off
         axes.plot(log.times, log.late_ns / 1e3, color="#666666", linewidth=0.6)
         axes.set(ylabel="lateness\nof a tick [us]", xlabel="time [s]")
     _add_titles_and_phases(grid, late, log, hand)
-    figure.legend(*_legend_entries(truth is not None), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    figure.legend(
+        *_legend_entries(truth is not None),
+        loc="outside lower center",
+        ncols=4,
+        fontsize=8,
+        frameon=False,
+    )
     save_figure(figure, path)
 
 
@@ -123,12 +133,17 @@ def _legend_entries(truth: bool) -> tuple[list[Any], list[str]]:
     ]
     if truth:
         marks.append(
-            (Line2D([], [], color=PLANT_COLOUR, linewidth=0.8), "plant, for forces the sum of all contact forces")
+            (
+                Line2D([], [], color=PLANT_COLOUR, linewidth=0.8),
+                "plant, for forces the sum of all contact forces",
+            )
         )
     return [mark for mark, _ in marks], [text for _, text in marks]
 
 
-def _draw_angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
+def _draw_angles(
+    row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
+) -> None:
     """Draw the mean joint angle of each digit: estimate, command and true value."""
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name))) for name in ("q_goal", "q"))
     real = None
@@ -148,19 +163,25 @@ def _draw_command_and_truth(axes: Any, log: RunLog, goal: Array | None, real: Ar
         axes.plot(log.times, goal, color=COMMAND_COLOUR, linewidth=1.0, linestyle="--")
 
 
-def _draw_tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
+def _draw_tensions(
+    row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
+) -> None:
     """Draw the tendon tensions of each digit: estimates, commands and true values."""
     estimate = log.field("tension")
     sigma = log.field("tension_sigma")
     goal = log.field("tension_goal")
-    for axes, tendons, colour in zip(row, hand.digit_tendons.values(), digit_colours(hand), strict=True):
+    for axes, tendons, colour in zip(
+        row, hand.digit_tendons.values(), digit_colours(hand), strict=True
+    ):
         names = hand.tendon_names[tendons]
         # The repetition of TENDON_OPACITIES gives every tendon an opacity, even if a digit has more
         # than three tendons.
         for shade, i, name in zip(
             TENDON_OPACITIES * len(names), range(tendons.start, tendons.stop), names, strict=False
         ):
-            axes.plot(log.times, estimate[:, i], color=colour, alpha=shade, linewidth=1.2, label=name)
+            axes.plot(
+                log.times, estimate[:, i], color=colour, alpha=shade, linewidth=1.2, label=name
+            )
             low = estimate[:, i] - sigma[:, i]
             high = estimate[:, i] + sigma[:, i]
             axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
@@ -171,11 +192,15 @@ def _draw_tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthReco
     row[0].set_ylim(-2, float(np.fmax.reduce(estimate, axis=None, initial=9.0)) * 1.15)
 
 
-def _draw_forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> None:
+def _draw_forces(
+    row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
+) -> None:
     """Draw the contact force on each digit: estimate and true value."""
     estimate = log.field("tip_force")
     sigma = log.field("tip_force_sigma")
-    for d, (axes, name, colour) in enumerate(zip(row, hand.digit_names, digit_colours(hand), strict=True)):
+    for d, (axes, name, colour) in enumerate(
+        zip(row, hand.digit_names, digit_colours(hand), strict=True)
+    ):
         axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.0)
         low = estimate[:, d] - sigma[:, d]
         high = estimate[:, d] + sigma[:, d]
@@ -183,8 +208,12 @@ def _draw_forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: TruthRecord
         if truth is not None:
             # The truth file has the three components of the force. The estimate is the size of the
             # force.
-            parts = [truth.at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns) for axis in "xyz"]
-            _draw_command_and_truth(axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64))
+            parts = [
+                truth.at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns) for axis in "xyz"
+            ]
+            _draw_command_and_truth(
+                axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64)
+            )
 
 
 def _mark_phases(grid: Any, log: RunLog) -> None:
@@ -213,4 +242,6 @@ def _draw_mark(grid: Any, t_s: float, name: str, colour: str) -> None:
             "va": "top",
         }
         transform = axes.get_xaxis_transform()
-        axes.text(t_s, 0.99, f" {printable_text(name, 40)}", transform=transform, clip_on=True, **style)
+        axes.text(
+            t_s, 0.99, f" {printable_text(name, 40)}", transform=transform, clip_on=True, **style
+        )

@@ -40,7 +40,9 @@ code { font-size: .85em; word-break: break-all; }
 """Style sheet of the page."""
 
 
-def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, name: str) -> int:
+def write_page(
+    path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int, name: str
+) -> int:
     """Write the HTML page about a run.
 
     Args:
@@ -68,7 +70,9 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: TruthRecord | None, o
         ),
         _html_section("Events and faults", _event_table(log)),
         _html_section("Loop and bus", f'<div class="two">{draw_lateness(log)}{load_picture}</div>'),
-        _html_section("Origin of this run", _text_table({**metadata, **log.header.wall, **log.end})),
+        _html_section(
+            "Origin of this run", _text_table({**metadata, **log.header.wall, **log.end})
+        ),
         _html_section("Gains", _text_table(log.header.gains)),
     ]
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{PAGE_STYLE}</style>"
@@ -96,7 +100,10 @@ def _html_table(rows: Iterable[tuple[str, str]]) -> str:
 
 def _text_table(values: Mapping[str, object]) -> str:
     """Return an HTML table of texts that come from a log."""
-    return _html_table((_escaped_text(key), f"<code>{_escaped_text(value)}</code>") for key, value in values.items())
+    return _html_table(
+        (_escaped_text(key), f"<code>{_escaped_text(value)}</code>")
+        for key, value in values.items()
+    )
 
 
 def _number_table(
@@ -139,7 +146,10 @@ def _number_table(
     ]
     rows += [(_escaped_text(name), text) for name, text in angle_rows(summary["joint_angles"])]
     forces = summary["tip_equivalent_force_n"]
-    rows += [(f"{name}: tip-equivalent force", _number_text(force, "N")) for name, force in forces.items()]
+    rows += [
+        (f"{name}: tip-equivalent force", _number_text(force, "N"))
+        for name, force in forces.items()
+    ]
     return _html_table((name, text) for name, text in rows if text)
 
 
@@ -178,14 +188,17 @@ def _fault_counts(log: RunLog) -> str:
         fault = event.event.text.partition(":")[0]
         first.setdefault(fault, event.t_ns / 1e9)
         counts[fault] += 1
-    lines = (f"{_escaped_text(fault)}: {counts[fault]}, first at {t:.3f} s" for fault, t in first.items())
+    lines = (
+        f"{_escaped_text(fault)}: {counts[fault]}, first at {t:.3f} s" for fault, t in first.items()
+    )
     return "<br>".join(lines) or "none"
 
 
 def _contact_times(log: RunLog) -> str:
     """Return HTML lines with the first contacts of a run and their times."""
     lines = (
-        f"{_escaped_text(event.event.text)} at {event.t_ns / 1e9:.3f} s" for event in _events_named(log, "contact")
+        f"{_escaped_text(event.event.text)} at {event.t_ns / 1e9:.3f} s"
+        for event in _events_named(log, "contact")
     )
     return "<br>".join(islice(lines, MAX_CONTACTS))
 

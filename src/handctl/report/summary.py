@@ -27,7 +27,9 @@ constant.
 """
 
 
-def summarise_run(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> dict[str, Any]:
+def summarise_run(
+    log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
+) -> dict[str, Any]:
     """Return all numbers about a run.
 
     Args:
@@ -99,10 +101,14 @@ def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
     return windows
 
 
-def _settled_mask(moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog) -> NDArray[np.bool_]:
+def _settled_mask(
+    moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog
+) -> NDArray[np.bool_]:
     """Return a mask (ticks,), True from the time on at which the targets of a hold have been constant for SETTLED_S."""
     last = np.flatnonzero(moving)
-    settled: NDArray[np.bool_] = log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
+    settled: NDArray[np.bool_] = (
+        log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
+    )
     return settled
 
 
@@ -135,17 +141,25 @@ def judge_tracking(
     """
     goal = mean_angles(hand, log.field("q_goal"))
     free = active[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
-    unknown = {"tracking_rmse_rad": float("nan"), "tracking_rmse_deg": {}, "tracking_rmse_joint_deg": {}}
+    unknown = {
+        "tracking_rmse_rad": float("nan"),
+        "tracking_rmse_deg": {},
+        "tracking_rmse_joint_deg": {},
+    }
     if truth is None:
         return unknown
     joint_angles = truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
     real = mean_angles(hand, joint_angles)
     touched = _touch_mask(truth, hand, log, offset_ns)
     error = np.where(free & ~touched, goal - real, np.nan)
-    per_digit = {name: np.degrees(root_mean_square(error[:, d])) for d, name in enumerate(hand.digit_names)}
+    per_digit = {
+        name: np.degrees(root_mean_square(error[:, d])) for d, name in enumerate(hand.digit_names)
+    }
     digit_of = np.repeat(np.arange(len(hand.digit)), [len(digit.joints) for digit in hand.digit])
     joints = np.where((free & ~touched)[:, digit_of], log.field("q_goal") - joint_angles, np.nan)
-    per_joint = {name: np.degrees(root_mean_square(joints[:, j])) for j, name in enumerate(hand.joints)}
+    per_joint = {
+        name: np.degrees(root_mean_square(joints[:, j])) for j, name in enumerate(hand.joints)
+    }
     return {
         "tracking_rmse_rad": root_mean_square(error), "tracking_rmse_deg": per_digit,
         "tracking_rmse_joint_deg": per_joint
@@ -156,7 +170,8 @@ def _touch_mask(truth: TruthRecord, hand: Hand, log: RunLog, offset_ns: int) -> 
     """Return a mask (ticks, D), True where the digit has a contact in the simulated plant."""
     t_ns = log.t_ns + offset_ns
     force = [
-        np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz")) for name in hand.digit_names
+        np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz"))
+        for name in hand.digit_names
     ]
     return np.column_stack(force) > 0.05
 
@@ -183,7 +198,9 @@ def judge_tension(
         holds: mask (ticks,) for each hold, True where the hold is settled.
     """
     if truth is None:
-        return dict.fromkeys(("tension_rmse_n", "tension_raw_rmse_n", "tension_hold_error_n"), float("nan"))
+        return dict.fromkeys(
+            ("tension_rmse_n", "tension_raw_rmse_n", "tension_hold_error_n"), float("nan")
+        )
     names = [f"tension/{tendon}" for tendon in log.header.tendons]
     real = truth.table(names, log.t_ns + offset_ns)
     # A reading of a load cell is one control period old when the tick reads it.
@@ -195,9 +212,15 @@ def judge_tension(
     columns = [column for column in columns if len(column)]
     return {
         "tension_rmse_n": root_mean_square(np.where(taut, log.field("tension") - real, np.nan)),
-        "tension_raw_rmse_n": root_mean_square(np.where(taut, log.field("tension_raw") - before, np.nan)),
-        "tension_hold_error_n": max((abs(float(column.mean())) for column in columns), default=float("nan")),
-        "tension_hold_peak_error_n": max((float(np.abs(column).max()) for column in columns), default=float("nan")),
+        "tension_raw_rmse_n": root_mean_square(
+            np.where(taut, log.field("tension_raw") - before, np.nan)
+        ),
+        "tension_hold_error_n": max(
+            (abs(float(column.mean())) for column in columns), default=float("nan")
+        ),
+        "tension_hold_peak_error_n": max(
+            (float(np.abs(column).max()) for column in columns), default=float("nan")
+        ),
     }
 
 
@@ -207,7 +230,9 @@ def _holding_mask(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
     A spool pair for sideways motion is excluded, because such a pair holds a position instead.
     """
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
-    digit_of = np.repeat(np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices])
+    digit_of = np.repeat(
+        np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices]
+    )
     side = [
         tendon_directions(DigitModel.of(hand, name), hand.is_pair[hand.digit_tendons[name]])
         for name in hand.digit_names
@@ -236,20 +261,33 @@ def judge_grasp(
     settled = np.any(holds, axis=0) if holds else np.zeros(len(log), dtype=bool)
     estimated = log.field("tip_force")[settled]
     means = estimated.mean(axis=0) if len(estimated) else np.full(len(hand.digit), np.nan)
-    result: dict[str, Any] = {"tip_equivalent_force_n": dict(zip(hand.digit_names, means.tolist(), strict=True))}
+    result: dict[str, Any] = {
+        "tip_equivalent_force_n": dict(zip(hand.digit_names, means.tolist(), strict=True))
+    }
     if truth is None or not settled.any():
         return result | {"object_motion_mm": float("nan"), "contact_force_n": {}}
     t_ns = log.t_ns + offset_ns
     force = {
         name: float(
-            np.mean(np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns[settled]) ** 2 for axis in "xyz")))
+            np.mean(
+                np.sqrt(
+                    sum(
+                        truth.at(f"contact_force/{name}/{axis}", t_ns[settled]) ** 2
+                        for axis in "xyz"
+                    )
+                )
+            )
         )
         for name in hand.digit_names
     }
     motion = float("nan")
     on_table = truth.has(TABLE_SUNK_COLUMN) and not truth.at(TABLE_SUNK_COLUMN, t_ns[settled]).any()
     if truth.has("object/x") and not on_table:
-        paths = [truth.table(["object/x", "object/y", "object/z"], t_ns[hold]) for hold in holds if hold.any()]
+        paths = [
+            truth.table(["object/x", "object/y", "object/z"], t_ns[hold])
+            for hold in holds
+            if hold.any()
+        ]
         motion = max(float(np.linalg.norm(path - path[0], axis=1).max() * 1e3) for path in paths)
     return result | {"object_motion_mm": motion, "contact_force_n": force}
 
@@ -285,7 +323,9 @@ def judge_angles(
     sigma = log.field("q_sigma")[inside]
     error = np.full_like(q, np.nan)
     if truth is not None:
-        error = q - truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns[inside] + offset_ns)
+        error = q - truth.table(
+            [f"q/{joint}" for joint in hand.joints], log.t_ns[inside] + offset_ns
+        )
     angles = {}
     for name, joints in hand.digit_joints.items():
         finite = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
@@ -331,7 +371,9 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
     return rows
 
 
-def measured_load(log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]) -> float:
+def measured_load(
+    log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]
+) -> float:
     """Return the fraction of a run's duration for which the frames occupy a bus in the worst case.
 
     Args:

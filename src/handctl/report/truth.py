@@ -46,7 +46,9 @@ class TruthRecord:
             LogError: the column is missing, as in a truth file of another hand.
         """
         if name not in self.columns:
-            raise LogError(f"no column {name!r}", "the simulator's truth", "a truth file of the same hand")
+            raise LogError(
+                f"no column {name!r}", "the simulator's truth", "a truth file of the same hand"
+            )
         values = self.values[:, self.columns.index(name)]
         # Differences of the int64 times are exact in float64. The times themselves are too large
         # for that.
@@ -81,9 +83,13 @@ def read_truth(path: Path) -> TruthRecord:
                 [("t_ns", "<i8"), ("v", "<f8", (len(columns),))],
             )
     except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", str(path), "the simulator's truth file") from None
+        raise LogError(
+            f"cannot be read: {error.strerror}", str(path), "the simulator's truth file"
+        ) from None
     except (ValueError, KeyError, TypeError) as error:
-        raise LogError(f"is not a truth file: {error}", str(path), "a JSON line and float64 rows") from None
+        raise LogError(
+            f"is not a truth file: {error}", str(path), "a JSON line and float64 rows"
+        ) from None
     if not len(rows):
         raise LogError("is empty", str(path), "at least one row of truth")
     return TruthRecord(header, rows["t_ns"].copy(), rows["v"].copy(), columns)

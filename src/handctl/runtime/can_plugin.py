@@ -45,7 +45,9 @@ class LocalCanBus(can.BusABC):
         Raises:
             can.CanInitializationError: no hub of this name is running.
         """
-        offset = time.time_ns() - time.monotonic_ns()  # python-can stamps messages with wall-clock time
+        offset = (
+            time.time_ns() - time.monotonic_ns()
+        )  # python-can stamps messages with wall-clock time
         try:
             # Each read takes one record, because a program that waits on ``fileno`` takes one
             # message and waits again.
@@ -117,5 +119,8 @@ class LocalCanBus(can.BusABC):
     def _detect_available_configs() -> list[Any]:
         """List the local buses of this user that have a socket on this machine."""
         with suppress(BusError):  # no buses are listed if the folder of the sockets is not safe
-            return [{"interface": "local", "channel": path.stem} for path in sorted(run_dir().glob("*.bus"))]
+            return [
+                {"interface": "local", "channel": path.stem}
+                for path in sorted(run_dir().glob("*.bus"))
+            ]
         return []

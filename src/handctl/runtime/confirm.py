@@ -149,13 +149,17 @@ def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> Sta
         if line["mode"] == Mode.DONE.name:
             raise PowerError("; ".join(_mode_texts(line)), f"bus {watcher.name}")
         if line["t_s"] > start_s + OFF_TIMEOUT_S:
-            raise UnconfirmedError(watcher.name, word, f"accepted, but the hand is still in mode {line['mode']}")
+            raise UnconfirmedError(
+                watcher.name, word, f"accepted, but the hand is still in mode {line['mode']}"
+            )
         new = None
         last_line = time.monotonic()
         while new is None:
             if time.monotonic() > last_line + CONFIRMATION_TIMEOUT_S:
                 raise UnconfirmedError(
-                    watcher.name, word, f"accepted, but then {CONTROLLER_SILENT_TEXT} in mode {line['mode']}"
+                    watcher.name,
+                    word,
+                    f"accepted, but then {CONTROLLER_SILENT_TEXT} in mode {line['mode']}",
                 )
             new = watcher.next_line(0.0) or _subscribe_again(watcher)
         line = new
@@ -163,7 +167,9 @@ def follow_until_off(watcher: StatusWatcher, word: str, line: StatusLine) -> Sta
 
 def is_hand_off(line: StatusLine) -> bool:
     """Return True if a status line reports the end of the run with every drive off."""
-    return bool(line["mode"] == Mode.DONE.name) and not any(REMOVE_POWER in text for text in _mode_texts(line))
+    return bool(line["mode"] == Mode.DONE.name) and not any(
+        REMOVE_POWER in text for text in _mode_texts(line)
+    )
 
 
 def _mode_texts(line: StatusLine) -> list[str]:

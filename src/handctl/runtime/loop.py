@@ -133,7 +133,9 @@ class StopSignals:
     def handlers_installed(self) -> Iterator[None]:
         """Install the signal handler during a ``with`` block."""
         under_nohup = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-        with installed_handler(self, signal.SIGINT, signal.SIGTERM, *([] if under_nohup else [signal.SIGHUP])):
+        with installed_handler(
+            self, signal.SIGINT, signal.SIGTERM, *([] if under_nohup else [signal.SIGHUP])
+        ):
             yield
 
 
@@ -184,7 +186,9 @@ class ControlLoop(Generic[S]):
     show: Callable[[TickIn, TickOut], None]
     keep: Callable[[TickIn, S], None] = _no_snapshot
     observe: Callable[[TickIn, TickOut, S, int], None] = _no_observer
-    let_go: Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None = None
+    let_go: Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None = (
+        None
+    )
     urgent: Callable[[], AbstractContextManager[object]] = nullcontext
     stats: LoopStats = field(default_factory=LoopStats)
     _k: int = 0
@@ -227,7 +231,9 @@ class ControlLoop(Generic[S]):
                 left = self._poll_until_off(last[0])
             finally:
                 if left:
-                    raise PowerError(f"{REMOVE_POWER}: not confirmed disabled: {', '.join(left)}") from error
+                    raise PowerError(
+                        f"{REMOVE_POWER}: not confirmed disabled: {', '.join(left)}"
+                    ) from error
             raise
 
     def _poll_until_off(self, state: S) -> tuple[str, ...]:
@@ -253,7 +259,10 @@ class ControlLoop(Generic[S]):
         Frames refused by a queue full of commands are sent again.
         """
         alone = len(self.buses) == 1
-        left = [(bus, [f for f in self.cut if f.bus == index or alone]) for index, bus in enumerate(self.buses)]
+        left = [
+            (bus, [f for f in self.cut if f.bus == index or alone])
+            for index, bus in enumerate(self.buses)
+        ]
         for _ in range(CUT_TRIES):
             self._send_cut_once(left)
             if not any(frames for _, frames in left):

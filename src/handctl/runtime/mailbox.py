@@ -23,7 +23,9 @@ from handctl.runtime.peers import receive_datagram, request_sender_credentials
 
 MAX_REQUEST_BYTES = 4096
 """Longest request [bytes]. A longer request is truncated, and then refused as invalid JSON."""
-STOP_REQUEST, CUT_REQUEST, CLEAR_REQUEST = (f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear"))
+STOP_REQUEST, CUT_REQUEST, CLEAR_REQUEST = (
+    f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear")
+)
 """Requests as texts, for the modules that send them."""
 WATCH_REQUEST = b'{"do": "watch"}'
 MAX_WATCHERS = 16
@@ -138,8 +140,12 @@ def bus_lock(name: str) -> Iterator[None]:
 def _lock_error(name: str, error: OSError) -> BusError:
     """Return the error for a bus that cannot be locked."""
     if isinstance(error, BlockingIOError):
-        return BusError("another controller runs here", f"bus {name}", "one controller per bus: handctl stop")
-    return BusError(f"cannot receive requests: {error}", str(mailbox_path(name).parent), SHORT_RUN_FOLDER_TEXT)
+        return BusError(
+            "another controller runs here", f"bus {name}", "one controller per bus: handctl stop"
+        )
+    return BusError(
+        f"cannot receive requests: {error}", str(mailbox_path(name).parent), SHORT_RUN_FOLDER_TEXT
+    )
 
 
 def _lock_bus(name: str) -> int:
@@ -220,7 +226,9 @@ class StatusWatcher:
             self.socket.bind(str(self.path))
         except OSError as error:
             self.socket.close()
-            raise BusError(f"cannot receive replies: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT) from None
+            raise BusError(
+                f"cannot receive replies: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
+            ) from None
 
     def fresh_line(self, timeout_s: float) -> dict[str, Any] | None:
         """Request a new status line and return it.

@@ -70,7 +70,9 @@ def record_type(axes: Mapping[str, int]) -> np.dtype[np.void]:
         axes: numbers of joints, tendons, motors and digits of the hand, with the keys "joint",
             "tendon", "motor" and "digit".
     """
-    numbers = [(PUBLISHED_NAMES[name], "<f8", (axes[TELEMETRY_AXES[name]],)) for name in TELEMETRY_FIELDS]
+    numbers = [
+        (PUBLISHED_NAMES[name], "<f8", (axes[TELEMETRY_AXES[name]],)) for name in TELEMETRY_FIELDS
+    ]
     return np.dtype([*LEADING_FIELDS, *numbers])
 
 
@@ -96,7 +98,9 @@ class ObservationWriter:
         self._ring_at = -(-(HEADER_STRUCT.size + len(text)) // PAGE_BYTES) * PAGE_BYTES
         try:
             self.path.unlink(missing_ok=True)
-            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+            descriptor = os.open(
+                self.path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600
+            )
         except OSError as error:
             raise BusError(
                 f"cannot write observations: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
@@ -112,7 +116,10 @@ class ObservationWriter:
         assert kind.itemsize == _LEADING_STRUCT.size + 8 * count
         starts = [self._ring_at + self._size * slot for slot in range(RING_RECORDS)]
         self._counters = [np.frombuffer(self._map, COUNTER_DTYPE, 1, start) for start in starts]
-        self._numbers = [np.frombuffer(self._map, "<f8", count, start + 8 + _LEADING_STRUCT.size) for start in starts]
+        self._numbers = [
+            np.frombuffer(self._map, "<f8", count, start + 8 + _LEADING_STRUCT.size)
+            for start in starts
+        ]
         self._map[HEADER_STRUCT.size : HEADER_STRUCT.size + len(text)] = text
         HEADER_STRUCT.pack_into(self._map, 0, MAGIC, len(text), self._size, RING_RECORDS, 0, 0)
         self._total = np.frombuffer(self._map, COUNTER_DTYPE, 1, WRITTEN_COUNT_OFFSET)
@@ -173,10 +180,14 @@ class ObservationReader:
             raise BusError("no observations", f"bus {bus}", "a running handctl run") from None
         if len(self._map) < HEADER_STRUCT.size or self._map[:8] != MAGIC:
             self._map.close()
-            raise BusError("no observations of this version", f"bus {bus}", "a controller of the same version")
+            raise BusError(
+                "no observations of this version", f"bus {bus}", "a controller of the same version"
+            )
         _, length, self._size, self._records, _, _ = HEADER_STRUCT.unpack_from(self._map)
         self._ring_at = -(-(HEADER_STRUCT.size + length) // PAGE_BYTES) * PAGE_BYTES
-        self.description: dict[str, Any] = json.loads(self._map[HEADER_STRUCT.size : HEADER_STRUCT.size + length])
+        self.description: dict[str, Any] = json.loads(
+            self._map[HEADER_STRUCT.size : HEADER_STRUCT.size + length]
+        )
         self.kind = record_type(self.description["axes"])
         self.seen = 0
 

@@ -78,7 +78,9 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
                 if private or state.st_uid != 0 or links == MAX_SYMBOLIC_LINKS:
                     raise BusError("is a link", str(here), PRIVATE_FOLDER_TEXT)
                 target = here.parent / os.readlink(part, dir_fd=at)
-                return _private_folder(target.joinpath(*parts[number + 1 :]), private_parts, links + 1)
+                return _private_folder(
+                    target.joinpath(*parts[number + 1 :]), private_parts, links + 1
+                )
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else FOLDER_OPEN_FLAGS
             # The path is relative to the checked parent, so that renaming a parent has no effect.
             below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
@@ -86,7 +88,9 @@ def _private_folder(path: Path, private_parts: int, links: int = 0) -> Path:
             at = below
             (_refuse_shared_folder if private else _refuse_unsafe_folder)(here, at)
     except OSError as error:
-        raise BusError(f"cannot be used: {error.strerror}", str(here), PRIVATE_FOLDER_TEXT) from None
+        raise BusError(
+            f"cannot be used: {error.strerror}", str(here), PRIVATE_FOLDER_TEXT
+        ) from None
     finally:
         os.close(at)
     return Path(os.path.abspath(path))
@@ -114,7 +118,11 @@ def _refuse_shared_folder(here: Path, at: int) -> None:
     if state.st_uid != os.geteuid():
         raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), PRIVATE_FOLDER_TEXT)
     if state.st_mode & WRITABLE_BY_OTHERS_MODE:
-        raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), PRIVATE_FOLDER_TEXT)
+        raise BusError(
+            f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})",
+            str(here),
+            PRIVATE_FOLDER_TEXT,
+        )
     if state.st_mode & GROUP_AND_OTHERS_MODE:
         os.fchmod(at, PRIVATE_MODE)
 
@@ -129,7 +137,11 @@ def _refuse_unsafe_folder(here: Path, at: int) -> None:
     if state.st_uid not in (0, os.geteuid()):
         raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), PRIVATE_FOLDER_TEXT)
     if state.st_mode & WRITABLE_BY_OTHERS_MODE and not state.st_mode & stat.S_ISVTX:
-        raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), PRIVATE_FOLDER_TEXT)
+        raise BusError(
+            f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})",
+            str(here),
+            PRIVATE_FOLDER_TEXT,
+        )
 
 
 def _user_name(number: int) -> str:

@@ -46,9 +46,14 @@ def receive_datagram(link: socket.socket, max_bytes: int) -> tuple[bytes, str, b
     users = [
         CREDENTIALS_STRUCT.unpack(raw)[1]
         for level, kind, raw in ancillary
-        if (level, kind) == (socket.SOL_SOCKET, SCM_CREDENTIALS) and len(raw) == CREDENTIALS_STRUCT.size
+        if (level, kind) == (socket.SOL_SOCKET, SCM_CREDENTIALS)
+        and len(raw) == CREDENTIALS_STRUCT.size
     ]
-    return data, sender if isinstance(sender, str) else "", bool(users) and all(map(is_trusted_user, users))
+    return (
+        data,
+        sender if isinstance(sender, str) else "",
+        bool(users) and all(map(is_trusted_user, users)),
+    )
 
 
 def is_served_by_us(link: socket.socket) -> bool:

@@ -29,7 +29,9 @@ def find_simulator(bus: str | None) -> Path:
     sockets = sorted(run_dir().glob("*.faults"))
     if len(sockets) != 1:
         running = ", ".join(path.stem.replace("_", ":", 1) for path in sockets) or "none"
-        raise BusError(f"simulators that run: {running}", "--bus", "the bus of one, as in --bus local:demo")
+        raise BusError(
+            f"simulators that run: {running}", "--bus", "the bus of one, as in --bus local:demo"
+        )
     return sockets[0]
 
 
@@ -66,7 +68,9 @@ def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
             answer: dict[str, Any] = json.loads(asking.recv(MAX_ANSWER_BYTES))
         except OSError as error:
             reason = os.strerror(error.errno) if error.errno else "no answer"
-            raise BusError(f"no simulator answers ({reason})", where, "a running handctl sim") from None
+            raise BusError(
+                f"no simulator answers ({reason})", where, "a running handctl sim"
+            ) from None
         finally:
             reply_path.unlink(missing_ok=True)
     if "error" in answer:

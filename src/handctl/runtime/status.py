@@ -25,7 +25,9 @@ def status_of_tick(entry: TickIn, out: TickOut) -> dict[str, Any]:
         "tension_goal_N": _json_values(numbers.tension_goal.tolist()),
         "tip_force_N": _json_values(numbers.tip_force.tolist()),
         "tip_force_sigma_N": _json_values(numbers.tip_force_sigma.tolist()),
-        "events": [{"name": event.name, "where": event.where, "text": event.text} for event in out.events],
+        "events": [
+            {"name": event.name, "where": event.where, "text": event.text} for event in out.events
+        ],
         "contact": [touches > 0.5 for touches in numbers.contact.tolist()],
     }
 

@@ -70,7 +70,9 @@ class TargetBox:
             self.socket.bind(str(self.path))
         except OSError as error:
             self.socket.close()
-            raise BusError(f"cannot receive targets: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT) from None
+            raise BusError(
+                f"cannot receive targets: {error}", str(self.path.parent), SHORT_RUN_FOLDER_TEXT
+            ) from None
         self.socket.setblocking(False)
 
     def read(self) -> tuple[str, ...]:
@@ -119,7 +121,9 @@ class TargetSender:
             self._socket.connect(str(targets_path(name)))
         except OSError:
             self._socket.close()
-            raise BusError("no controller accepts targets", f"bus {name}", "a running handctl run") from None
+            raise BusError(
+                "no controller accepts targets", f"bus {name}", "a running handctl run"
+            ) from None
         self._socket.setblocking(False)
 
     def send(self, index: int, sent_ns: int, values: NDArray[np.float64]) -> bool:
@@ -134,7 +138,10 @@ class TargetSender:
             OSError: the controller no longer receives targets, because its run has ended.
         """
         process, number = self._head
-        data = HEADER_STRUCT.pack(MAGIC, process, number, len(values), index, sent_ns) + values.astype("<f8").tobytes()
+        data = (
+            HEADER_STRUCT.pack(MAGIC, process, number, len(values), index, sent_ns)
+            + values.astype("<f8").tobytes()
+        )
         try:
             self._socket.send(data)
         except BlockingIOError:

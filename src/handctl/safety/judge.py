@@ -13,9 +13,20 @@ from numpy.typing import NDArray
 
 from handctl.safety.action import Action
 from handctl.safety.faults.bus import NO_ACKNOWLEDGE_KINDS
-from handctl.safety.faults.fault import JOINT_INSTANCE, MOTOR_INSTANCE, NODE_INSTANCE, TENDON_INSTANCE, Fault
+from handctl.safety.faults.fault import (
+    JOINT_INSTANCE,
+    MOTOR_INSTANCE,
+    NODE_INSTANCE,
+    TENDON_INSTANCE,
+    Fault,
+)
 from handctl.safety.faults.host import FOREIGN_CONTROLLER_EVENT
-from handctl.safety.faults.table import DEBOUNCE_TICKS, DETECTOR_ROWS, FAULT_BY_ID, FAULTS_BY_EVENT_KIND
+from handctl.safety.faults.table import (
+    DEBOUNCE_TICKS,
+    DETECTOR_ROWS,
+    FAULT_BY_ID,
+    FAULTS_BY_EVENT_KIND,
+)
 from handctl.safety.limits import SafetyLimits
 
 EventReport = tuple[str, str, float]
@@ -118,11 +129,15 @@ def faults_counting_since_now(
     """
     # The compiled detectors continue to count after the debounce, so the count equals the debounce
     # in one tick only.
-    rows, instances = np.nonzero((ticks[: len(DEBOUNCE_TICKS)] == DEBOUNCE_TICKS[:, None]) & ~np.isnan(evidence))
+    rows, instances = np.nonzero(
+        (ticks[: len(DEBOUNCE_TICKS)] == DEBOUNCE_TICKS[:, None]) & ~np.isnan(evidence)
+    )
     findings = []
     for row, i in zip(rows.tolist(), instances.tolist(), strict=True):
         fault, kind = DETECTOR_ROWS[row]
-        findings.append(FaultFinding(fault, _instance_name(limits, fault, kind, i), float(evidence[row, i])))
+        findings.append(
+            FaultFinding(fault, _instance_name(limits, fault, kind, i), float(evidence[row, i]))
+        )
     return findings
 
 

@@ -23,7 +23,11 @@ def named_buses(arguments: Sequence[str]) -> dict[str, str]:
         named = bool(equals) and ":" not in head
         name = head if named else "main" if number == 0 else f"bus{number}"
         if name in specs or not NAME_PATTERN.fullmatch(name):
-            raise ConfigError(repr(text), "--bus", "SPEC, or NAME=SPEC with every name once, of letters, digits and _")
+            raise ConfigError(
+                repr(text),
+                "--bus",
+                "SPEC, or NAME=SPEC with every name once, of letters, digits and _",
+            )
         specs[name] = spec if named else text
         check_bus_spec(specs[name])
     return specs

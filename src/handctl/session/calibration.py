@@ -58,7 +58,9 @@ def find_calibration(path: Path, hand: Hand, named: bool) -> tuple[Calibration |
     return calibration, ""
 
 
-def run_commissioning(plan: RunPlan, log: Path, runner: RunFunction) -> tuple[Calibration, RunOutcome]:
+def run_commissioning(
+    plan: RunPlan, log: Path, runner: RunFunction
+) -> tuple[Calibration, RunOutcome]:
     """Run the commissioning program, and return the new calibration and the outcome of the run.
 
     Args:
@@ -76,7 +78,9 @@ def run_commissioning(plan: RunPlan, log: Path, runner: RunFunction) -> tuple[Ca
     outcome.refuse_unfinished(f"commissioning {plan.hand.name}", pace_advice(plan, outcome))
     virtual = outcome.priority is None  # a fixed date makes two lockstep runs equal
     now = VIRTUAL_DATE if virtual else datetime.datetime.now(datetime.UTC)
-    calibration = calibration_of_result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds"))
+    calibration = calibration_of_result(
+        controller.model, outcome.state.progress, now.isoformat(timespec="seconds")
+    )
     drive_states = zip(controller.drives, outcome.state.drives, strict=True)
     drives = {drive.name: drive.identity(state) for drive, state in drive_states}
     return calibration.model_copy(update={"drive": drives}), outcome
@@ -89,7 +93,9 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     tables |= {f"identified.{name}": row for name, row in rows.pop("identified").items()}
     if not rows["drive"]:
         del rows["drive"]
-    text = toml_text(rows) + "".join(f"\n[{name}]\n{toml_text(row)}" for name, row in tables.items())
+    text = toml_text(rows) + "".join(
+        f"\n[{name}]\n{toml_text(row)}" for name, row in tables.items()
+    )
     write_text_atomically(path, text)
 
 
@@ -115,7 +121,9 @@ def previous_identified(
         return {}
     if drives and before.drive and before.drive != drives:
         if before.identified:
-            tell(f"handctl: caution: {path}: was made with other drives, so their identified parameters are left out")
+            tell(
+                f"handctl: caution: {path}: was made with other drives, so their identified parameters are left out"
+            )
         return {}
     return before.identified
 
@@ -135,7 +143,9 @@ def identified_in(path: Path | None, hand: Hand) -> IdentifiedByTendon:
         return {}
     identified = load_calibration(path, hand).identified
     if not identified:
-        raise ConfigError("holds nothing identified", str(path), "a calibration that handctl identify wrote")
+        raise ConfigError(
+            "holds nothing identified", str(path), "a calibration that handctl identify wrote"
+        )
     return identified
 
 
@@ -144,10 +154,14 @@ def homed_calibration(hand: Hand, identified: IdentifiedByTendon) -> Calibration
     zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, zero)
     made = VIRTUAL_DATE.isoformat(timespec="seconds")
-    return Calibration(hand=hand.name, identity=hand.identity, made=made, tendon=rows, identified=identified)
+    return Calibration(
+        hand=hand.name, identity=hand.identity, made=made, tendon=rows, identified=identified
+    )
 
 
-def ensure_calibration(plan: RunPlan, path: Path, reason: str, runner: RunFunction, log: Path) -> Calibration:
+def ensure_calibration(
+    plan: RunPlan, path: Path, reason: str, runner: RunFunction, log: Path
+) -> Calibration:
     """Commission a hand that has no valid calibration, and write the new calibration to a file.
 
     A notice tells the operator why the hand is commissioned.

@@ -9,7 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from handctl.core.gains.bounds import tendon_key, values_by_key, with_values
-from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance, load_gains_file, packaged_gains
+from handctl.core.gains.gains import (
+    Gains,
+    GainsFile,
+    GainsProvenance,
+    load_gains_file,
+    packaged_gains,
+)
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.session.notices import NoticeCallback, ignore_notice

@@ -21,7 +21,9 @@ With a constant time, equal runs have equal logs.
 """
 
 
-def run_header(plan: RunPlan, controller: Controller, priority: GrantedPriority | None, lockstep: bool) -> RunHeader:
+def run_header(
+    plan: RunPlan, controller: Controller, priority: GrantedPriority | None, lockstep: bool
+) -> RunHeader:
     """Return the header of the log, with all data that are available before the first tick."""
     hand = plan.hand
     attachments = {
@@ -39,7 +41,9 @@ def run_header(plan: RunPlan, controller: Controller, priority: GrantedPriority 
         "kernel": platform.release(),
         "python": sys.version.split()[0],
         "priority": str(priority),
-        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(VIRTUAL_START_S if lockstep else None)),
+        "started": time.strftime(
+            "%Y-%m-%dT%H:%M:%SZ", time.gmtime(VIRTUAL_START_S if lockstep else None)
+        ),
     }
     metadata = {
         "version": version("handctl"),
@@ -77,12 +81,19 @@ def _name_and_version(dist: Distribution) -> str:
     all metadata of a package and takes ten times as long.
     """
     lines = (dist.read_text("METADATA") or dist.read_text("PKG-INFO") or "").splitlines()
-    values = [next((line[len(key) :] for line in lines if line.startswith(key)), "") for key in ("Name: ", "Version: ")]
+    values = [
+        next((line[len(key) :] for line in lines if line.startswith(key)), "")
+        for key in ("Name: ", "Version: ")
+    ]
     return "==".join(values) if all(values) else f"{dist.name}=={dist.version}"
 
 
 def _flatten_table(table: dict[str, object], prefix: str = "") -> dict[str, str]:
     flat: dict[str, str] = {}
     for key, value in table.items():
-        flat |= _flatten_table(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": str(value)}
+        flat |= (
+            _flatten_table(value, f"{prefix}{key}.")
+            if isinstance(value, dict)
+            else {f"{prefix}{key}": str(value)}
+        )
     return flat

@@ -28,7 +28,9 @@ def read_model_file(path: Path, kind: str) -> Mapping[str, Any]:
         ConfigError: the file is unreadable, it does not describe a tree of hinges and links with
             inertia, or MuJoCo is not installed.
     """
-    read: Callable[[str, str], Mapping[str, Any]] = load_entry(MODEL_FILE_READER, "reading a robot description")
+    read: Callable[[str, str], Mapping[str, Any]] = load_entry(
+        MODEL_FILE_READER, "reading a robot description"
+    )
     try:
         return read(str(path), kind)
     except ValueError as error:

@@ -146,7 +146,9 @@ def make_plan(
     for line in left_out:
         tell(f"handctl: caution: {line}")
     attachments |= meshes
-    return RunPlan(hand, layers.gains, rate, load, buses, attachments, time_scale, choice.clear, display, tell)
+    return RunPlan(
+        hand, layers.gains, rate, load, buses, attachments, time_scale, choice.clear, display, tell
+    )
 
 
 def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
@@ -165,11 +167,17 @@ def chosen_time_scale(chosen: float | None, buses: Sequence[str]) -> float:
     if real := real_buses(buses):
         if chosen not in (None, 1.0):
             right = "1, or a simulated bus: local:NAME, socketcan:vcan0"
-            raise ConfigError(f"{chosen:g}, and {real[0]} may have real motors", "--time-scale", right)
+            raise ConfigError(
+                f"{chosen:g}, and {real[0]} may have real motors", "--time-scale", right
+            )
         return 1.0
-    simulated = simulated_time_scale(buses[0]) if buses else None  # the simulator's request socket is on the first bus
+    simulated = (
+        simulated_time_scale(buses[0]) if buses else None
+    )  # the simulator's request socket is on the first bus
     if chosen is not None and simulated not in (None, chosen):
-        raise ConfigError(f"{chosen:g}", "--time-scale", f"{simulated:g}, as the simulator on {buses[0]} has")
+        raise ConfigError(
+            f"{chosen:g}", "--time-scale", f"{simulated:g}, as the simulator on {buses[0]} has"
+        )
     return next((one for one in (chosen, simulated) if one is not None), 1.0)
 
 
@@ -209,7 +217,9 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
 
 def _check_log(log: Path | None) -> None:
     """Raise an error if the log file of the run exists, has a wrong ending, or has no folder."""
-    if log is not None and (log.suffix != ".mcap" or os.path.lexists(log) or not log.parent.is_dir()):
+    if log is not None and (
+        log.suffix != ".mcap" or os.path.lexists(log) or not log.parent.is_dir()
+    ):
         raise ConfigError(str(log), "--log", "a new file ending in .mcap in a folder that exists")
 
 

@@ -27,7 +27,12 @@ from handctl.programs.live import LiveProgram, preload_spline
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
-from handctl.runtime.clocks.priority import GrantedPriority, prepare_priority, realtime_priority, restore_priority
+from handctl.runtime.clocks.priority import (
+    GrantedPriority,
+    prepare_priority,
+    realtime_priority,
+    restore_priority,
+)
 from handctl.runtime.clocks.real import RealClock, TickClock
 from handctl.runtime.clocks.shared import ClockFile, SharedClock
 from handctl.runtime.clocks.suspend import SuspendWatch
@@ -101,7 +106,9 @@ RunFunction = Callable[["RunPlan", Controller, Path], RunOutcome]
 """Function that executes a run: ``run_live``, or a function for a lockstep run."""
 
 
-def make_controller(plan: RunPlan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
+def make_controller(
+    plan: RunPlan, program: Program, calibration: Calibration | None, arm_at_once: bool
+) -> Controller:
     """Construct the controller of a run, and design it with the gains of the plan.
 
     If the code must be compiled first, a progress bar is shown.
@@ -110,7 +117,9 @@ def make_controller(plan: RunPlan, program: Program, calibration: Calibration | 
         compile_kernels(report_progress)
     if isinstance(program, LiveProgram):
         preload_spline()
-    return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
+    return setup.make_controller(
+        plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once
+    )
 
 
 class RunObserver(Protocol):
@@ -153,7 +162,9 @@ def run_live(
         stack.callback(mailbox.close)
         targets = TargetBox(plan.buses[0], clock.of)
         stack.callback(targets.close)
-        observations = ObservationWriter(plan.buses[0], _axis_lengths(plan.hand), _describe_run(plan))
+        observations = ObservationWriter(
+            plan.buses[0], _axis_lengths(plan.hand), _describe_run(plan)
+        )
         stack.callback(observations.close)
         for spec in sorted({*plan.buses} - {plan.buses[0]}):
             stack.enter_context(bus_lock(spec))
@@ -177,7 +188,9 @@ def run_live(
         loop.observe = lambda entry, out, state, sent_ns: observations.publish(
             entry, out, stream_status(state), sent_ns
         )
-        outcome = _run_to_end(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
+        outcome = _run_to_end(
+            loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale)
+        )
         return replace(outcome, pauses=clock.pauses, paused_ns=clock.paused_ns)
 
 
@@ -203,8 +216,12 @@ def run_lockstep(
     display = plan.display(plan) if plan.display else None
     limit = HoldLimit()
     request_source = _merge_requests(observer, limit.poll_requests)
-    show = _merge_observers(limit, _merge_observers(observer, display.show if display else _ignore_tick))
-    loop = _build_loop(plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show)
+    show = _merge_observers(
+        limit, _merge_observers(observer, display.show if display else _ignore_tick)
+    )
+    loop = _build_loop(
+        plan, controller, clock, [LockstepBus(clock)], recorder, request_source, show
+    )
     outcome = _run_to_end(loop, controller, recorder, display, None, lambda: clock.offset_ns)
     limit.refuse_stopped(f"{plan.hand.name} in lockstep, log {log}")
     return outcome
@@ -227,7 +244,9 @@ def _open_clock(plan: RunPlan, stack: ExitStack) -> RealClock:
     except FileNotFoundError:
         return RealClock(plan.period_ns, plan.time_scale)
     except (OSError, ValueError) as error:
-        raise BusError(f"cannot share the clock of the simulator: {error}", spec, "sim --strict-clock") from None
+        raise BusError(
+            f"cannot share the clock of the simulator: {error}", spec, "sim --strict-clock"
+        ) from None
     stack.callback(file.close)
     return SharedClock(plan.period_ns, plan.time_scale, file=file)
 
@@ -302,12 +321,21 @@ def _build_loop(
 
 def _axis_lengths(hand: Hand) -> dict[str, int]:
     """Return the number of joints, tendons, motors and digits of a hand."""
-    return {"joint": len(hand.joints), "tendon": len(hand.tendon), "motor": len(hand.motor), "digit": len(hand.digit)}
+    return {
+        "joint": len(hand.joints),
+        "tendon": len(hand.tendon),
+        "motor": len(hand.motor),
+        "digit": len(hand.digit),
+    }
 
 
 def _describe_run(plan: RunPlan) -> dict[str, object]:
     """Return the constants of a run by name, for programs that observe the run."""
-    return {"hand_toml": plan.hand.to_toml(), "rate_Hz": plan.rate_hz, "time_scale": plan.time_scale}
+    return {
+        "hand_toml": plan.hand.to_toml(),
+        "rate_Hz": plan.rate_hz,
+        "time_scale": plan.time_scale,
+    }
 
 
 def _request_source(
@@ -351,7 +379,9 @@ STATUS_RATE_HZ = 50.0
 """Rate at which programs that observe a run get status lines [Hz]."""
 
 
-def _status_callback(display: OperatorDisplay | None, mailbox: Mailbox, rate_hz: float) -> TickCallback:
+def _status_callback(
+    display: OperatorDisplay | None, mailbox: Mailbox, rate_hz: float
+) -> TickCallback:
     """Return a function that updates the display and the observing programs after each tick."""
     every = max(1, round(rate_hz / STATUS_RATE_HZ))
 

@@ -25,7 +25,13 @@ from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_path
 from handctl.programs.program import Program
-from handctl.runtime.clocks.lockstep import SIMULATED_HAND_ENTRY, LockstepBus, LockstepClock, LockstepPeer, load_peer
+from handctl.runtime.clocks.lockstep import (
+    SIMULATED_HAND_ENTRY,
+    LockstepBus,
+    LockstepClock,
+    LockstepPeer,
+    load_peer,
+)
 
 CHECK_PERIOD_NS = 2_000_000
 """Control period of a simulated hand that is only constructed to check its settings [ns]."""
@@ -170,14 +176,20 @@ class SimulatedRun:
     @staticmethod
     def of(controller: Controller, peer: SimulatedHand) -> "SimulatedRun":
         """Begin a run of a controller with a simulated hand."""
-        return SimulatedRun(controller, peer, round(1e9 * controller.model.period), controller.initial())
+        return SimulatedRun(
+            controller, peer, round(1e9 * controller.model.period), controller.initial()
+        )
 
     def __post_init__(self) -> None:
         self._clock = LockstepClock(self.peer, self.period_ns)
         self._bus = LockstepBus(self._clock)
 
     def tick(
-        self, io: tuple[IoEvent, ...] = (), requests: tuple[str, ...] = (), late_ns: int = 0, skip: int = 0
+        self,
+        io: tuple[IoEvent, ...] = (),
+        requests: tuple[str, ...] = (),
+        late_ns: int = 0,
+        skip: int = 0,
     ) -> TickOut:
         """Run one tick, then advance the simulated hand to the next tick.
 
@@ -222,7 +234,9 @@ class SimulatedRun:
                 return False
         return False
 
-    def _decide(self, io: tuple[IoEvent, ...], requests: tuple[str, ...], late_ns: int) -> tuple[TickIn, TickOut]:
+    def _decide(
+        self, io: tuple[IoEvent, ...], requests: tuple[str, ...], late_ns: int
+    ) -> tuple[TickIn, TickOut]:
         frames = self._bus.drain()
         wires = tuple(IoEvent(*event) for event in self._bus.take_events())
         entry = TickIn(self.k, self.k * self.period_ns, late_ns, frames, wires + io, requests)
@@ -247,7 +261,9 @@ def homed_controller(model: HandModel, program: Program, hand: Hand | None = Non
     """
     target_hand = hand or model.hand
     zeros = np.zeros(model.tendon_count)
-    return Controller(model, make_drives(target_hand), make_sensors(target_hand), program, zeros, zeros)
+    return Controller(
+        model, make_drives(target_hand), make_sensors(target_hand), program, zeros, zeros
+    )
 
 
 def simulate(

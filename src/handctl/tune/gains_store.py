@@ -11,7 +11,14 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance, gains_text, load_gains_file, packaged_gains
+from handctl.core.gains.gains import (
+    Gains,
+    GainsFile,
+    GainsProvenance,
+    gains_text,
+    load_gains_file,
+    packaged_gains,
+)
 from handctl.errors import ConfigError
 from handctl.output import write_text_atomically
 
@@ -89,12 +96,17 @@ class GainsStore:
         except ConfigError:
             # The new name is the first unused one of NAME.damaged.toml, NAME.damaged1.toml, and so
             # on.
-            numbers = (Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml") for n in itertools.count())
+            numbers = (
+                Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml")
+                for n in itertools.count()
+            )
             aside = next(path for path in numbers if not path.exists())
             try:
                 return self.path.rename(aside)
             except OSError as error:
-                raise ConfigError(f"cannot be moved: {error.strerror}", str(self.path), f"{aside}") from None
+                raise ConfigError(
+                    f"cannot be moved: {error.strerror}", str(self.path), f"{aside}"
+                ) from None
         return None
 
     def apply(self, gains: Gains, provenance: GainsProvenance) -> GainsFile:
@@ -121,8 +133,12 @@ class GainsStore:
         entries = {entry.number: entry for entry in self.entries()}
         present = self.present()
         if to is None and (present is None or present.provenance.number not in entries):
-            raise ConfigError("nothing was applied before", str(self.history), "handctl gains apply first")
-        number = _previous_number(entries, present) if to is None and present is not None else to or 0
+            raise ConfigError(
+                "nothing was applied before", str(self.history), "handctl gains apply first"
+            )
+        number = (
+            _previous_number(entries, present) if to is None and present is not None else to or 0
+        )
         if number and number not in entries:
             numbers = ", ".join(map(str, [0, *entries]))
             raise ConfigError(f"no gains number {number}", str(self.history), f"one of {numbers}")
@@ -138,9 +154,13 @@ class GainsStore:
             return
         gains_by_number = {entry.number: entry.file.gains for entry in self.entries()}
         if gains_by_number.get(present.provenance.number) != present.gains:
-            self._write_gains(present.gains, present.provenance.model_copy(update={"note": EDITED_BY_HAND_NOTE}))
+            self._write_gains(
+                present.gains, present.provenance.model_copy(update={"note": EDITED_BY_HAND_NOTE})
+            )
 
-    def _write_gains(self, gains: Gains, provenance: GainsProvenance, restores: int | None = None) -> GainsFile:
+    def _write_gains(
+        self, gains: Gains, provenance: GainsProvenance, restores: int | None = None
+    ) -> GainsFile:
         """Write gains to the history with the next number, and then make them the present gains.
 
         If the present file is not in the history, for example a copy, the new gains are recorded as
@@ -171,7 +191,9 @@ class GainsStore:
             write_text_atomically(self.history / f"{written.number:04d}.toml", text, new=True)
             write_text_atomically(self.path, text)
         except OSError as error:
-            raise ConfigError(f"cannot be written: {error.strerror}", str(self.path), "a writable folder") from None
+            raise ConfigError(
+                f"cannot be written: {error.strerror}", str(self.path), "a writable folder"
+            ) from None
         return load_gains_file(self.path)
 
 
@@ -193,5 +215,7 @@ def _previous_number(entries: dict[int, StoredGains], present: GainsFile) -> int
             )
         provenance = entries[provenance.restores].file.provenance
     if provenance.restores == 0:
-        raise ConfigError("no gains precede the packaged gains", "rollback", "handctl gains rollback --to N")
+        raise ConfigError(
+            "no gains precede the packaged gains", "rollback", "handctl gains rollback --to N"
+        )
     return provenance.replaces

@@ -12,7 +12,12 @@ from handctl.output import save_figure
 from handctl.report.summary import mean_angles
 from handctl.report.truth import TruthRecord
 from handctl.tune.loops.linear import LoopKind, open_loop
-from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, MIN_PHASE_MARGIN_DEG, frequency_grid, step_response
+from handctl.tune.loops.margins import (
+    MIN_GAIN_MARGIN_DB,
+    MIN_PHASE_MARGIN_DEG,
+    frequency_grid,
+    step_response,
+)
 from handctl.tune.search.search import SearchResult
 from handctl.tune.verify import OLD_GAINS_ROUNDS, GainsRollback
 
@@ -22,7 +27,10 @@ GREY_COLOR = "#9a9a9a"
 TRUTH_COLOR = "#000000"
 STEP_RESPONSE_S = {LoopKind.MOTION: 0.4, LoopKind.TENSION: 0.4}
 """Duration of the drawn response to a disturbance step, by kind of loop [s]."""
-STEP_RESPONSE_UNITS = {LoopKind.MOTION: (1e6, "travel [um]"), LoopKind.TENSION: (1.0, "tension [N]")}
+STEP_RESPONSE_UNITS = {
+    LoopKind.MOTION: (1e6, "travel [um]"),
+    LoopKind.TENSION: (1.0, "tension [N]"),
+}
 """Scale and axis label of this response, by kind of loop."""
 
 
@@ -48,7 +56,10 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
     figure = _new_figure(13, 8)
     figure.suptitle(f"{title}: {before.hand.tendon_names[0]}")
     for row, kind in zip(figure.subplots(2, 4), LoopKind, strict=True):
-        for model, colour, name in ((before, BEFORE_COLOR, "before"), (after, AFTER_COLOR, "after")):
+        for model, colour, name in (
+            (before, BEFORE_COLOR, "before"),
+            (after, AFTER_COLOR, "after"),
+        ):
             _draw_loop(row, model, kind, colour, name)
         _style_axes(row, kind)
     save_figure(figure, path)
@@ -86,7 +97,11 @@ def _style_axes(row: Any, kind: LoopKind) -> None:
         ylim=(-2.0, 2.0),
         aspect="equal",
     )
-    step.set(title="force step of 1 N on the rotor", xlabel="time [s]", ylabel=STEP_RESPONSE_UNITS[kind][1])
+    step.set(
+        title="force step of 1 N on the rotor",
+        xlabel="time [s]",
+        ylabel=STEP_RESPONSE_UNITS[kind][1],
+    )
     for axes in row:
         axes.grid(alpha=0.3)
 
@@ -141,7 +156,9 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
             ms=14,
             label="best",
         )
-    left.set(xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="feasible trials")
+    left.set(
+        xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="feasible trials"
+    )
     left.legend()
     costs = [result.cost(trial) if trial.is_feasible else np.nan for trial in result.trials]
     right.plot(costs, ".", color=GREY_COLOR)
@@ -175,15 +192,25 @@ def draw_verify(
     figure = _new_figure(12, 7.5)
     figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new gains shaded")
     angle, tension, torque = figure.subplots(3, 1, sharex=True)
-    goal, estimate = (np.degrees(mean_angles(hand, log.field(name)))[:, 0] for name in ("q_goal", "q"))
+    goal, estimate = (
+        np.degrees(mean_angles(hand, log.field(name)))[:, 0] for name in ("q_goal", "q")
+    )
     angle.plot(log.times, goal, "--", color=GREY_COLOR, label="command")
     angle.plot(log.times, estimate, color=AFTER_COLOR, linewidth=0.9, label="estimate")
     tension.plot(log.times, log.field("tension_goal")[:, 0], "--", color=GREY_COLOR)
     tension.plot(log.times, log.field("tension")[:, 0], color=AFTER_COLOR, linewidth=0.9)
     if truth is not None:
         t_ns = log.t_ns + offset_ns
-        true_angle = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))[:, 0]
-        angle.plot(log.times, np.degrees(true_angle), color=TRUTH_COLOR, linewidth=0.7, label="true angle of the plant")
+        true_angle = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))[
+            :, 0
+        ]
+        angle.plot(
+            log.times,
+            np.degrees(true_angle),
+            color=TRUTH_COLOR,
+            linewidth=0.7,
+            label="true angle of the plant",
+        )
         tension.plot(
             log.times,
             truth.at(f"tension/{hand.tendon_names[0]}", t_ns),

@@ -67,7 +67,8 @@ class GainScore:
         """
         # The weights are 1, 1 and 0.1. Divided by their sum 2.1, the cost of the reference is 1.
         parts = [
-            objective / max(other, 1e-9) for objective, other in zip(self.objectives, scale.objectives, strict=True)
+            objective / max(other, 1e-9)
+            for objective, other in zip(self.objectives, scale.objectives, strict=True)
         ]
         return (parts[0] + parts[1] + 0.1 * parts[2]) / 2.1
 
@@ -92,7 +93,11 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     plants = job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and job.get("must_keep_margins", False):
-        return _score_table(GainScore(FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, 0.0, shortfall, "margins"))
+        return _score_table(
+            GainScore(
+                FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, 0.0, shortfall, "margins"
+            )
+        )
     runs = []
     for i, factors in enumerate(plants):
         runs.append(score_exercise(hand, model, factors, int(job["seed"]) + i))
@@ -108,15 +113,21 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
                 )
             )
     # A root mean square gives the worst plants the largest weight.
-    tracking, tension, effort = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
-    return _score_table(GainScore(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
+    tracking, tension, effort = np.sqrt(
+        np.mean([np.square(run.objectives) for run in runs], axis=0)
+    ).tolist()
+    return _score_table(
+        GainScore(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall)
+    )
 
 
 def _score_table(score: GainScore) -> dict[str, Any]:
     return {name: getattr(score, name) for name in GainScore.__dataclass_fields__}
 
 
-def score_exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> GainScore:
+def score_exercise(
+    hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int
+) -> GainScore:
     """Calculate the score of one run of the exercise on a simulated plant, without the margins.
 
     Args:
@@ -159,7 +170,9 @@ def simulate_program(
         return ticks, read_truth(file), state.failure
 
 
-def score_run(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str) -> GainScore:
+def score_run(
+    hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthRecord, failure: str
+) -> GainScore:
     """Return the score of a run from the ground truth of the simulator.
 
     Args:
@@ -169,10 +182,19 @@ def score_run(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: TruthR
         failure: reason why the run ended early, or empty.
     """
     active = [(entry.t_ns, out) for entry, out in ticks if out.mode == Mode.ACTIVE]
-    tension = truth.values[:, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]]
+    tension = truth.values[
+        :, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]
+    ]
     peak = float(tension.max(initial=0.0))
     if failure or not active:
-        return GainScore(FAILED_OBJECTIVE, FAILED_OBJECTIVE, FAILED_OBJECTIVE, peak, 0.0, failure or "never active")
+        return GainScore(
+            FAILED_OBJECTIVE,
+            FAILED_OBJECTIVE,
+            FAILED_OBJECTIVE,
+            peak,
+            0.0,
+            failure or "never active",
+        )
     t_ns = np.array([t for t, _ in active])
     goal, tension_goal, torque = (
         np.array([getattr(out.telemetry, name) for _, out in active])

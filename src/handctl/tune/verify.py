@@ -133,8 +133,14 @@ class VerifyObserver:
         """Queue a request for other gains, as far as a running controller accepts them."""
         # If a request does not set the forces of single tendons, a running controller keeps them.
         # Therefore all are set.
-        all_values = values_by_key(gains) | {key: new for key, (_, new) in different_values(replaced, gains).items()}
-        values = {key: value for key, value in all_values.items() if key.partition(".")[0] in LIVE_SECTIONS}
+        all_values = values_by_key(gains) | {
+            key: new for key, (_, new) in different_values(replaced, gains).items()
+        }
+        values = {
+            key: value
+            for key, value in all_values.items()
+            if key.partition(".")[0] in LIVE_SECTIONS
+        }
         self._requests.append(json.dumps({"do": "gains", "set": values}))
 
     def _torque_rate(self, entry: TickIn, out: TickOut) -> float:
@@ -168,7 +174,11 @@ class VerifyObserver:
                 bound = limits.trip_fraction * tendon.tension_trip_N
                 return f"tension of {tendon.name} {tension:.0f} N, limit {bound:.0f}"
         limit = max(limits.ringing_factor * self._max_ringing, limits.ringing_floor_Nm_per_s)
-        return f"motor torques oscillate by {ringing:.1f} N m/s, limit {limit:.1f}" if ringing > limit else ""
+        return (
+            f"motor torques oscillate by {ringing:.1f} N m/s, limit {limit:.1f}"
+            if ringing > limit
+            else ""
+        )
 
 
 COMPARED_MEASURES = {
@@ -219,7 +229,9 @@ def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
         mean = float(old.mean())
         change = float((new - old).mean())
         spread = (
-            ONE_RUN_SPREAD * mean if n == 1 else float(student.ppf(0.975, n - 1) * (new - old).std(ddof=1) / n**0.5)
+            ONE_RUN_SPREAD * mean
+            if n == 1
+            else float(student.ppf(0.975, n - 1) * (new - old).std(ddof=1) / n**0.5)
         )
         counts = abs(change) > max(spread, MIN_DIFFERENCE * mean)
         verdict = ("worse" if change > 0.0 else "better") if counts else "same"
@@ -227,7 +239,9 @@ def compare_rounds(runs: list[list[GainScore]]) -> list[MeasureComparison]:
     return columns
 
 
-def scores_by_round(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int) -> list[GainScore]:
+def scores_by_round(
+    log: RunLog, hand: Hand, truth: TruthRecord | None, offset_ns: int
+) -> list[GainScore]:
     """Calculate the score of each round of the exercise, beginning with the rounds with the old gains.
 
     Args:
@@ -250,5 +264,7 @@ def scores_by_round(log: RunLog, hand: Hand, truth: TruthRecord | None, offset_n
         part_truth = GroundTruth(real.angle[part], real.tension[part])
         tension = log.field("tension_goal")[part]
         torque = log.field("motor_torque_goal")[part]
-        results.append(score_ticks(log.t_ns[part], phase[part], angle[part], tension, torque, part_truth))
+        results.append(
+            score_ticks(log.t_ns[part], phase[part], angle[part], tension, torque, part_truth)
+        )
     return results

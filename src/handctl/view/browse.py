@@ -75,7 +75,9 @@ def _send_chunks(running: Viewer, run: RunInfo, chunks: "Iterator[Chunk]") -> No
     stream = new_recording(run)
     stream.connect_grpc(running.url, default_blueprint=dashboard(run))
     try:
-        rr.send_chunks(takewhile(lambda _: running.process.poll() is None, chunks), recording=stream)
+        rr.send_chunks(
+            takewhile(lambda _: running.process.poll() is None, chunks), recording=stream
+        )
     finally:
         with suppress(RuntimeError):  # the viewer was closed meanwhile
             stream.flush(timeout_sec=FLUSH_S)

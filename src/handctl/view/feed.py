@@ -39,7 +39,9 @@ def rerun_errors(name: str) -> Iterator[None]:
     try:
         yield
     except (RuntimeError, ValueError, OSError) as error:
-        raise LogError(f"damaged log: {error}", name, "an intact file; see `handctl log recover`") from error
+        raise LogError(
+            f"damaged log: {error}", name, "an intact file; see `handctl log recover`"
+        ) from error
 
 
 def run_chunks(path: Path, run: RunInfo, first_ns: int = SLICE_NS) -> Iterator[Chunk]:
@@ -85,7 +87,9 @@ def complete_log(path: Path, folder: Path, scan: RecordScan) -> tuple[Path, Reco
     return copy, scan_path(copy)
 
 
-def log_chunks(path: Path, converters: TopicConverters, name: str, since_ns: int = 0) -> Iterator[Chunk]:
+def log_chunks(
+    path: Path, converters: TopicConverters, name: str, since_ns: int = 0
+) -> Iterator[Chunk]:
     """Yield the chunks that the dashboard needs, made from the topics of a log.
 
     Args:
@@ -98,10 +102,17 @@ def log_chunks(path: Path, converters: TopicConverters, name: str, since_ns: int
         LogError: the log is damaged.
     """
     with rerun_errors(name):
-        reader = McapReader(path, decoders=MESSAGE_DECODERS, include_topic_regex=converters.topics, recover=True)
+        reader = McapReader(
+            path, decoders=MESSAGE_DECODERS, include_topic_regex=converters.topics, recover=True
+        )
         first, last = reader.time_bounds()
         # The end of the time range does not belong to the stream, so 1 is added.
-        raw = reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1).collect().stream().to_chunks()
+        raw = (
+            reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1)
+            .collect()
+            .stream()
+            .to_chunks()
+        )
     yield from (new for chunk in sorted(raw, key=_start_time) for new in converters(chunk))
 
 

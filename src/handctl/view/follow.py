@@ -82,7 +82,9 @@ class LogFollower:
         self._folder.cleanup()
 
 
-def follow_log(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | None = None) -> None:
+def follow_log(
+    log: Path, arguments: Sequence[str] = (), stop: TerminationFlag | None = None
+) -> None:
     """Open a viewer, and show a growing log until the log ends.
 
     Args:
@@ -102,7 +104,9 @@ def follow_log(log: Path, arguments: Sequence[str] = (), stop: TerminationFlag |
     run = _wait_for_header(log, stop)
     if run is None:
         return
-    running = start_viewer(["--expect-data-soon", *arguments], software_vulkan() if headless else {})
+    running = start_viewer(
+        ["--expect-data-soon", *arguments], software_vulkan() if headless else {}
+    )
     follower = LogFollower(log, run, running.url)
     try:
         _until_end(follower, running, stop)

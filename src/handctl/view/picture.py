@@ -40,7 +40,9 @@ def draw_recording(rrd: Path, at_s: float, out: Path) -> list[str]:
         HandctlError: the viewer failed.
         OSError: the PNG file cannot be written.
     """
-    with running_viewer(["--headless", "--window-size", PICTURE_SIZE_PX, str(rrd)], software_vulkan()) as running:
+    with running_viewer(
+        ["--headless", "--window-size", PICTURE_SIZE_PX, str(rrd)], software_vulkan()
+    ) as running:
         clear = time.monotonic() + NOTICE_S
         client = connect_client(running)
         wait_loaded(client, RUN_TIME_TIMELINE, int(at_s * 1e9))
@@ -90,7 +92,12 @@ def timeline_end(state: "ViewerState", timeline: str) -> int:
 
     The end is -1 without data.
     """
-    lines = [line for recording in state.recordings for line in recording.timelines if line.name == timeline]
+    lines = [
+        line
+        for recording in state.recordings
+        for line in recording.timelines
+        if line.name == timeline
+    ]
     return max((line.end for line in lines if line.end is not None), default=-1)
 
 
@@ -114,7 +121,9 @@ def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
         if timeline_end(state, timeline) >= until and state.views and not state.loading:
             return
         time.sleep(0.1)
-    raise HandctlError(f"the viewer has not loaded the recording after {LOAD_TIMEOUT_S:g} s", "rerun", "")
+    raise HandctlError(
+        f"the viewer has not loaded the recording after {LOAD_TIMEOUT_S:g} s", "rerun", ""
+    )
 
 
 def view_reports(client: "ViewerClient") -> list[str]:

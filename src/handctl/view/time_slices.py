@@ -16,7 +16,9 @@ A part of this length has few chunks, which limits the use of memory.
 """
 
 
-def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> Iterator[tuple[Path, int]]:
+def time_slices(
+    path: Path, scan: RecordScan, folder: Path, first_ns: int
+) -> Iterator[tuple[Path, int]]:
     """Yield parts of a complete log in the order of time.
 
     Each part is a log file. The file is overwritten when the next part is requested.
@@ -59,9 +61,13 @@ def time_slices(path: Path, scan: RecordScan, folder: Path, first_ns: int) -> It
         file.close()
 
 
-def _group_chunks(start_ns: int, chunks: list[ChunkLocation], first_ns: int) -> list[list[ChunkLocation]]:
+def _group_chunks(
+    start_ns: int, chunks: list[ChunkLocation], first_ns: int
+) -> list[list[ChunkLocation]]:
     """Divide chunks into groups, one for each part of the run, according to the part in which a chunk begins."""
     groups: dict[int, list[ChunkLocation]] = {}
     for chunk in chunks:
-        groups.setdefault(max(-1, (chunk.first - start_ns - first_ns) // SLICE_NS), []).append(chunk)
+        groups.setdefault(max(-1, (chunk.first - start_ns - first_ns) // SLICE_NS), []).append(
+            chunk
+        )
     return list(groups.values())

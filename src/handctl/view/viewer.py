@@ -20,7 +20,11 @@ from handctl.runtime.paths import run_dir
 
 LOOPBACK_ADDRESS = "127.0.0.1"
 """Address on which the viewer listens. Only programs on this machine can connect to the viewer."""
-VULKAN_DRIVER_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
+VULKAN_DRIVER_FOLDERS = (
+    "/usr/share/vulkan/icd.d",
+    "/etc/vulkan/icd.d",
+    "/usr/local/share/vulkan/icd.d",
+)
 """Folders in which Vulkan drivers install their description files."""
 SOFTWARE_DRIVER_FILES = "lvp_icd*.json"
 """Pattern for the description file of Mesa's lavapipe, a Vulkan driver that draws on the processor.
@@ -48,7 +52,9 @@ def viewer_path() -> Path:
     for name in ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun"):
         if (folder / name).is_file():
             return folder / name
-    raise ConfigError("no viewer in the installed rerun-sdk", str(folder), "a complete rerun-sdk package")
+    raise ConfigError(
+        "no viewer in the installed rerun-sdk", str(folder), "a complete rerun-sdk package"
+    )
 
 
 def software_vulkan() -> dict[str, str]:
@@ -65,7 +71,9 @@ def software_vulkan() -> dict[str, str]:
     drivers = _driver_files(SOFTWARE_DRIVER_FILES) or _driver_files("*.json")
     configured = any(os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"))
     if not _has_loader() or not (drivers or configured):
-        raise ConfigError("no Vulkan driver to draw with", "", f"the Debian packages {VULKAN_PACKAGES}")
+        raise ConfigError(
+            "no Vulkan driver to draw with", "", f"the Debian packages {VULKAN_PACKAGES}"
+        )
     return {} if configured else {"VK_ICD_FILENAMES": str(drivers[0])}
 
 
@@ -89,8 +97,12 @@ def check_screen() -> None:
     Raises:
         ConfigError: the session has no screen.
     """
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ConfigError("no screen in this session", "DISPLAY", "a desktop; or use --picture or --save")
+    if sys.platform.startswith("linux") and not (
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    ):
+        raise ConfigError(
+            "no screen in this session", "DISPLAY", "a desktop; or use --picture or --save"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +173,11 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Star
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
     # The collection of usage data can be disabled only by a file in the viewer's configuration
     # folder.
-    environ = os.environ | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"} | environment
+    environ = (
+        os.environ
+        | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"}
+        | environment
+    )
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
     notes = tempfile.TemporaryFile()  # noqa: SIM115 (`StartingViewer.ready` closes it)
     command = [exe, "--bind", LOOPBACK_ADDRESS, "--port", "0", *arguments]
@@ -187,13 +203,17 @@ def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewe
 
 
 @contextmanager
-def launched_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[StartingViewer]:
+def launched_viewer(
+    arguments: Sequence[str], environment: dict[str, str]
+) -> Iterator[StartingViewer]:
     """Start a viewer with `launch_viewer`, for the duration of a context.
 
     At the end of the context, the viewer is closed, and the temporary files of the viewer are
     deleted.
     """
-    with tempfile.TemporaryDirectory(prefix="handctl-viewer-", ignore_cleanup_errors=True) as scratch:
+    with tempfile.TemporaryDirectory(
+        prefix="handctl-viewer-", ignore_cleanup_errors=True
+    ) as scratch:
         launch = launch_viewer(arguments, {"TMPDIR": scratch} | environment)
         try:
             yield launch
@@ -229,5 +249,9 @@ def _wait_for_url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
             return listens.group().decode()
         if process.returncode is not None:
             last = text.decode(errors="replace").strip().splitlines()[-1:] or ["no output"]
-            raise HandctlError(f"the viewer ended with code {process.returncode}: {last[0]}", "rerun", "")
-    raise HandctlError(f"the viewer has not opened its port within {VIEWER_START_TIMEOUT_S:g} s", "rerun", "")
+            raise HandctlError(
+                f"the viewer ended with code {process.returncode}: {last[0]}", "rerun", ""
+            )
+    raise HandctlError(
+        f"the viewer has not opened its port within {VIEWER_START_TIMEOUT_S:g} s", "rerun", ""
+    )

@@ -47,10 +47,22 @@ def serving(
         stderr_file: file for the simulator's standard error.
         time_scale: time scale of the simulator.
     """
-    words = ["--hand", "jamia", "--bus", "socketcan:vcan0", *scaled(time_scale), "--seed", "1", *options]
+    words = [
+        "--hand",
+        "jamia",
+        "--bus",
+        "socketcan:vcan0",
+        *scaled(time_scale),
+        "--seed",
+        "1",
+        *options,
+    ]
     with stderr_file.open("w") if stderr_file else contextlib.nullcontext() as stderr:
         process = subprocess.Popen(
-            [sys.executable, "-c", SIMULATOR, *words], stdout=subprocess.PIPE, stderr=stderr, text=True
+            [sys.executable, "-c", SIMULATOR, *words],
+            stdout=subprocess.PIPE,
+            stderr=stderr,
+            text=True,
         )
     try:
         wait_until_ready(process)

@@ -122,7 +122,9 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
         assert wait_for(bus, "error_warning") == []
         driver.send(CLASSICAL.pack(ERROR | 0x40, 8, bytes(8)))
         assert wait_for(bus, "bus_off") == []
-        assert ("bus_off", "socketcan:vcan0", 1) in bus.take_events(), "the event repeats during bus-off"
+        assert ("bus_off", "socketcan:vcan0", 1) in bus.take_events(), (
+            "the event repeats during bus-off"
+        )
         driver.send(CLASSICAL.pack(ERROR | 0x100, 8, bytes(8)))
         assert wait_for(bus, "restarted") == []
     assert bus.take_events() == []
@@ -149,7 +151,9 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow: tuple[str, str]) ->
     assert 1 <= accepted < len(batch)
     assert sender.take_events() == [("enobufs", f"socketcan:{slow[0]}", len(batch) - accepted)]
     received = drain_bus(receiver, accepted)
-    assert [frame.can_id for frame in received] == list(range(accepted)), "no refused frame is sent later"
+    assert [frame.can_id for frame in received] == list(range(accepted)), (
+        "no refused frame is sent later"
+    )
     assert sender.send(batch[:1]) == 1, "the queue has room again"
     sender.close()
     receiver.close()

@@ -18,7 +18,9 @@ def test_the_kernel_s_interfaces_are_read() -> None:
     assert read_link("vcan7") is None
 
 
-def test_an_interface_that_is_down_or_absent_comes_with_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interface_that_is_down_or_absent_comes_with_the_command(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     subprocess.run(["ip", "link", "set", "vcan1", "down"], check=True)
     try:
         assert main(["bus", "doctor", "--bus", "socketcan:vcan1"]) == 1
@@ -52,11 +54,16 @@ def test_nodes_are_listed_with_their_latency(capsys: pytest.CaptureFixture[str])
 
 def test_bus_up_makes_an_interface_and_sets_it_up(capsys: pytest.CaptureFixture[str]) -> None:
     try:
-        assert main(["bus", "up", "--bus", "socketcan:vcan7", "--data-bitrate", "5000000", "--yes"]) == 0
+        assert (
+            main(["bus", "up", "--bus", "socketcan:vcan7", "--data-bitrate", "5000000", "--yes"])
+            == 0
+        )
         link = read_link("vcan7")
         assert link is not None
         assert (link.up, link.kind, link.fd, link.queue) == (True, "vcan", True, 128)
-        assert main(["bus", "up", "--bus", "socketcan:vcan7", "--yes"]) == 0, "a second call succeeds"
+        assert main(["bus", "up", "--bus", "socketcan:vcan7", "--yes"]) == 0, (
+            "a second call succeeds"
+        )
         assert "ip link set vcan7 down" in capsys.readouterr().out
     finally:
         subprocess.run(["ip", "link", "del", "vcan7"], check=True)

@@ -37,7 +37,9 @@ def _write_homed_calibration(path: Path) -> None:
     hand, made = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
     no_offset = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     tendons = dict.fromkeys(hand.tendon_names, no_offset)
-    made_with = Calibration(hand="jamia", identity=hand.identity, made=made.isoformat(), tendon=tendons)
+    made_with = Calibration(
+        hand="jamia", identity=hand.identity, made=made.isoformat(), tendon=tendons
+    )
     write_calibration(path, made_with)
 
 
@@ -59,5 +61,7 @@ def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     summary = f"mean angles of the digits {apart.max():.2f} deg at most, joints {max(angles.values()):.2f} deg rms, "
     print(summary + f"tensions {100 * abs(new / old - 1).max():.1f} % apart")
     assert max(angles.values()) < 1.0, angles
-    assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, summary  # no peaks, because the guest's clocks slip
+    assert np.sqrt((apart**2).mean(axis=0)).max() < 1.0, (
+        summary
+    )  # no peaks, because the guest's clocks slip
     np.testing.assert_allclose(new, old, rtol=0.05)

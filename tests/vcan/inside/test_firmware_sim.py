@@ -87,7 +87,9 @@ def test_a_sync_brings_the_tensions_of_that_moment(bus: Bus, counter: int) -> No
 
 def test_a_drive_without_commands_drops_its_torque(bus: Bus) -> None:
     node = NODES[0]
-    bus.send(REGISTERS, bytes([node, 0, 0x55, WATCHDOG]) + struct.pack("<I", 1000))  # 50 ms, in 50 us
+    bus.send(
+        REGISTERS, bytes([node, 0, 0x55, WATCHDOG]) + struct.pack("<I", 1000)
+    )  # 50 ms, in 50 us
     bus.receive(node + 0x10)
     bus.send(node, ENABLE)
     assert bus.receive(node + 0x10)[0] >> 4 == ENABLED

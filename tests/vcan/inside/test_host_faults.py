@@ -44,7 +44,9 @@ def set_up(interface: str, up: bool) -> None:
     """Set an interface up or down as ``ip link set INTERFACE up`` does, but without a process."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         name = interface.encode().ljust(16, b"\0")
-        (flags,) = struct.unpack_from("=h", fcntl.ioctl(any_socket, SIOCGIFFLAGS, name + bytes(24)), 16)
+        (flags,) = struct.unpack_from(
+            "=h", fcntl.ioctl(any_socket, SIOCGIFFLAGS, name + bytes(24)), 16
+        )
         flags = flags | IFF_UP if up else flags & ~IFF_UP
         fcntl.ioctl(any_socket, SIOCSIFFLAGS, name + struct.pack("=h", flags) + bytes(22))
 
@@ -83,14 +85,18 @@ def run(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
     hand = load_hand(str(path))
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
-    program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), AT_S + AFTER_S)
+    program = JogProgram(
+        HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), AT_S + AFTER_S
+    )
     with simulated(path, plan.buses, TIME_SCALE, folder / "truth"):
         controller = make_controller(plan, program, None, arm_at_once=True)
         outcome = run_live(plan, controller, folder / "run.mcap", observer=observer)
     return outcome, read_truth(folder / "truth")
 
 
-def run_until_done(folder: Path, observer: FaultObserver, expected: str) -> tuple[RunOutcome, TruthFile]:
+def run_until_done(
+    folder: Path, observer: FaultObserver, expected: str
+) -> tuple[RunOutcome, TruthFile]:
     """Return the first run that ended as expected, and not because the guest's only core was busy.
 
     If a defect ends runs in the same way as a busy core, all five runs end like this. The test then
@@ -142,7 +148,9 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
         time.clock_settime(time.CLOCK_REALTIME, time.time() + seconds)
         offsets.append(time.time() - time.monotonic())
 
-    outcome, truth = run_until_done(tmp_path, FaultObserver(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)), "")
+    outcome, truth = run_until_done(
+        tmp_path, FaultObserver(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)), ""
+    )
     moved = np.diff(offsets[-3:])
     assert moved == pytest.approx([HOUR_S, -2.0 * HOUR_S], abs=5.0), "the wall clock moved"
     assert (outcome.state.failure, outcome.exit_code) == ("", ExitCode.DONE)
@@ -155,7 +163,9 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
 
 
 @pytest.mark.timeout(600)
-def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(interface: str, tmp_path: Path) -> None:
+def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(
+    interface: str, tmp_path: Path
+) -> None:
     """The interface that is taken down is the fault B14 of the catalogue."""
     observer = FaultObserver(lambda: set_up(interface, False))
     outcome, truth = run_until_done(tmp_path, observer, "B14")

@@ -23,7 +23,9 @@ def raw(interface: str) -> socket.socket:
 
 @pytest.mark.parametrize("interface", ["vcan0", "vcan1"])
 def test_the_interface_is_up_and_carries_fd(interface: str) -> None:
-    shown = subprocess.run(["ip", "-json", "link", "show", interface], capture_output=True, check=True).stdout
+    shown = subprocess.run(
+        ["ip", "-json", "link", "show", interface], capture_output=True, check=True
+    ).stdout
     (state,) = json.loads(shown)
     assert state["mtu"] == FD.size
     assert "UP" in state["flags"]

@@ -47,7 +47,9 @@ DIGITS = ("index", "middle", "ring", "thumb")
 
 def serve(words: Sequence[str], ready: int) -> None:
     """Run the simulator in this child process. Its output goes into a pipe."""
-    mujoco.set_mjcb_time(ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double)))  # see conftest
+    mujoco.set_mjcb_time(
+        ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double))
+    )  # see conftest
     sys.stdout = os.fdopen(ready, "w")
     raise SystemExit(firmware_sim(list(words)))
 
@@ -56,8 +58,20 @@ def serve(words: Sequence[str], ready: int) -> None:
 def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) -> Iterator[None]:
     """Run a simulated hand with taut tendons in another process, and check that this process ends in order."""
     names = load_hand(str(path)).bus_names
-    words = [word for name, spec in zip(names, buses, strict=True) for word in ("--bus", f"{name}={spec}")]
-    words += ["--hand", str(path), "--truth", str(truth), "--time-scale", str(time_scale), "--homed"]
+    words = [
+        word
+        for name, spec in zip(names, buses, strict=True)
+        for word in ("--bus", f"{name}={spec}")
+    ]
+    words += [
+        "--hand",
+        str(path),
+        "--truth",
+        str(truth),
+        "--time-scale",
+        str(time_scale),
+        "--homed",
+    ]
     ours, theirs = os.pipe()
     child = multiprocessing.get_context("fork").Process(target=serve, args=(words, theirs))
     child.start()
@@ -97,10 +111,14 @@ class Hand:
     def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
         self.clock.wait(self.k)
         for frame in [frame for bus in self.buses for frame in bus.drain()]:
-            self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
+            self.states = [
+                d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)
+            ]
         self.buses[self.sensors.bus].send([self.sensors.sync(self.k)])
         for i, drive in enumerate(self.drives):
-            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, target, torque)
+            self.states[i], frames = drive.advance(
+                self.states[i], self.k * PERIOD_NS, target, torque
+            )
             assert self.buses[drive.bus].send(frames) == len(frames)
         self.k += 1
 
@@ -109,7 +127,9 @@ class Hand:
             self.tick(target)
             if all(state.phase == phase for state in self.states):
                 return
-        pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
+        pytest.fail(
+            f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}"
+        )
 
     def close(self) -> None:
         for bus in self.buses:
@@ -149,7 +169,9 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     assert outcome.exit_code == ExitCode.DONE
     assert outcome.stats.refused == truth.header["lost_frames"] == 0
     for digit in DIGITS:
-        assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit  # low, as the guest's clocks slip
+        assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, (
+            digit
+        )  # low, as the guest's clocks slip
 
 
 def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, TruthFile]:
@@ -162,5 +184,7 @@ def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, Tr
     plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)
     program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), PULL_S)
     with simulated(path, buses, time_scale, folder / "truth"):
-        outcome = run_live(plan, make_controller(plan, program, None, arm_at_once=True), folder / "run.mcap")
+        outcome = run_live(
+            plan, make_controller(plan, program, None, arm_at_once=True), folder / "run.mcap"
+        )
     return outcome, read_truth(folder / "truth")

@@ -9,7 +9,13 @@ import pytest
     [
         can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\x01\x02"),
         can.Message(arbitration_id=0x1FFFFFFF, is_extended_id=True, data=bytes(8)),
-        can.Message(arbitration_id=0x42, is_extended_id=False, is_fd=True, bitrate_switch=True, data=bytes(range(64))),
+        can.Message(
+            arbitration_id=0x42,
+            is_extended_id=False,
+            is_fd=True,
+            bitrate_switch=True,
+            data=bytes(range(64)),
+        ),
     ],
     ids=["classical", "extended", "fd"],
 )
@@ -21,4 +27,6 @@ def test_a_message_crosses_vcan(message: can.Message) -> None:
         sender.send(message)
         received = receiver.recv(timeout=20.0)
     assert received is not None
-    assert received.equals(message, timestamp_delta=None, check_channel=False, check_direction=False)
+    assert received.equals(
+        message, timestamp_delta=None, check_channel=False, check_direction=False
+    )

@@ -32,11 +32,22 @@ def run_on(folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
     calibration = folder / "jamia.calibration.toml"
     if not NIGHTLY:
         write_homed(calibration, load_hand("jamia"))
-    words = ["run", "--hand", "jamia", "--bus", "socketcan:vcan0", "--task", str(TASK), *scaled(time_scale)]
+    words = [
+        "run",
+        "--hand",
+        "jamia",
+        "--bus",
+        "socketcan:vcan0",
+        "--task",
+        str(TASK),
+        *scaled(time_scale),
+    ]
     files = ["--json", "--log", str(folder / "run.mcap"), "--calibration", str(calibration)]
     options = ["--scene", "cylinder", *(() if NIGHTLY else HOMED)]
     with serving(*options, stderr_file=folder / "simulator", time_scale=time_scale):
-        return subprocess.run([HANDCTL, *words, *files], cwd=folder, capture_output=True, text=True, check=False)
+        return subprocess.run(
+            [HANDCTL, *words, *files], cwd=folder, capture_output=True, text=True, check=False
+        )
 
 
 def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:

@@ -25,7 +25,9 @@ LARGEST_RATIO = 1.5
 
 @pytest.mark.nightly
 @pytest.mark.timeout(1200)
-def test_a_streamed_sine_is_followed_like_a_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_streamed_sine_is_followed_like_a_task(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(streaming, "SIMULATOR", ["-c", SIMULATOR])
     monkeypatch.setattr(streaming, "TRACKED_S", TRACKED_S)
     monkeypatch.setattr(streaming, "INTERPOLATIONS", ("minimum_jerk",))

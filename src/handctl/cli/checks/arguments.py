@@ -22,10 +22,14 @@ from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
 EXAMPLES = {
     "config": CommandExample("handctl config show --hand jamia"),
     "config show": CommandExample("handctl config show --hand jamia"),
-    "config check": CommandExample("handctl config check --hand jamia --task grasp.toml --scene cylinder:35"),
+    "config check": CommandExample(
+        "handctl config check --hand jamia --task grasp.toml --scene cylinder:35"
+    ),
     "config list": CommandExample("handctl config list"),
     "config schema": CommandExample("handctl config schema | tee hand.schema.json"),
-    "config init": CommandExample("handctl config init --yes --fingers 2 --opposed 1 --output mine.toml"),
+    "config init": CommandExample(
+        "handctl config init --yes --fingers 2 --opposed 1 --output mine.toml"
+    ),
     "config convert": CommandExample(
         "handctl config show --hand jamia > old.toml; handctl config convert old.toml --output new.toml"
     ),
@@ -33,8 +37,12 @@ EXAMPLES = {
     "bus": CommandExample("handctl bus plan --hand jamia11 --rate 200"),
     "bus plan": CommandExample("handctl bus plan --hand jamia11 --rate 200"),
     "bus up": CommandExample("handctl bus up --hand jamia --bus socketcan:vcan0"),
-    "bus doctor": CommandExample("handctl bus doctor --hand jamia --bus local:demo", (SIMULATED_HAND,)),
-    "bus watch": CommandExample("handctl bus watch --hand jamia --bus local:demo --for 2", (SIMULATED_HAND,)),
+    "bus doctor": CommandExample(
+        "handctl bus doctor --hand jamia --bus local:demo", (SIMULATED_HAND,)
+    ),
+    "bus watch": CommandExample(
+        "handctl bus watch --hand jamia --bus local:demo --for 2", (SIMULATED_HAND,)
+    ),
     "scan": CommandExample("handctl scan --bus socketcan:can0 --dry-run"),
     "conformance": CommandExample(
         "handctl conformance --protocol odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
@@ -46,7 +54,9 @@ EXAMPLES = {
 
 def config(parser: VerbParser) -> None:
     """Declare the arguments of ``config``."""
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="init|show|check|list|schema|convert|export")
+    kinds = parser.add_subparsers(
+        dest="what", required=True, metavar="init|show|check|list|schema|convert|export"
+    )
 
     def kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"config {name}"])
@@ -55,7 +65,9 @@ def config(parser: VerbParser) -> None:
             add_hand_option(one)
         return one
 
-    _declare_init(kind("init", "write a new hand file from a few answers, or from a robot description"))
+    _declare_init(
+        kind("init", "write a new hand file from a few answers, or from a robot description")
+    )
     show = kind("show", "show a hand, and the source of each value")
     text = "draw digits, tendons, spools, sensors and buses instead: as text, or as a picture with --output"
     show.add_argument("--graph", action="store_true", help=text)
@@ -68,14 +80,20 @@ def config(parser: VerbParser) -> None:
     kind("list", "list the packaged hands and tasks")
     schema = kind("schema", "print the JSON Schema of hand files, for completion in an editor")
     add_output_option(schema, "a new file (default: standard output)")
-    convert = kind("convert", "write a hand file of schema 1 as schema 2: repeated values once, comments kept")
+    convert = kind(
+        "convert", "write a hand file of schema 1 as schema 2: repeated values once, comments kept"
+    )
     convert.add_argument("old", type=Path, metavar="OLD", help="hand file of schema 1")
     add_output_option(convert, "a new file", required=True)
     export = kind("export", "write the buses or the links of a hand for other tools")
     form = export.add_mutually_exclusive_group()
-    form.add_argument("--dbc", action="store_true", help="the frames of each bus, as a CAN database")
+    form.add_argument(
+        "--dbc", action="store_true", help="the frames of each bus, as a CAN database"
+    )
     form.add_argument("--urdf", action="store_true", help="links and joints, for ROS and pinocchio")
-    form.add_argument("--mjcf", action="store_true", help="links, joints, springs and tendons, for MuJoCo")
+    form.add_argument(
+        "--mjcf", action="store_true", help="links, joints, springs and tendons, for MuJoCo"
+    )
     add_output_option(export, "a new file (default: HAND.dbc, HAND.urdf, HAND.xml)")
 
 
@@ -84,29 +102,96 @@ def _declare_init(parser: argparse.ArgumentParser) -> None:
     add_output_option(parser, "a new hand file", required=True)
     source = parser.add_mutually_exclusive_group()
     text = "take links, joints and inertia from {}; questions ask for the tendons, or the file marks them as 'TODO'"
-    source.add_argument("--urdf", type=Path, metavar="FILE", help=text.format("a robot description"))
-    source.add_argument("--mjcf", type=Path, metavar="FILE", help=text.format("a model of MuJoCo, and its moment arms"))
+    source.add_argument(
+        "--urdf", type=Path, metavar="FILE", help=text.format("a robot description")
+    )
+    source.add_argument(
+        "--mjcf",
+        type=Path,
+        metavar="FILE",
+        help=text.format("a model of MuJoCo, and its moment arms"),
+    )
     add = parser.add_argument
-    add("--yes", action="store_true", help="do not ask: options that are not given have their default, or 'TODO'")
+    add(
+        "--yes",
+        action="store_true",
+        help="do not ask: options that are not given have their default, or 'TODO'",
+    )
     add("--name", help="name of the hand (default: mine)")
     add("--fingers", type=int, metavar="N", help="digits on one side (default: 2)")
-    add("--opposed", type=int, metavar="N", help="digits, such as a thumb, that close against the fingers (default: 1)")
-    add("--links", type=_parse_lengths, dest="links_mm", metavar="MM,MM", help="length of each link (default: 40,30)")
-    add("--width", type=float, dest="width_mm", metavar="MM", help="width of the links (default: 12)")
+    add(
+        "--opposed",
+        type=int,
+        metavar="N",
+        help="digits, such as a thumb, that close against the fingers (default: 1)",
+    )
+    add(
+        "--links",
+        type=_parse_lengths,
+        dest="links_mm",
+        metavar="MM,MM",
+        help="length of each link (default: 40,30)",
+    )
+    add(
+        "--width",
+        type=float,
+        dest="width_mm",
+        metavar="MM",
+        help="width of the links (default: 12)",
+    )
     text = "distance between the two sides (default: computed from the links)"
     add("--palm", type=float, dest="palm_mm", metavar="MM", help=text)
-    add("--tendons", choices=("one", "each"), help="one tendon per digit, or one for each joint (default: one)")
+    add(
+        "--tendons",
+        choices=("one", "each"),
+        help="one tendon per digit, or one for each joint (default: one)",
+    )
     text = "moment arm at the joints (default: computed from the links)"
     add("--pulley", type=float, dest="pulley_mm", metavar="MM", help=text)
-    add("--spool", type=float, dest="spool_mm", metavar="MM", help="radius of the spools (default: 8)")
-    add("--tension", type=float, dest="tension_N", metavar="N", help="largest commanded tension (default: 80)")
-    add("--strength", type=float, dest="strength_N", metavar="N", help="breaking force of the tendons (default: 600)")
+    add(
+        "--spool",
+        type=float,
+        dest="spool_mm",
+        metavar="MM",
+        help="radius of the spools (default: 8)",
+    )
+    add(
+        "--tension",
+        type=float,
+        dest="tension_N",
+        metavar="N",
+        help="largest commanded tension (default: 80)",
+    )
+    add(
+        "--strength",
+        type=float,
+        dest="strength_N",
+        metavar="N",
+        help="breaking force of the tendons (default: 600)",
+    )
     add("--protocol", choices=GUARDED_PROTOCOLS, help="protocol of the drives (default: mit)")
     text = "with --urdf or --mjcf: "
-    add("--cells", choices=("all", "none"), help=f"{text}tendons that have a load cell (default: 'TODO')")
-    add("--encoders", choices=("all", "none"), help=f"{text}joints that have an encoder (default: 'TODO')")
-    add("--springs", choices=("all", "none"), help=f"{text}joints that have a return spring (default: 'TODO')")
-    add("--first-node", type=int, metavar="N", help=f"{text}node number of the first drive of a bus (default: 'TODO')")
+    add(
+        "--cells",
+        choices=("all", "none"),
+        help=f"{text}tendons that have a load cell (default: 'TODO')",
+    )
+    add(
+        "--encoders",
+        choices=("all", "none"),
+        help=f"{text}joints that have an encoder (default: 'TODO')",
+    )
+    add(
+        "--springs",
+        choices=("all", "none"),
+        help=f"{text}joints that have a return spring (default: 'TODO')",
+    )
+    add(
+        "--first-node",
+        type=int,
+        metavar="N",
+        help=f"{text}node number of the first drive of a bus (default: 'TODO')",
+    )
 
 
 def _parse_lengths(text: str) -> tuple[float, ...]:
@@ -116,7 +201,9 @@ def _parse_lengths(text: str) -> tuple[float, ...]:
 
 def _declare_files(parser: argparse.ArgumentParser) -> None:
     """Declare the options that name the files of a hand."""
-    parser.add_argument("--task", type=Path, metavar="FILE", help="task file to check with the hand")
+    parser.add_argument(
+        "--task", type=Path, metavar="FILE", help="task file to check with the hand"
+    )
     add_gains_options(parser)
     text = "calibration file to check (default: HAND.calibration.toml)"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
@@ -136,9 +223,16 @@ def bus(parser: VerbParser) -> None:
     up = add_sub_verb(kinds, "up", text, EXAMPLES["bus up"])
     text = "show angle, velocity, temperature and tension of every drive and load cell live, without torque"
     watch = add_sub_verb(kinds, "watch", text, EXAMPLES["bus watch"])
-    defaults = ((plan, "jamia"), (doctor, "none"), (up, "none"), (watch, "jamia on a simulated bus"))
+    defaults = (
+        (plan, "jamia"),
+        (doctor, "none"),
+        (up, "none"),
+        (watch, "jamia on a simulated bus"),
+    )
     for one, default in defaults:
-        named = one.add_argument("--hand", metavar="NAME|FILE", help=f"packaged hand or file (default: {default})")
+        named = one.add_argument(
+            "--hand", metavar="NAME|FILE", help=f"packaged hand or file (default: {default})"
+        )
         named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
         add_bus_option(one, required=False)
         add_json_option(one)
@@ -147,7 +241,9 @@ def bus(parser: VerbParser) -> None:
     plan.add_argument("--table", action="store_true", help="compare the protocols, without a hand")
     for one in (doctor, up):
         add_bitrate_options(
-            one, "without a hand: bit rate of the bus", "without a hand: bit rate of CAN FD's data phase"
+            one,
+            "without a hand: bit rate of the bus",
+            "without a hand: bit rate of CAN FD's data phase",
         )
     up.add_argument("--yes", action="store_true", help="run the commands now; needs root")
     text = "end after this time (default: Ctrl-C)"
@@ -159,26 +255,47 @@ def scan(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``scan``."""
     add_bus_option(parser)
     add_json_option(parser)
-    parser.add_argument("--dry-run", action="store_true", help="print every frame that may be sent, open no bus")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="print every frame that may be sent, open no bus"
+    )
     text = "send requests even if another host seems to control the bus"
     parser.add_argument("--force", action="store_true", help=text)
-    add_bitrate_options(parser, "bit rate of the buses", "bit rate of CAN FD's data phase, for the printed fragment")
+    add_bitrate_options(
+        parser, "bit rate of the buses", "bit rate of CAN FD's data phase, for the printed fragment"
+    )
 
 
 def conformance(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``conformance``."""
     add = parser.add_argument
     add("--protocol", required=True, choices=sorted(PROTOCOL_TRAITS), help="protocol of the drive")
-    add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus")
-    add("--bus", required=True, metavar="SPEC", help="local:NAME, socketcan:can0 or any python-can interface:channel")
+    add(
+        "--node",
+        required=True,
+        type=lambda word: int(word, 0),
+        metavar="N",
+        help="number of the drive on the bus",
+    )
+    add(
+        "--bus",
+        required=True,
+        metavar="SPEC",
+        help="local:NAME, socketcan:can0 or any python-can interface:channel",
+    )
     add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",
         help="largest commanded torque at the drive's shaft; it is also the limit that the drive gets")  # fmt: skip
-    add("--yes", action="store_true", help="confirm that the shaft may turn: hands and cables are away from it")
+    add(
+        "--yes",
+        action="store_true",
+        help="confirm that the shaft may turn: hands and cables are away from it",
+    )
     text = "option of the drive, as in [motor.options] of a hand file; may be repeated"
     add("--option", action="append", default=[], metavar="KEY=VALUE", help=text)
     add_bitrate_options(parser, "bit rate of the bus", "bit rate of CAN FD's data phase")
     add_json_option(parser)
-    parser.add_argument("--dry-run", action="store_true", help="print what would be checked, open no bus")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="print what would be checked, open no bus"
+    )
 
 
 def doctor(parser: argparse.ArgumentParser) -> None:

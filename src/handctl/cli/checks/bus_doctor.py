@@ -59,14 +59,18 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE if good else ExitCode.FAILED
 
 
-def _expected_buses(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, BusSection]]:
+def _expected_buses(
+    args: argparse.Namespace, hand: Hand | None
+) -> Sequence[tuple[str, BusSection]]:
     """Return each bus of the command line, with the expected name and bit rates."""
     if hand is not None:
         from handctl.session.plan import bus_specs
 
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
-    return tuple((spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items())
+    return tuple(
+        (spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items()
+    )
 
 
 def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str, Any]:
@@ -81,8 +85,14 @@ def _examine_bus(spec: str, expected: BusSection, hand: Hand | None) -> dict[str
     return {
         "bus": spec,
         "name": expected.name,
-        "findings": [{"what": one.observation, "good": one.good, "fix": "" if one.good else one.fix} for one in rows],
-        "nodes": [{"protocol": node.protocol, "node_id": node.node_id, **trip._asdict()} for node, trip in trips],
+        "findings": [
+            {"what": one.observation, "good": one.good, "fix": "" if one.good else one.fix}
+            for one in rows
+        ],
+        "nodes": [
+            {"protocol": node.protocol, "node_id": node.node_id, **trip._asdict()}
+            for node, trip in trips
+        ],
     }
 
 
@@ -137,20 +147,30 @@ def _check_nodes(
     elif hand is not None:
         rows += _missing_motors(hand, expected.name, result)
     elif not result.found:
-        rows.append(LinkFinding("no drive answers", False, f"{WIRING_ADVICE}; {undiscoverable_protocols_text()}"))
+        rows.append(
+            LinkFinding(
+                "no drive answers", False, f"{WIRING_ADVICE}; {undiscoverable_protocols_text()}"
+            )
+        )
     else:
         rows.append(LinkFinding(undiscoverable_protocols_text(), True))
     return rows, trips
 
 
-def _duplicate_nodes(result: BusScan, trips: list[tuple[DiscoveredNode, RoundTrip]]) -> list[DiscoveredNode]:
+def _duplicate_nodes(
+    result: BusScan, trips: list[tuple[DiscoveredNode, RoundTrip]]
+) -> list[DiscoveredNode]:
     """Return the nodes whose number more than one drive uses."""
     twice = [node for node, trip in trips if trip.twins]
     return [node for node in result.found if node.twins or node in twice]
 
 
 def _measure_round_trips(bus: Bus, result: BusScan) -> list[tuple[DiscoveredNode, RoundTrip]]:
-    return [(node, measure_round_trips(bus, node)) for node in result.found if node.protocol in DISCOVERY_BY_PROTOCOL]
+    return [
+        (node, measure_round_trips(bus, node))
+        for node in result.found
+        if node.protocol in DISCOVERY_BY_PROTOCOL
+    ]
 
 
 def _event_findings(result: BusScan) -> list[LinkFinding]:
@@ -165,7 +185,9 @@ def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
     node, trip = timed
     name = f"{node.protocol} {node.node_id}"
     if not trip.answers:
-        return LinkFinding(f"{name} answered the scan, but no further request", False, WIRING_ADVICE)
+        return LinkFinding(
+            f"{name} answered the scan, but no further request", False, WIRING_ADVICE
+        )
     times = f"{trip.shortest * 1e3:.2f} / {trip.median * 1e3:.2f} / {trip.longest * 1e3:.2f} ms"
     what = f"{name} answers {trip.answers} of {trip.asked}, shortest / median / longest {times}"
     good = trip.answers == trip.asked and trip.median < SLOW_ROUND_TRIP_S
@@ -175,9 +197,16 @@ def _answers_text(timed: tuple[DiscoveredNode, RoundTrip]) -> LinkFinding:
 def _missing_motors(hand: Hand, bus: str, result: BusScan) -> list[LinkFinding]:
     """Return one finding for each motor of the hand file that did not answer on a bus."""
     there = {(node.protocol, node.node_id) for node in result.found}
-    motors = [motor for motor in hand.motor if motor.bus == bus and (motor.protocol, motor.node_id) not in there]
+    motors = [
+        motor
+        for motor in hand.motor
+        if motor.bus == bus and (motor.protocol, motor.node_id) not in there
+    ]
     names = [
-        (f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERY_BY_PROTOCOL)
+        (
+            f"{motor.name} ({motor.protocol} {motor.node_id})",
+            motor.protocol in DISCOVERY_BY_PROTOCOL,
+        )
         for motor in motors
     ]
     return [

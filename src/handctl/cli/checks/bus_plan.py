@@ -25,7 +25,9 @@ def run(args: argparse.Namespace) -> int:
     Return 1 if a bus is overloaded or an interface has a wrong bit rate.
     """
     if args.table:
-        _print_table() if not args.json else print_json({"rows": [row.numbers() for row in TABLE_ROWS]})
+        _print_table() if not args.json else print_json(
+            {"rows": [row.numbers() for row in TABLE_ROWS]}
+        )
         return ExitCode.DONE
     hand = load_hand("jamia" if args.hand is None else args.hand)
     loads = bus_loads(hand)
@@ -95,9 +97,15 @@ def _print_loads(result: dict[str, Any], detail: bool) -> None:
         time = f"{bus['tick_us']:>7.0f} us a tick + {bus['by_time']:4.1%}"
         print(f"  {bus['name']:<12}{bus['motors']:>3} motors {time} {bus['load']:>7.1%}  {limit}")
         for row in bus["frames"] if detail else ():
-            rate = f"{row['per_tick']:g} a tick" if row["per_tick"] else f"{row['per_second']:.3g} a second"
+            rate = (
+                f"{row['per_tick']:g} a tick"
+                if row["per_tick"]
+                else f"{row['per_second']:.3g} a second"
+            )
             kind = "FD" if row["fd"] else "classical"
-            print(f"      {row['what']:<16}{kind:<10}{row['bytes']:>2} bytes {row['frame_us']:>6.1f} us  {rate}")
+            print(
+                f"      {row['what']:<16}{kind:<10}{row['bytes']:>2} bytes {row['frame_us']:>6.1f} us  {rate}"
+            )
     for line in result["wrong_bit_rates"]:
         print(line)
     if not result["fits"]:
@@ -115,8 +123,12 @@ def _print_split(buses: list[list[str]]) -> None:
 
 def _print_table() -> None:
     rates = " / ".join(f"{rate:g}" for rate in TABLE_RATES_HZ)
-    print("worst case with stuff bits, frames of the tensions included, SYNC only where the protocol needs it")
-    print(f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MAX_BUS_LOAD:.0%}")
+    print(
+        "worst case with stuff bits, frames of the tensions included, SYNC only where the protocol needs it"
+    )
+    print(
+        f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MAX_BUS_LOAD:.0%}"
+    )
     for row in TABLE_ROWS:
         loads = " / ".join(f"{100 * rate * row.tick_s:.0f}" for rate in TABLE_RATES_HZ)
         kind = "FD 1/5" if row.fd else "classical"

@@ -21,7 +21,9 @@ def run(args: argparse.Namespace) -> int:
     """Print the commands that set up each interface, or run them as root."""
     if not args.bus:
         raise ConfigError("missing", "--bus", "the interfaces, such as --bus socketcan:can0")
-    commands = [command for spec, section in _bus_rates(args) for command in _commands_of_bus(spec, section)]
+    commands = [
+        command for spec, section in _bus_rates(args) for command in _commands_of_bus(spec, section)
+    ]
     if args.yes:
         _check_root(commands)
         for command in commands:

@@ -45,7 +45,9 @@ def run(args: argparse.Namespace) -> int:
     clock = RealClock(round(1e9 / min(HIGHEST_HZ, default_rate(hand))), time_scale)
     for spec in specs:
         if is_running(spec):
-            right = "no running controller: its own display and handctl run --view show the readings"
+            right = (
+                "no running controller: its own display and handctl run --view show the readings"
+            )
             raise BusError("a controller runs here", f"bus {spec}", right)
     with ExitStack() as stack:
         for spec in specs:
@@ -57,7 +59,9 @@ def run(args: argparse.Namespace) -> int:
         for bus in opened:
             stack.callback(bus.close)
         watch = BusWatch(drives, make_sensors(hand), opened, clock)
-        print_note(f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the command.")
+        print_note(
+            f"handctl: {hand.name} on {', '.join(specs)}: no drive is enabled. Ctrl-C ends the command."
+        )
         if foreign := watch.other_host():
             problem = f"another host controls this bus (received: {foreign})"
             raise BusError(problem, f"bus {', '.join(specs)}", "no other host")
@@ -89,7 +93,9 @@ def _checked_arguments(args: argparse.Namespace) -> tuple[tuple[str, ...], Hand,
     return specs, hand, chosen_time_scale(args.time_scale, specs)
 
 
-def _show_readings(args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag) -> None:
+def _show_readings(
+    args: argparse.Namespace, hand: Hand, watch: BusWatch, ended: TerminationFlag
+) -> None:
     """Poll the drives in every tick, and show the readings at intervals and at the end."""
     begin = time.monotonic()
     end = begin + (math.inf if args.duration is None else args.duration)
@@ -124,21 +130,32 @@ def readings_of(hand: Hand, watch: BusWatch) -> dict[str, Any]:
     """
     now = watch.clock.now_ns()
     rows = zip(hand.tendon_names, watch.drives, watch.states, watch.ages_s(now), strict=True)
-    tensions = {hand.tendon_names[index]: reading.at(now) for index, reading in watch.tensions.items()}
+    tensions = {
+        hand.tendon_names[index]: reading.at(now) for index, reading in watch.tensions.items()
+    }
     return {
         "t_s": now * 1e-9,
-        "drives": [_drive_fields(hand, tendon, drive, state, age) for tendon, drive, state, age in rows],
+        "drives": [
+            _drive_fields(hand, tendon, drive, state, age) for tendon, drive, state, age in rows
+        ],
         "load_cells": [
-            {"tendon": name, "tension_N": value, "saturated": is_saturated(value, watch.sensors.cell_range)}
+            {
+                "tendon": name,
+                "tension_N": value,
+                "saturated": is_saturated(value, watch.sensors.cell_range),
+            }
             for name, value in tensions.items()
         ],
         "joint_encoders": [
-            {"joint": hand.joints[index], "angle_rad": reading.at(now)} for index, reading in watch.angles.items()
+            {"joint": hand.joints[index], "angle_rad": reading.at(now)}
+            for index, reading in watch.angles.items()
         ],
     }
 
 
-def _drive_fields(hand: Hand, tendon: str, drive: Drive, state: DriveState, age_s: float) -> dict[str, Any]:
+def _drive_fields(
+    hand: Hand, tendon: str, drive: Drive, state: DriveState, age_s: float
+) -> dict[str, Any]:
     """Return the readings of a drive. Position and velocity are those of the spool.
 
     Positive values wind the tendon up.
@@ -160,7 +177,16 @@ def _readings_table(readings: dict[str, Any]) -> Any:
 
     cells = {row["tendon"]: row for row in readings["load_cells"]}
     table = Table(box=None, pad_edge=False)
-    titles = ("motor", "node", "phase", "angle [deg]", "velocity [deg/s]", "torque [N m]", "temp. [C]", "load cell [N]")
+    titles = (
+        "motor",
+        "node",
+        "phase",
+        "angle [deg]",
+        "velocity [deg/s]",
+        "torque [N m]",
+        "temp. [C]",
+        "load cell [N]",
+    )
     for title in titles:
         table.add_column(title, justify="left" if title in ("motor", "phase") else "right")
     for row in readings["drives"]:
@@ -172,7 +198,9 @@ def _readings_table(readings: dict[str, Any]) -> Any:
             _number_text(cell["tension_N"], 2) + (" end of range" if cell["saturated"] else ""),
         )  # fmt: skip
     for row in readings["joint_encoders"]:
-        table.add_row(row["joint"], "", "joint encoder", _number_text(math.degrees(row["angle_rad"]), 1))
+        table.add_row(
+            row["joint"], "", "joint encoder", _number_text(math.degrees(row["angle_rad"]), 1)
+        )
     return table
 
 

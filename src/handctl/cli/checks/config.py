@@ -17,7 +17,12 @@ from handctl.drives.dbc import dbc_of_bus
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.file.error_text import SECTION_PATTERN, FileMistake, group_mistakes, with_paths_of_file
+from handctl.hand.file.error_text import (
+    SECTION_PATTERN,
+    FileMistake,
+    group_mistakes,
+    with_paths_of_file,
+)
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.templates import RESOLVED_SCHEMA
 from handctl.hand.formats.meshes import exported_meshes, mesh_mistakes
@@ -84,7 +89,9 @@ def _all_errors(args: argparse.Namespace) -> list[str]:
             check()
         except ConfigError as error:
             in_hand = SECTION_PATTERN.fullmatch(error.where)
-            placed = with_paths_of_file([FileMistake(error.what, error.where, error.right)], origins)
+            placed = with_paths_of_file(
+                [FileMistake(error.what, error.where, error.right)], origins
+            )
             errors.append(placed[0].error(str(path)) if in_hand else error)
     places = [error.where for error in errors]
     # A later error at the same key is a consequence of the first one.
@@ -110,7 +117,9 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
 
     def design() -> None:
         """Check that the gains lead to a valid design of the controller at the control rate."""
-        check_gain_margins(hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand)))
+        check_gain_margins(
+            hand, layered_gains(args, hand).gains, control_rate(None, hand, bus_loads(hand))
+        )
 
     def scene() -> None:
         """Check that the hand can be simulated in the given scene, if a scene is given."""
@@ -121,7 +130,15 @@ def _checks_of_files(args: argparse.Namespace, hand: Hand) -> list[Callable[[], 
             SimulatorSettings(hand, args.scene).check()
 
     drives = [partial(make_drive, motor, buses.index(motor.bus)) for motor in hand.motor]
-    return [*drives, lambda: make_drives(hand), lambda: layered_gains(args, hand), design, task, calibration, scene]
+    return [
+        *drives,
+        lambda: make_drives(hand),
+        lambda: layered_gains(args, hand),
+        design,
+        task,
+        calibration,
+        scene,
+    ]
 
 
 def _report_errors(args: argparse.Namespace, errors: list[str]) -> int:
@@ -143,13 +160,17 @@ def _show_graph(args: argparse.Namespace, hand: Hand) -> int:
         print(text_graph(hand))
         return 0
     if args.output.suffix not in FIGURE_SUFFIXES:
-        raise ConfigError(str(args.output), "--output", "a file ending in " + ", ".join(sorted(FIGURE_SUFFIXES)))
+        raise ConfigError(
+            str(args.output), "--output", "a file ending in " + ", ".join(sorted(FIGURE_SUFFIXES))
+        )
     check_output(args.output, "--output", Path(args.hand))
     draw_hand(args.output, hand)
     if args.json:
         print_json({"output": str(args.output)})
     else:
-        print_escaped(f"{args.output}: {len(hand.digit)} digits, {len(hand.tendon)} tendons, {len(hand.bus)} buses")
+        print_escaped(
+            f"{args.output}: {len(hand.digit)} digits, {len(hand.tendon)} tendons, {len(hand.bus)} buses"
+        )
     return 0
 
 
@@ -197,8 +218,12 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
         print(f"# warning: {text}")
     for text in table_fits(hand):
         print(f"# {text}")
-    bus_loads_text = ", ".join(f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items())
-    print(f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {layers.file or 'packaged'}; all files are valid")
+    bus_loads_text = ", ".join(
+        f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items()
+    )
+    print(
+        f"# default rate {rate:g} Hz: {bus_loads_text}; gains: {layers.file or 'packaged'}; all files are valid"
+    )
     return 0
 
 
@@ -213,7 +238,11 @@ def _gains_with_sources(layers: LayeredGains) -> list[str]:
     The gains are comments because gains belong in a separate file.
     """
     values = values_by_key(layers.gains)
-    return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
+    return [
+        "",
+        "# gains",
+        *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items()),
+    ]
 
 
 def _calibration_fields(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
@@ -223,8 +252,15 @@ def _calibration_fields(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
         return {"file": str(path), "problem": reason, "made": None, "identified": {}}
     identified = {
         tendon: {
-            name: {"value": value, "half_width": width, "unit": PARAMETER_UNITS[name], "made": parameters.made}
-            for name, value, width in zip(parameters.names, parameters.values, parameters.half_widths, strict=True)
+            name: {
+                "value": value,
+                "half_width": width,
+                "unit": PARAMETER_UNITS[name],
+                "made": parameters.made,
+            }
+            for name, value, width in zip(
+                parameters.names, parameters.values, parameters.half_widths, strict=True
+            )
         }
         for tendon, parameters in calibration.identified.items()
     }
@@ -251,7 +287,9 @@ def _export_hand(args: argparse.Namespace, hand: Hand) -> int:
         raise ConfigError("no format", "export", "--dbc, --urdf or --mjcf")
     output = args.output or Path(f"{hand.name}.{'urdf' if args.urdf else 'xml'}")
     meshes = exported_meshes(hand, hand_path(args.hand).parent, output.parent)
-    write_text_atomically(output, urdf_text(hand, meshes) if args.urdf else mjcf_text(hand, meshes), new=True)
+    write_text_atomically(
+        output, urdf_text(hand, meshes) if args.urdf else mjcf_text(hand, meshes), new=True
+    )
     if args.json:
         print_json({"hand": hand.name, "output": str(output)})
     else:
@@ -271,7 +309,9 @@ def _export_buses(args: argparse.Namespace, hand: Hand) -> int:
     written = []
     for bus, name in enumerate(buses):
         path = output if len(buses) == 1 else path_with_suffix(output, f".{name}{output.suffix}")
-        write_text_atomically(path, dbc_of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), new=True)
+        write_text_atomically(
+            path, dbc_of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), new=True
+        )
         written.append({"bus": name, "output": str(path)})
     if args.json:
         print_json({"hand": hand.name, "files": written})
@@ -302,17 +342,25 @@ def _convert_file(args: argparse.Namespace) -> int:
     hand = load_hand(args.old)
     text = hand_path(args.old).read_text("utf-8")
     if parse_toml(text, str(args.old))["schema"] != RESOLVED_SCHEMA:
-        raise ConfigError("schema 2 already", f"{args.old}: schema", f"a file of schema {RESOLVED_SCHEMA}")
+        raise ConfigError(
+            "schema 2 already", f"{args.old}: schema", f"a file of schema {RESOLVED_SCHEMA}"
+        )
     new = convert_to_schema_2(text, str(args.old))
     again = hand_from_content(parse_toml(new, str(args.output)), str(args.output))
     if again.identity != hand.identity:
-        raise ConfigError("describes another hand after its conversion", str(args.old), "a report of this as a bug")
+        raise ConfigError(
+            "describes another hand after its conversion",
+            str(args.old),
+            "a report of this as a bug",
+        )
     write_text_atomically(args.output, new, new=True)
     lines = len(text.splitlines()), len(new.splitlines())
     if args.json:
         print_json({"output": str(args.output), "lines": lines, "identity": hand.identity})
     else:
-        print_escaped(f"{args.output}: {lines[1]} lines instead of {lines[0]}, the same hand {hand.identity[:16]}")
+        print_escaped(
+            f"{args.output}: {lines[1]} lines instead of {lines[0]}, the same hand {hand.identity[:16]}"
+        )
     return 0
 
 

@@ -21,7 +21,13 @@ from handctl.cli.console.questions import (
 from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.file.error_text import FileMistake
-from handctl.hand.file.imported_file import ANSWER_NAMES, DescribedHand, TendonAnswers, described_text, usable_tendons
+from handctl.hand.file.imported_file import (
+    ANSWER_NAMES,
+    DescribedHand,
+    TendonAnswers,
+    described_text,
+    usable_tendons,
+)
 from handctl.hand.file.new_file import check_name, options_line
 from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED_PLACEHOLDER
 from handctl.hand.formats.meshes import path_from, read_triangles
@@ -39,7 +45,9 @@ IMPORT_QUESTIONS = (
     *TENDON_QUESTIONS,
     Question("cells", "Load cells at the tendons (all, none)", READ_ALL_OR_NONE, "all or none"),
     Question("encoders", "Encoders at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
-    Question("springs", "Return springs at the joints (all, none)", READ_ALL_OR_NONE, "all or none"),
+    Question(
+        "springs", "Return springs at the joints (all, none)", READ_ALL_OR_NONE, "all or none"
+    ),
     Question(
         "protocol",
         f"Protocol of the drives ({', '.join(GUARDED_PROTOCOLS)})",
@@ -76,8 +84,14 @@ def run(args: argparse.Namespace) -> int:
     warnings = [*notes, *unread, *_unexpected_mistakes(mistakes, missing, args.output)]
     joints = sum(len(digit.joints) for digit in described.digits)
     if args.json:
-        found = {"digits": len(described.digits), "joints": joints, "missing": [one.where for one in missing]}
-        print_json({"output": str(args.output), "schema": str(schema), **found, "warnings": warnings})
+        found = {
+            "digits": len(described.digits),
+            "joints": joints,
+            "missing": [one.where for one in missing],
+        }
+        print_json(
+            {"output": str(args.output), "schema": str(schema), **found, "warnings": warnings}
+        )
         return 0
     print_escaped(
         f"{args.output}: {len(described.digits)} digits, {joints} joints; "
@@ -105,7 +119,10 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
     """
     model = read_model_file(path, kind)
     notes = list(model["notes"])
-    links = [ModelLink.of(link, _mesh_of(link["name"], link["meshes"], output, notes)) for link in model["links"]]
+    links = [
+        ModelLink.of(link, _mesh_of(link["name"], link["meshes"], output, notes))
+        for link in model["links"]
+    ]
     digits, palm, origin = digits_of_links(links, str(path))
     palm_mesh = _mesh_of("the palm", model["palm_meshes"], output, notes)
     gravity = model["gravity"]
@@ -122,7 +139,9 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
     return described, notes
 
 
-def _mesh_of(link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes: list[str]) -> ModelMesh | None:
+def _mesh_of(
+    link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes: list[str]
+) -> ModelMesh | None:
     """Return the largest usable mesh of a link, or None.
 
     Add a line to ``notes`` for each mesh that is left out.
@@ -138,7 +157,9 @@ def _mesh_of(link: str, meshes: Sequence[Mapping[str, Any]], output: Path, notes
         return None
     largest = max(sizes, key=sizes.__getitem__)
     for i in sizes.keys() - {largest}:
-        notes.append(f"mesh {Path(meshes[i]['file']).name} of {link} is left out: a link can have only one mesh")
+        notes.append(
+            f"mesh {Path(meshes[i]['file']).name} of {link} is left out: a link can have only one mesh"
+        )
     chosen = ModelMesh.of(meshes[largest])
     return replace(chosen, file=path_from(Path(chosen.file), output))
 
@@ -148,7 +169,9 @@ def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:
     check_terminal()
     for question in IMPORT_QUESTIONS:
         if getattr(answers, question.field) is None and question.field not in known:
-            answers = replace(answers, **{question.field: ask_question(question, UNMEASURED_PLACEHOLDER, None)})
+            answers = replace(
+                answers, **{question.field: ask_question(question, UNMEASURED_PLACEHOLDER, None)}
+            )
     return answers
 
 
@@ -163,9 +186,13 @@ def _check_answers(answers: TendonAnswers) -> None:
     if answers.name is not None:
         check_name(answers.name)
     if answers.first_node is not None and answers.first_node not in NODE_NUMBERS:
-        raise ConfigError(f"{answers.first_node}", "--first-node", f"{NODE_NUMBERS[0]} to {NODE_NUMBERS[-1]}")
+        raise ConfigError(
+            f"{answers.first_node}", "--first-node", f"{NODE_NUMBERS[0]} to {NODE_NUMBERS[-1]}"
+        )
 
 
-def _unexpected_mistakes(mistakes: Iterable[FileMistake], missing: list[FileMistake], output: Path) -> list[str]:
+def _unexpected_mistakes(
+    mistakes: Iterable[FileMistake], missing: list[FileMistake], output: Path
+) -> list[str]:
     """Return one line for each mistake in the new hand file, except missing values."""
     return [str(mistake.error(str(output))) for mistake in mistakes if mistake not in missing]

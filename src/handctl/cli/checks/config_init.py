@@ -28,7 +28,12 @@ HAND_QUESTIONS = (
     Question("name", "Name of the hand", str, "a word"),
     Question("fingers", "Digits on one side", int, "a whole number"),
     Question("opposed", "Digits that close against them, as a thumb does", int, "a whole number"),
-    Question("links_mm", "Length of each link, from the palm outwards [mm]", lengths_from_text, "numbers, e.g. 40,30"),
+    Question(
+        "links_mm",
+        "Length of each link, from the palm outwards [mm]",
+        lengths_from_text,
+        "numbers, e.g. 40,30",
+    ),
     Question("width_mm", "Width of the links [mm]", float, "a number"),
     Question("palm_mm", "Distance between the two sides of the palm [mm]", float, "a number"),
     *TENDON_QUESTIONS,
@@ -51,9 +56,15 @@ def run(args: argparse.Namespace) -> int:
         return from_description(args)
     for option in OPTIONS_WITH_DESCRIPTION:
         if getattr(args, option) is not None:
-            raise ConfigError("only for an imported hand", f"--{option.replace('_', '-')}", "--urdf or --mjcf with it")
+            raise ConfigError(
+                "only for an imported hand",
+                f"--{option.replace('_', '-')}",
+                "--urdf or --mjcf with it",
+            )
     given = {one.name: getattr(args, one.name) for one in fields(HandAnswers)}
-    answers = replace(HandAnswers(), **{name: value for name, value in given.items() if value is not None})
+    answers = replace(
+        HandAnswers(), **{name: value for name, value in given.items() if value is not None}
+    )
     if not args.yes:
         answers = _ask_questions(args, answers)
     check_answers(answers)
@@ -66,12 +77,23 @@ def run(args: argparse.Namespace) -> int:
     schema = write_with_schema(args.output, text)
     assumed = sum("ASSUMED" in line for line in text.splitlines()) - 1
     if args.json:
-        print_json({"output": str(args.output), "schema": str(schema), "assumed": assumed, "warnings": warnings})
+        print_json(
+            {
+                "output": str(args.output),
+                "schema": str(schema),
+                "assumed": assumed,
+                "warnings": warnings,
+            }
+        )
         return 0
-    print_escaped(f"{args.output}: {answers.fingers + answers.opposed} digits; {assumed} lines are marked ASSUMED")
+    print_escaped(
+        f"{args.output}: {answers.fingers + answers.opposed} digits; {assumed} lines are marked ASSUMED"
+    )
     for text in warnings:
         print_escaped(f"warning: {text}")
-    print_escaped(f"next: handctl config check --hand {args.output}; handctl demo --lockstep --hand {args.output}")
+    print_escaped(
+        f"next: handctl config check --hand {args.output}; handctl demo --lockstep --hand {args.output}"
+    )
     return 0
 
 
@@ -86,7 +108,9 @@ def _ask_questions(args: argparse.Namespace, answers: HandAnswers) -> HandAnswer
         if getattr(args, question.field) is not None:
             continue
         default = getattr(answers, PROPORTIONAL_DEFAULT.get(question.field, question.field))
-        shown = ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)
+        shown = (
+            ",".join(f"{one:g}" for one in default) if isinstance(default, tuple) else str(default)
+        )
         shown = f"{default:.3g}" if isinstance(default, float) else shown
         answers = replace(answers, **{question.field: ask_question(question, shown, default)})
     return answers

@@ -76,7 +76,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _dry_run(args: argparse.Namespace) -> int:
     if args.json:
-        print_json({"checks": [name for name, _, _ in CHECKED_REQUIREMENTS], "torque_limit_N_m": args.limit})
+        print_json(
+            {
+                "checks": [name for name, _, _ in CHECKED_REQUIREMENTS],
+                "torque_limit_N_m": args.limit,
+            }
+        )
         return ExitCode.DONE
     print(f"would check that {args.protocol} {args.node}, with at most {args.limit:g} N m,")
     for name, _, turns in CHECKED_REQUIREMENTS:
@@ -84,7 +89,9 @@ def _dry_run(args: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _run_checks(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[ConformanceCheck], bool]:
+def _run_checks(
+    args: argparse.Namespace, drive: Drive, restoring: Drive
+) -> tuple[list[ConformanceCheck], bool]:
     """Run the checks of a drive, disable the drive, and restore the torque range of the drive.
 
     Return the results of the checks, and True if the drive has confirmed that it is disabled.
@@ -95,12 +102,18 @@ def _run_checks(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tup
             for check in run_checks(DeviceUnderTest(rig, args.limit, WATCHDOG_MS / 1e3)):
                 results.append(check)
                 if not args.json:
-                    print(f"{VERDICT_WORDS[check.verdict]}  {check.name}: {check.reason}", flush=True)
+                    print(
+                        f"{VERDICT_WORDS[check.verdict]}  {check.name}: {check.reason}", flush=True
+                    )
         finally:
             if len(results) < len(CHECKED_REQUIREMENTS):
                 bus.send(drive.cut())
-            off = release_drive(rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None)
-            if not off and len(results) < len(CHECKED_REQUIREMENTS):  # ended by Ctrl-C or a bug: report it here
+            off = release_drive(
+                rig, WATCHDOG_MS / 1e3, restoring if restoring is not drive else None
+            )
+            if not off and len(results) < len(
+                CHECKED_REQUIREMENTS
+            ):  # ended by Ctrl-C or a bug: report it here
                 raise PowerError(NOT_OFF_WARNING)
     return results, off
 
@@ -116,7 +129,10 @@ def _result_fields(
         "firmware": node.firmware,
         "serial": node.serial,
         "confirmed_off": off,
-        "checks": [{"name": check.name, "verdict": check.verdict.value, "why": check.reason} for check in results],
+        "checks": [
+            {"name": check.name, "verdict": check.verdict.value, "why": check.reason}
+            for check in results
+        ],
     }
 
 

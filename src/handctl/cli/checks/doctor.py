@@ -14,7 +14,12 @@ from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_quiet, is_verbose, print_detail
 from handctl.errors import BusError
 from handctl.extras import extras_installed
-from handctl.runtime.clocks.priority import GrantedPriority, realtime_priority, restore_priority, take_priority
+from handctl.runtime.clocks.priority import (
+    GrantedPriority,
+    realtime_priority,
+    restore_priority,
+    take_priority,
+)
 from handctl.runtime.paths import run_dir
 from handctl.session.exit_codes import ExitCode
 
@@ -120,7 +125,9 @@ def _check_wakeups() -> DoctorFinding:
         while (sleep := time.monotonic()) < begin + WATCH_S:
             time.sleep(SLEEP_S)
             latest = max(latest, time.monotonic() - sleep - SLEEP_S)
-    total, stolen = (after - before for before, after in zip(ticks, _processor_ticks(), strict=True))
+    total, stolen = (
+        after - before for before, after in zip(ticks, _processor_ticks(), strict=True)
+    )
     taken = f", a hypervisor took {100 * stolen / total:.1f} % of the processor" if stolen else ""
     return (
         f"wake-ups at most {1e3 * latest:.1f} ms late in {WATCH_S:g} s{taken}",
@@ -158,14 +165,18 @@ def _check_socketcan() -> DoctorFinding:
 def _check_interfaces() -> DoctorFinding:
     net = Path("/sys/class/net")
     names = [
-        path.name for path in net.glob("*") if (path / "type").exists() and (path / "type").read_text().strip() == "280"
+        path.name
+        for path in net.glob("*")
+        if (path / "type").exists() and (path / "type").read_text().strip() == "280"
     ]
     fix = "plug one in, or: ip link add vcan0 type vcan && ip link set vcan0 up"
     return f"CAN interfaces: {', '.join(sorted(names)) or 'none'}", bool(names), fix
 
 
 def _check_vulkan() -> DoctorFinding:
-    has_driver = bool(list(Path("/usr/share/vulkan/icd.d").glob("*.json"))) or sys.platform != "linux"
+    has_driver = (
+        bool(list(Path("/usr/share/vulkan/icd.d").glob("*.json"))) or sys.platform != "linux"
+    )
     return (
         "Vulkan driver for pictures of the viewer",
         has_driver,

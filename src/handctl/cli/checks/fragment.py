@@ -18,7 +18,9 @@ RATED_N_M = 0.1
 ENCODER_COUNTS = 65536
 
 
-def hand_file_snippet(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_bitrate: int | None) -> str:
+def hand_file_snippet(
+    buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: int, data_bitrate: int | None
+) -> str:
     """Return the ``[[bus]]`` and ``[[motor]]`` sections of a hand file for the scanned drives.
 
     Args:
@@ -26,7 +28,9 @@ def hand_file_snippet(buses: Mapping[str, Sequence[DiscoveredNode]], bitrate: in
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase of CAN FD [bit/s], or None.
     """
-    lines = ["# From `handctl scan`. Values that a drive reported are marked; measure the others before arming."]
+    lines = [
+        "# From `handctl scan`. Values that a drive reported are marked; measure the others before arming."
+    ]
     for name in buses:
         rates: list[FragmentEntry] = [("name", name, ""), ("bitrate", bitrate, "")]
         if data_bitrate:
@@ -110,7 +114,8 @@ def _torque_source(settings: Mapping[str, float]) -> str:
 
 def _option_lines(drive: DiscoveredNode) -> list[FragmentEntry]:
     entries: list[FragmentEntry] = [
-        (key, value, drive.origins.get(key, "reported by the drive")) for key, value in drive.options.items()
+        (key, value, drive.origins.get(key, "reported by the drive"))
+        for key, value in drive.options.items()
     ]
     if drive.protocol == "cia402":
         for key, value, where in (
@@ -124,5 +129,11 @@ def _option_lines(drive: DiscoveredNode) -> list[FragmentEntry]:
 
 def _toml_line(entry: FragmentEntry) -> str:
     key, value, comment = entry
-    text = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else repr(value)
+    text = (
+        str(value).lower()
+        if isinstance(value, bool)
+        else f'"{value}"'
+        if isinstance(value, str)
+        else repr(value)
+    )
     return f"{key} = {text}" + (f"    # {comment}" if comment else "")

@@ -30,12 +30,19 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 
     model = HandModel.of(hand, gains, rate_hz)
-    found = {name: margins_of_loop(open_loop(model, i, LoopKind.MOTION)) for i, name in enumerate(hand.tendon_names)}
+    found = {
+        name: margins_of_loop(open_loop(model, i, LoopKind.MOTION))
+        for i, name in enumerate(hand.tendon_names)
+    }
     name, worst = min(found.items(), key=lambda item: item[1].gain_db)
     if worst.gain_db >= MIN_GAIN_MARGIN_DB:
         return []
     buses = split_motors_over_buses(hand, SAFE_HZ)
-    remedy = f"{len(buses)} buses allow {SAFE_HZ:g} Hz (bus plan --rate {SAFE_HZ:g})" if buses else "a faster bus"
+    remedy = (
+        f"{len(buses)} buses allow {SAFE_HZ:g} Hz (bus plan --rate {SAFE_HZ:g})"
+        if buses
+        else "a faster bus"
+    )
     return [
         f"{name}: at {rate_hz:g} Hz, which the buses allow, its motion loop has a gain margin of "
         f"{worst.gain_db:.1f} dB instead of {MIN_GAIN_MARGIN_DB:g} dB, and a run may oscillate and "

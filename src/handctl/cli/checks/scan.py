@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+from functools import partial
 from typing import Any
 
 from handctl.cli.checks.fragment import hand_file_snippet
@@ -31,21 +32,38 @@ def run(args: argparse.Namespace) -> int:
     for name, spec in buses.items():
         opened = open_bus(spec, 0, args.bitrate)
         try:
-            scans[name] = scan_bus(opened, args.force, lambda text, spec=spec: print_note(f"{spec}: {text}"))  # type: ignore[misc]
+            scans[name] = scan_bus(opened, args.force, partial(_print_note_of_bus, spec))
         finally:
             opened.close()
         if not scans[name].foreign:
-            scans[name] = scans[name]._replace(found=add_identities(scans[name].found, spec, args.bitrate))
-    piece = hand_file_snippet({name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate)
+            scans[name] = scans[name]._replace(
+                found=add_identities(scans[name].found, spec, args.bitrate)
+            )
+    piece = hand_file_snippet(
+        {name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate
+    )
     if args.json:
         listed = [_scan_fields(name, buses[name], result) for name, result in scans.items()]
-        print_json({"buses": listed, "fragment": piece, "not_looked_for": list(PROTOCOLS_WITHOUT_DISCOVERY)})
+        print_json(
+            {
+                "buses": listed,
+                "fragment": piece,
+                "not_looked_for": list(PROTOCOLS_WITHOUT_DISCOVERY),
+            }
+        )
     else:
         _print_scans(buses, scans, piece)
     return ExitCode.DONE if any(result.found for result in scans.values()) else ExitCode.FAILED
 
 
-def add_identities(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -> tuple[DiscoveredNode, ...]:
+def _print_note_of_bus(spec: str, text: str) -> None:
+    """Print a note about a bus."""
+    print_note(f"{spec}: {text}")
+
+
+def add_identities(
+    nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int
+) -> tuple[DiscoveredNode, ...]:
     """Return the found nodes. CANopen nodes get the identity that each reports over SDO."""
     canopen_ids = [drive.node_id for drive in nodes if drive.protocol == "cia402"]
     if not canopen_ids:
@@ -61,7 +79,9 @@ def add_identities(nodes: tuple[DiscoveredNode, ...], spec: str, bitrate: int) -
     )  # fmt: skip
 
 
-def _add_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[str, str]) -> DiscoveredNode:
+def _add_identity(
+    drive: DiscoveredNode, numbers: dict[str, int], texts: dict[str, str]
+) -> DiscoveredNode:
     power = cia402_codec.power_state(numbers["status"]) if "status" in numbers else ""
     notes = list(drive.notes)
     if not numbers.get("modes", 0) >> 9 & 1:
@@ -74,10 +94,15 @@ def _add_identity(drive: DiscoveredNode, numbers: dict[str, int], texts: dict[st
         notes.append(f"rated torque {rated} taken as mN m; EPOS4 counts in uN m: rated_torque_unit")
     if counts := numbers.get("counts"):
         options["counts_per_turn"] = counts
-    identity = [f"vendor {numbers['vendor']:#x}, product {numbers['product']:#x}"] if "product" in numbers else []
+    identity = (
+        [f"vendor {numbers['vendor']:#x}, product {numbers['product']:#x}"]
+        if "product" in numbers
+        else []
+    )
     return dataclasses.replace(
         drive,
-        firmware=texts.get("software") or (f"revision {numbers['revision']:#x}" if "revision" in numbers else ""),
+        firmware=texts.get("software")
+        or (f"revision {numbers['revision']:#x}" if "revision" in numbers else ""),
         serial=f"{numbers['serial']:#x}" if "serial" in numbers else "",
         state=", ".join(filter(None, (drive.state, power))),
         error=cia402_codec.error_text(numbers["error"]) if numbers.get("error") else "",
@@ -101,18 +126,26 @@ def _scan_fields(name: str, spec: str, result: BusScan) -> dict[str, Any]:
 
 def _frame_text(frame: Frame) -> str:
     """Return a CAN frame as text in the notation of candump."""
-    return f"{frame.can_id & 0x1FFFFFFF:03X}#" + ("R" if frame.can_id & REMOTE else frame.data.hex().upper())
+    return f"{frame.can_id & 0x1FFFFFFF:03X}#" + (
+        "R" if frame.can_id & REMOTE else frame.data.hex().upper()
+    )
 
 
 def _print_scans(buses: dict[str, str], scans: dict[str, BusScan], piece: str) -> None:
     for name, result in scans.items():
         print(f"{name} ({buses[name]}): {len(result.found)} nodes, {result.frames} frames received")
         if result.foreign:
-            frames_text = ", ".join(_frame_text(frame) for frame in result.foreign[:MAX_FOREIGN_FRAMES])
-            print(f"  another host controls this bus ({frames_text}): no request was sent; stop it or use --force")
+            frames_text = ", ".join(
+                _frame_text(frame) for frame in result.foreign[:MAX_FOREIGN_FRAMES]
+            )
+            print(
+                f"  another host controls this bus ({frames_text}): no request was sent; stop it or use --force"
+            )
         if result.omitted:
             kinds = sorted({f"{frame.can_id:#05x}" for frame in result.omitted})
-            print(f"  no request with identifier {', '.join(kinds)}: a drive on this bus would take it as a command;")
+            print(
+                f"  no request with identifier {', '.join(kinds)}: a drive on this bus would take it as a command;"
+            )
             print("  to find nodes that answer to it, switch that drive off and scan again")
         for drive in result.found:
             _print_drive(drive)
@@ -145,6 +178,8 @@ def _print_requests(as_json: bool) -> int:
     if as_json:
         print_json({"questions": questions})
         return ExitCode.DONE
-    print("scan listens first, and sends requests only if there is no other host; it may send these frames:")
+    print(
+        "scan listens first, and sends requests only if there is no other host; it may send these frames:"
+    )
     print("\n".join(questions))
     return ExitCode.DONE

@@ -72,7 +72,9 @@ def _option_from_word(word: str) -> dict[str, Any]:
     try:
         return parse_toml(word, "--option")
     except ConfigError as error:
-        if UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal():  # TOML refuses numbers with too many digits
+        if (
+            UNQUOTED_TEXT.fullmatch(value) and not value.isdecimal()
+        ):  # TOML refuses numbers with too many digits
             return parse_toml(quoted, "--option")
         right = "KEY=VALUE, as in gear_ratio=6.0 or motor_type=ak80-9"
         raise ConfigError(f"{word}: {error.what}", "--option", right) from None
@@ -120,8 +122,15 @@ def describe_drive(
     except ValidationError as error:
         wrong = error.errors(include_url=False)[-1]
         key = str(wrong["loc"][-1]) if wrong["loc"] else args.protocol
-        right = wrong["msg"].removeprefix("Value error, ").removeprefix("Input should be ").removeprefix("expected ")
-        raise ConfigError(toml_spelling(wrong["input"]), "--node" if key == "node_id" else key, right) from None
+        right = (
+            wrong["msg"]
+            .removeprefix("Value error, ")
+            .removeprefix("Input should be ")
+            .removeprefix("expected ")
+        )
+        raise ConfigError(
+            toml_spelling(wrong["input"]), "--node" if key == "node_id" else key, right
+        ) from None
     except ValueError as error:
         text = str(error).splitlines()[-1]
         raise ConfigError(text, toml_spelling(args.node), "a number of that protocol") from None
@@ -145,7 +154,11 @@ def find_drive(args: argparse.Namespace) -> DiscoveredNode:
     print_note(f"{args.bus}: searching for the drive")
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
     try:
-        result = scan_bus(bus) if PROTOCOL_ENTRIES[args.protocol].discovery else _listen_for_drive(args, bus)
+        result = (
+            scan_bus(bus)
+            if PROTOCOL_ENTRIES[args.protocol].discovery
+            else _listen_for_drive(args, bus)
+        )
     finally:
         bus.close()
     if result.foreign:

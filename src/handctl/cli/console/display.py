@@ -42,7 +42,9 @@ class DisplayProcess:
         shown: remedies for faults that have been printed already.
     """
 
-    def __init__(self, names: tuple[str, ...], ceiling: tuple[float, ...], rate_hz: float, load: float) -> None:
+    def __init__(
+        self, names: tuple[str, ...], ceiling: tuple[float, ...], rate_hz: float, load: float
+    ) -> None:
         """Start the display process.
 
         Args:
@@ -70,7 +72,9 @@ class DisplayProcess:
     @staticmethod
     def start(hand: Hand, rate_hz: float, load: float) -> "DisplayProcess":
         """Start the display of a run, and return the controller's end of the pipe to the display."""
-        return DisplayProcess(hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load)
+        return DisplayProcess(
+            hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load
+        )
 
     def show(self, entry: TickIn, out: TickOut) -> None:
         """Send a line about the tick to the display, if ``REFRESH_PERIOD_S`` has passed or if the tick has an event."""
@@ -87,7 +91,9 @@ class DisplayProcess:
             "goal": [None if f != f else round(float(f), 2) for f in out.telemetry.tension_goal],
             "contact": [bool(c) for c in out.telemetry.contact],
             "events": [
-                [event.level, self._event_text(event)] for event in out.events if self._is_due(entry.t_ns, event)
+                [event.level, self._event_text(event)]
+                for event in out.events
+                if self._is_due(entry.t_ns, event)
             ],
         }
         self.worst_late_ns = 0
@@ -162,7 +168,9 @@ def _tension_lines(names: Sequence[str], line: dict[str, Any]) -> str:
     pairs = zip(short_names(names), line["tension"], strict=True)
     # A no-break space keeps the name of a tendon and its value on the same line.
     text = "  ".join(f"{name}{NO_BREAK_SPACE}{f:.1f}" for name, f in pairs)
-    rows = textwrap.fill(text, MAX_LINE_CHARACTERS, initial_indent=start, subsequent_indent=" " * len(start))
+    rows = textwrap.fill(
+        text, MAX_LINE_CHARACTERS, initial_indent=start, subsequent_indent=" " * len(start)
+    )
     return rows.replace(NO_BREAK_SPACE, " ")
 
 
@@ -188,7 +196,9 @@ def _state_panel(head: dict[str, Any], line: dict[str, Any]) -> Any:
     table = Table(box=None, pad_edge=False)
     for title in ("tendon", "tension", "goal", "of its limit"):
         table.add_column(title, justify="left" if title == "tendon" else "right", min_width=8)
-    for name, f, goal, limit in zip(head["names"], line["tension"], line["goal"], head["ceiling"], strict=True):
+    for name, f, goal, limit in zip(
+        head["names"], line["tension"], line["goal"], head["ceiling"], strict=True
+    ):
         bar = ProgressBar(total=limit, completed=min(f, limit), width=40)
         table.add_row(name, f"{f:.1f} N", "-" if goal is None else f"{goal:.1f} N", bar)
     headline = Text(f"{line['mode']}  {line['phase']}  {line['t']:.1f} s", style="bold")

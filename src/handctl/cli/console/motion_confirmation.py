@@ -21,7 +21,9 @@ HOUR_S = 3600.0
 DAY_S = 86400.0
 
 
-def announce_motion(args: argparse.Namespace, plan: RunPlan, path: Path, calibration: Calibration | None) -> None:
+def announce_motion(
+    args: argparse.Namespace, plan: RunPlan, path: Path, calibration: Calibration | None
+) -> None:
     """Print the files that a run uses. On a real bus, then ask the operator whether the hand may move.
 
     Args:
@@ -44,10 +46,15 @@ def announce_motion(args: argparse.Namespace, plan: RunPlan, path: Path, calibra
         print_note(f"handctl: found in this folder: {'; '.join(files)}")
     if calibration and not calibration.drive:
         text = "does not name its drives, so any hand of this design would be armed with it"
-        print_escaped(f"handctl: caution: {path} {text}; handctl commission writes a file that names them", error=True)
+        print_escaped(
+            f"handctl: caution: {path} {text}; handctl commission writes a file that names them",
+            error=True,
+        )
     if real := real_buses(plan.buses):
         joints = ", ".join(plan.hand.digit_names)
-        confirm_motion(f"{plan.hand.name} on {', '.join(real)} is armed and moves {joints}", args.yes)
+        confirm_motion(
+            f"{plan.hand.name} on {', '.join(real)} is armed and moves {joints}", args.yes
+        )
 
 
 def _file_text(what: str, path: Path, made: str) -> str:

@@ -18,7 +18,9 @@ from handctl.session.exit_codes import ExitCode
 class _StoreNamedHand(argparse.Action):
     """Argparse action that stores a hand together with the fact that the operator has named one."""
 
-    def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+    def __call__(
+        self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
         namespace.hand = values
         namespace.hand_named = True
 
@@ -26,7 +28,9 @@ class _StoreNamedHand(argparse.Action):
 def add_hand_option(parser: argparse.ArgumentParser) -> None:
     """Declare --hand: name of a packaged hand, or path of a hand file."""
     text = f"packaged hand or file (default: {DEFAULT_HAND}; needed on a real bus)"
-    named = parser.add_argument("--hand", action=_StoreNamedHand, default=DEFAULT_HAND, metavar="NAME|FILE", help=text)
+    named = parser.add_argument(
+        "--hand", action=_StoreNamedHand, default=DEFAULT_HAND, metavar="NAME|FILE", help=text
+    )
     named.completer = hand_names  # type: ignore[attr-defined]  # an attribute that argcomplete reads
     parser.set_defaults(hand_named=False)
 
@@ -72,7 +76,9 @@ def add_bus_option(parser: argparse.ArgumentParser, required: bool = True) -> No
 def add_bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str) -> None:
     """Declare --bitrate and --data-bitrate, with their help texts."""
     add = parser.add_argument
-    add("--bitrate", type=_bit_rate, default=1_000_000, metavar="BIT/S", help=f"{nominal} (1000000)")
+    add(
+        "--bitrate", type=_bit_rate, default=1_000_000, metavar="BIT/S", help=f"{nominal} (1000000)"
+    )
     add("--data-bitrate", type=_bit_rate, metavar="BIT/S", help=data)
 
 
@@ -80,18 +86,24 @@ def _bit_rate(word: str) -> int:
     """Return a bit rate of the command line [bit/s], after a check against the limits of a hand file."""
     rate = int(word)
     if not MIN_BITRATE_BIT_S <= rate <= MAX_BITRATE_BIT_S:
-        raise argparse.ArgumentTypeError(f"{word}; expected {MIN_BITRATE_BIT_S} to {MAX_BITRATE_BIT_S} bit/s")
+        raise argparse.ArgumentTypeError(
+            f"{word}; expected {MIN_BITRATE_BIT_S} to {MAX_BITRATE_BIT_S} bit/s"
+        )
     return rate
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:
     """Declare --json, with which standard output contains only the result, as JSON."""
-    parser.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
+    parser.add_argument(
+        "--json", action="store_true", help="print the result as JSON on standard output"
+    )
 
 
 def add_dry_run_option(parser: argparse.ArgumentParser) -> None:
     """Declare --dry-run, with which a command checks all inputs but opens no bus."""
-    parser.add_argument("--dry-run", action="store_true", help="check all files and the bus load, open no bus")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="check all files and the bus load, open no bus"
+    )
 
 
 def add_run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> None:
@@ -102,10 +114,17 @@ def add_run_options(parser: argparse.ArgumentParser, bus_required: bool = True) 
     add_dry_run_option(parser)
     add_clear_option(parser)
     add_gains_options(parser)
-    parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: computed from the bus load)")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="control rate (default: computed from the bus load)",
+    )
     text = "calibration file (default: HAND.calibration.toml)"
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
-    parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
+    parser.add_argument(
+        "--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)"
+    )
     add_yes_option(parser)
     add_time_scale_option(parser)
 
@@ -125,7 +144,9 @@ def add_jobs_option(parser: argparse.ArgumentParser, default: int | None, text: 
         text: help text without the default.
     """
     default_text = "one per core" if default is None else str(default)
-    parser.add_argument("--jobs", type=int, default=default, metavar="N", help=f"{text} (default: {default_text})")
+    parser.add_argument(
+        "--jobs", type=int, default=default, metavar="N", help=f"{text} (default: {default_text})"
+    )
 
 
 def add_output_option(
@@ -138,7 +159,9 @@ def add_output_option(
 def add_perturb_option(parser: argparse.ArgumentParser) -> None:
     """Declare --perturb, factors between parameters of the simulated hand and the values in the hand file."""
     text = "change parameters of the simulated hand, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
-    parser.add_argument("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help=text)
+    parser.add_argument(
+        "--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help=text
+    )
 
 
 def perturb_words(args: argparse.Namespace) -> list[str]:
@@ -213,7 +236,9 @@ def wire_words(args: argparse.Namespace) -> list[str]:
 def print_json(result: dict[str, Any]) -> None:
     """Print a result as JSON. NaN becomes null."""
     text = json.dumps(_json_value(result), indent=2, allow_nan=False)
-    sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")  # JSON leaves this control character as it is
+    sys.stdout.write(
+        text.replace("\x7f", "\\u007f") + "\n"
+    )  # JSON leaves this control character as it is
 
 
 def print_json_line(result: dict[str, Any]) -> None:

@@ -42,8 +42,13 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.RunPlan:
 def _print_plan(args: argparse.Namespace, run_plan: plan.RunPlan) -> None:
     """Print the details of a plan, as ``--verbose`` demands."""
     hand = run_plan.hand
-    print_detail(f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons")
-    loads = ", ".join(f"{name} {100 * load:.0f} %" for name, load in zip(hand.bus_names, run_plan.load, strict=False))
+    print_detail(
+        f"hand: {hand.name} from {args.hand}, identity {hand.identity[:16]}, {len(hand.tendon)} tendons"
+    )
+    loads = ", ".join(
+        f"{name} {100 * load:.0f} %"
+        for name, load in zip(hand.bus_names, run_plan.load, strict=False)
+    )
     print_detail(
         f"rate: {run_plan.rate_hz:g} Hz, bus load: {loads}; buses: {', '.join(run_plan.buses) or 'in lockstep'}"
     )

@@ -18,7 +18,9 @@ class ProgressCallback(Protocol):
 
 
 @contextmanager
-def progress_bar(label: str, total: int | None = None, quiet: bool = False) -> Iterator[ProgressCallback]:
+def progress_bar(
+    label: str, total: int | None = None, quiet: bool = False
+) -> Iterator[ProgressCallback]:
     """Show a progress bar during a block, if standard error is a terminal.
 
     Args:

@@ -75,7 +75,9 @@ def check_terminal() -> None:
         ConfigError: standard input is not a terminal.
     """
     if not (sys.stdin and sys.stdin.isatty()):
-        raise ConfigError("nobody can answer the questions: no terminal", "config init", "--yes, and options")
+        raise ConfigError(
+            "nobody can answer the questions: no terminal", "config init", "--yes, and options"
+        )
 
 
 def ask_question(question: Question, shown: str, default: Any) -> Any:

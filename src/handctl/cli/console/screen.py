@@ -23,7 +23,9 @@ def rich_console(error: bool = False, min_width: int = 1) -> Any:
     from rich.segment import Segment
 
     class Screen(Console):
-        def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        def render(
+            self, renderable: RenderableType, options: ConsoleOptions | None = None
+        ) -> Iterable[Segment]:
             """Escape every text except the control codes that rich itself writes."""
             for segment in super().render(renderable, options):
                 done = segment.control or segment.text.isprintable()

@@ -32,7 +32,11 @@ def terminate_on_signals() -> Iterator[None]:
 
     A signal that ``nohup`` ignores stays ignored.
     """
-    ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    ending = [
+        number
+        for number in (signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) == signal.SIG_DFL
+    ]
     with installed_handler(_raise_terminated, *ending):
         yield
 
@@ -45,10 +49,15 @@ def install_excepthook() -> None:
     """
     bugs: list[BaseException] = []
 
-    def show(error_type: type[BaseException], bug: BaseException, trace: TracebackType | None) -> None:
+    def show(
+        error_type: type[BaseException], bug: BaseException, trace: TracebackType | None
+    ) -> None:
         with escaped_streams():
             sys.__excepthook__(error_type, bug, trace)
-            print("handctl: this is a bug in handctl; the traceback above shows the place", file=sys.stderr)
+            print(
+                "handctl: this is a bug in handctl; the traceback above shows the place",
+                file=sys.stderr,
+            )
         bugs.append(bug)
 
     def end() -> None:

@@ -76,7 +76,12 @@ def _clock_text(result: dict[str, Any]) -> list[tuple[str, str]]:
         return []
     simulated_s = result["ticks"] / result["rate_hz"]
     times = "once" if result["clock_pauses"] == 1 else f"{result['clock_pauses']} times"
-    return [("clock paused for this machine", f"{times}, {result['clock_paused_s']:.3f} s in {simulated_s:.1f} s")]
+    return [
+        (
+            "clock paused for this machine",
+            f"{times}, {result['clock_paused_s']:.3f} s in {simulated_s:.1f} s",
+        )
+    ]
 
 
 def _time_scale_text(scale: float) -> str:

@@ -6,7 +6,12 @@ The code of a command is imported only when the command runs. Therefore help tex
 import argparse
 from pathlib import Path
 
-from handctl.cli.console.options import add_jobs_option, add_json_option, add_output_option, add_run_options
+from handctl.cli.console.options import (
+    add_jobs_option,
+    add_json_option,
+    add_output_option,
+    add_run_options,
+)
 from handctl.cli.parsing.parser import CommandExample, VerbParser, add_sub_verb
 
 
@@ -22,7 +27,9 @@ EXAMPLES = {
     "view": _example_with_log("handctl view run.mcap --save run.rrd"),
     "replay": _example_with_log("handctl replay execute run.mcap"),
     "replay execute": _example_with_log("handctl replay execute run.mcap"),
-    "replay drive": _example_with_log("handctl replay drive run.mcap --hand jamia --bus local:demo --dry-run"),
+    "replay drive": _example_with_log(
+        "handctl replay drive run.mcap --hand jamia --bus local:demo --dry-run"
+    ),
     "replay safety": _example_with_log(
         "echo 'tension_trip_N = 60' > 60.toml; handctl replay safety run.mcap --limits 60.toml"
     ),
@@ -48,16 +55,26 @@ EXPORT_FORMATS = {
 def view(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``view``."""
     parser.add_argument("log", type=Path, metavar="LOG", help="log of a run")
-    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a Rerun recording, open nothing")
     parser.add_argument(
-        "--picture", type=Path, metavar="FILE.png", help="draw the dashboard without a screen, open nothing"
+        "--save", type=Path, metavar="FILE.rrd", help="write a Rerun recording, open nothing"
     )
     parser.add_argument(
-        "--at", type=float, metavar="SECONDS", help="moment of the picture (default: in the middle of the hold phase)"
+        "--picture",
+        type=Path,
+        metavar="FILE.png",
+        help="draw the dashboard without a screen, open nothing",
+    )
+    parser.add_argument(
+        "--at",
+        type=float,
+        metavar="SECONDS",
+        help="moment of the picture (default: in the middle of the hold phase)",
     )
     text = "file with the true state of a lockstep run, to draw its object (default: LOG.truth)"
     parser.add_argument("--truth", type=Path, metavar="FILE", help=text)
-    parser.add_argument("--follow", action="store_true", help="show a log that is still being written, as it grows")
+    parser.add_argument(
+        "--follow", action="store_true", help="show a log that is still being written, as it grows"
+    )
     add_json_option(parser)
 
 
@@ -65,10 +82,20 @@ def replay(parser: VerbParser) -> None:
     """Declare the arguments of ``replay``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
     _declare_execute(
-        _add_kind(kinds, "execute", "run the controller on the inputs of the log, and compare all output bytes; no bus")
+        _add_kind(
+            kinds,
+            "execute",
+            "run the controller on the inputs of the log, and compare all output bytes; no bus",
+        )
     )
-    _declare_drive(_add_kind(kinds, "drive", "repeat the recorded run on the hand, and print how the two runs differ"))
-    _declare_safety(_add_kind(kinds, "safety", "apply other safety limits to the recorded run; no bus"))
+    _declare_drive(
+        _add_kind(
+            kinds, "drive", "repeat the recorded run on the hand, and print how the two runs differ"
+        )
+    )
+    _declare_safety(
+        _add_kind(kinds, "safety", "apply other safety limits to the recorded run; no bus")
+    )
 
 
 def _add_kind(kinds: "argparse._SubParsersAction[VerbParser]", name: str, text: str) -> VerbParser:
@@ -114,19 +141,27 @@ def log(parser: VerbParser) -> None:
         one.add_argument("log", type=Path, help="the log")
         return one
 
-    kind("info", "print events with times, the end of the run, phases, hand, gains, versions and gaps")
+    kind(
+        "info",
+        "print events with times, the end of the run, phases, hand, gains, versions and gaps",
+    )
     kind("check", "check counters, gaps, clock, hashes, and every byte")
     other = kind("diff", "compare the log with another run of the same hand, phase by phase")
     other.add_argument("other", type=Path, help="the other log")
     rescue = kind("recover", "write a complete log from a damaged log")
     add_output_option(rescue, "the complete log (default: LOG.recovered.mcap)")
     out = kind("export", "write the log in a format that other tools read")
-    out.add_argument("more", type=Path, nargs="*", metavar="LOG", help="further logs of the hand, with --lerobot")
+    out.add_argument(
+        "more", type=Path, nargs="*", metavar="LOG", help="further logs of the hand, with --lerobot"
+    )
     group = out.add_mutually_exclusive_group(required=True)
     for name, text in EXPORT_FORMATS.items():
         group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
     out.add_argument(
-        "--fps", type=int, metavar="HZ", help="frame rate of a LeRobot dataset (default: the control rate)"
+        "--fps",
+        type=int,
+        metavar="HZ",
+        help="frame rate of a LeRobot dataset (default: the control rate)",
     )
     out.add_argument(
         "--camera", nargs="+", action="append", default=[], metavar=("NAME", "VIDEO"),

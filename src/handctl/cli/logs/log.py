@@ -48,7 +48,10 @@ def _print_info(args: argparse.Namespace) -> int:
             "missing": sum(gap.after - gap.before - 1 for gap in log.gaps),
             "gaps": [[gap.before, gap.after] for gap in log.gaps],
             "phases": [change.name for change in log.phases],
-            "events": [f"{event.t_ns / 1e9:.3f} s {event.event.level}: {event.event.text}" for event in log.events],
+            "events": [
+                f"{event.t_ns / 1e9:.3f} s {event.event.level}: {event.event.text}"
+                for event in log.events
+            ],
             "end": log.end,
             **header.metadata,
             **header.wall,
@@ -59,7 +62,11 @@ def _print_info(args: argparse.Namespace) -> int:
         print_json(result)
         return ExitCode.DONE if result["whole"] else ExitCode.LOSSY_LOG
     for key, value in result.items():
-        table = [f"{name}: {_value_text(one)}" for name, one in value.items()] if isinstance(value, dict) else [value]
+        table = (
+            [f"{name}: {_value_text(one)}" for name, one in value.items()]
+            if isinstance(value, dict)
+            else [value]
+        )
         first, *more = (value if isinstance(value, list) else table) or [""]
         print_escaped(f"{key:<12} {_value_text(first)}")
         for line in more:
@@ -102,7 +109,9 @@ def _check_log(args: argparse.Namespace) -> int:
         ticks = 0
         lossy = False
     if args.json:
-        print_json({"log": str(args.log), "ticks": ticks, "sound": not problems, "findings": problems})
+        print_json(
+            {"log": str(args.log), "ticks": ticks, "sound": not problems, "findings": problems}
+        )
     else:
         for line in problems or [f"{args.log}: {ticks} ticks, nothing wrong"]:
             print_escaped(line)
@@ -135,9 +144,13 @@ def _compare_logs(args: argparse.Namespace) -> int:
 
 
 def _export_log(args: argparse.Namespace) -> int:
-    os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
+    os.environ.setdefault(
+        "RUST_LOG", "error"
+    )  # hide Rerun's own log lines: handctl reports the errors itself
     if args.more and args.format != "lerobot":
-        raise ConfigError(f"{args.more[0]}: a second log", f"log export --{args.format}", "one log, or --lerobot")
+        raise ConfigError(
+            f"{args.more[0]}: a second log", f"log export --{args.format}", "one log, or --lerobot"
+        )
     if (args.fps is not None or args.camera) and args.format != "lerobot":
         raise ConfigError("frame rate or camera", f"log export --{args.format}", "--lerobot")
     with ExitStack() as stack:
@@ -145,7 +158,10 @@ def _export_log(args: argparse.Namespace) -> int:
         out = args.output or path_with_suffix(args.log, f".{args.format}")
         with atomic_path(out, new=True) as part, progress_bar("writing", quiet=args.json):
             count = _write_export(args, logs, part)
-        code = max(warn_if_lossy(path, log.warning) for path, log in zip((args.log, *args.more), logs, strict=True))
+        code = max(
+            warn_if_lossy(path, log.warning)
+            for path, log in zip((args.log, *args.more), logs, strict=True)
+        )
     if args.json:
         print_json({"log": str(args.log), "output": str(out), "count": count})
     else:
@@ -171,7 +187,9 @@ def _write_export(args: argparse.Namespace, logs: list[RunLog], out: Path) -> in
 
         names = [words[0] for words in args.camera]
         videos = [[Path(word) for word in words[1:]] for words in args.camera]
-        return export_lerobot(logs, out, args.fps, make_cameras(names, videos, args.camera_start, len(logs)))
+        return export_lerobot(
+            logs, out, args.fps, make_cameras(names, videos, args.camera_start, len(logs))
+        )
     from handctl.log.export.tables import export_candump, export_csv
 
     return export_csv(log, out) if form == "csv" else export_candump(log, out)
@@ -195,5 +213,7 @@ def _recover_log(args: argparse.Namespace) -> int:
         print_json(result | {"output": str(output)})
     else:
         copied = "" if not recovery.messages else f", {recovery.messages} messages in {output}"
-        print_escaped(f"{args.log}: {status}{copied}" + (f" ({recovery.problem})" if recovery.problem else ""))
+        print_escaped(
+            f"{args.log}: {status}{copied}" + (f" ({recovery.problem})" if recovery.problem else "")
+        )
     return int(recovery.status)

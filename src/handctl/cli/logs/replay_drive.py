@@ -28,7 +28,9 @@ def run(args: argparse.Namespace) -> int:
     with RunLog(args.recorded) as before:
         plan = make_plan(args)
         check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
-        logged_hand(before)  # refuse a log whose hand cannot be rebuilt: the column names come from that hand
+        logged_hand(
+            before
+        )  # refuse a log whose hand cannot be rebuilt: the column names come from that hand
         program = playback_program(before, plan.period_ns * 1e-9, args.raw)
         path, calibration, reason = find_calibration(args, plan.hand)
         start_s, end_s = active_interval(before)
@@ -40,7 +42,9 @@ def run(args: argparse.Namespace) -> int:
             )
         if args.dry_run:
             line = f"{plan.hand.name}: would drive {end_s - start_s:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
-            report_dry_run(args, plan, line, log=args.recorded, seconds=end_s - start_s, commissioning=reason)
+            report_dry_run(
+                args, plan, line, log=args.recorded, seconds=end_s - start_s, commissioning=reason
+            )
             return lossy
         announce_motion(args, plan, path, calibration)
         log = args.log or default_log(plan.hand, "replay")
@@ -59,13 +63,17 @@ def run(args: argparse.Namespace) -> int:
         "failure": outcome.state.failure,
     }
     if args.json:
-        print_json({"recorded": str(args.recorded), "log": str(log), "raw": args.raw, **fields, **result})
+        print_json(
+            {"recorded": str(args.recorded), "log": str(log), "raw": args.raw, **fields, **result}
+        )
     else:
         for line in (*difference_lines(result), f"new log: {log}"):
             print_escaped(line)
     if not complete:
         reason = outcome.state.failure or "stopped"
-        print_escaped(f"handctl: {reason}: {seconds:.2f} of {end_s - start_s:.2f} s were driven", error=True)
+        print_escaped(
+            f"handctl: {reason}: {seconds:.2f} of {end_s - start_s:.2f} s were driven", error=True
+        )
     if outcome.exit_code != ExitCode.DONE:
         return outcome.exit_code
     return lossy if complete else ExitCode.FAILED

@@ -27,7 +27,11 @@ def run(args: argparse.Namespace) -> int:
 
     with RunLog(args.recorded) as log:
         lossy = warn_if_lossy(args.recorded, log.warning)
-        passed = _compare_with_other_gains(args, log) if args.gains else _execute_with_logged_gains(args, log)
+        passed = (
+            _compare_with_other_gains(args, log)
+            if args.gains
+            else _execute_with_logged_gains(args, log)
+        )
     return lossy if passed else ExitCode.FAILED
 
 
@@ -44,7 +48,11 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
     workers = usable_cores() if args.jobs is None else checked_count(args.jobs, "--jobs", 64)
     with progress_bar("executing", len(log), args.json) as update_progress:
         execution = execute_log(log, progress=update_progress, workers=workers)
-    passed = not execution.differing if args.within is None else is_within_tolerance(execution, args.within)
+    passed = (
+        not execution.differing
+        if args.within is None
+        else is_within_tolerance(execution, args.within)
+    )
     here = (version("handctl"), code_identity())
     logged_by = _writer_text(log)
     result = {
@@ -86,7 +94,9 @@ def _execute_with_logged_gains(args: argparse.Namespace, log: Any) -> bool:
             )
         if execution.differing and logged_by != here:
             print_escaped(
-                "the log was written by handctl {}, code {}; this is handctl {}, code {}".format(*logged_by, *here)
+                "the log was written by handctl {}, code {}; this is handctl {}, code {}".format(
+                    *logged_by, *here
+                )
             )
         if not passed and not execution.different_decisions and args.within is None:
             print_escaped(
@@ -100,7 +110,9 @@ def _writer_text(log: Any) -> tuple[str, str]:
     """Return version and code identity of the handctl that has written a log."""
     from handctl.log.code_identity import UNKNOWN_IDENTITY
 
-    return log.header.metadata.get("version", UNKNOWN_IDENTITY), log.header.metadata.get("code", UNKNOWN_IDENTITY)
+    return log.header.metadata.get("version", UNKNOWN_IDENTITY), log.header.metadata.get(
+        "code", UNKNOWN_IDENTITY
+    )
 
 
 def _difference_line(one: Any) -> str:
@@ -136,7 +148,9 @@ def _compare_with_other_gains(args: argparse.Namespace, log: Any) -> bool:
         counts = {"ticks": execution.ticks, "differing": execution.differing, "first": first}
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
         return True
-    print_escaped(f"{execution.ticks} ticks, {execution.differing} with other commands or estimates")
+    print_escaped(
+        f"{execution.ticks} ticks, {execution.differing} with other commands or estimates"
+    )
     if execution.first:
         print_escaped(f"first: {_difference_line(execution.first)}")
     for unit, rows in change.items():

@@ -24,7 +24,9 @@ def run(args: argparse.Namespace) -> int:
             "stopped": judgement.stopped,
             "stopped_logged": judgement.stopped_logged,
         }
-        print_json({"log": str(args.recorded), **counts, "by_fault": judgement.by_fault, "stops": stops})
+        print_json(
+            {"log": str(args.recorded), **counts, "by_fault": judgement.by_fault, "stops": stops}
+        )
         return code
     print_escaped(
         f"{judgement.ticks} ticks; these limits demand a stop in {judgement.stopped} of them, "
@@ -33,5 +35,7 @@ def run(args: argparse.Namespace) -> int:
     for stop in judgement.stops:
         also = "as in the run" if stop.logged else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
-        print_escaped(f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}")
+        print_escaped(
+            f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}"
+        )
     return code

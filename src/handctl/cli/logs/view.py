@@ -16,7 +16,9 @@ from handctl.session.exit_codes import ExitCode
 
 def run(args: argparse.Namespace) -> int:
     """Show a log, or write the requested recording and picture. Return the exit code."""
-    os.environ.setdefault("RUST_LOG", "error")  # hide Rerun's own log lines: handctl reports the errors itself
+    os.environ.setdefault(
+        "RUST_LOG", "error"
+    )  # hide Rerun's own log lines: handctl reports the errors itself
     _check_options(args)
     if args.follow:
         from handctl.view.follow import follow_log
@@ -94,7 +96,9 @@ def _check_options(args: argparse.Namespace) -> None:
         ("--picture", args.picture, ".png"),
     ):
         if path and (path.suffix != suffix or not path.parent.is_dir()):
-            raise ConfigError(str(path), option, f"a file name ending in {suffix} in a folder that exists")
+            raise ConfigError(
+                str(path), option, f"a file name ending in {suffix} in a folder that exists"
+            )
         if path:
             check_output(path, option, args.log)
     if args.picture:

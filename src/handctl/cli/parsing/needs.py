@@ -23,7 +23,9 @@ def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
     if getattr(args, "dataset", None) is not None:
         packages.append("pyarrow")
     if verb == "log" and args.what == "export":
-        packages += {"rrd": ["rerun"], "parquet": ["pyarrow"], "lerobot": ["pyarrow"]}.get(args.format, [])
+        packages += {"rrd": ["rerun"], "parquet": ["pyarrow"], "lerobot": ["pyarrow"]}.get(
+            args.format, []
+        )
     return tuple(packages)
 
 
@@ -35,4 +37,6 @@ def _needs_simulator(verb: str, args: argparse.Namespace) -> bool:
         return bool(args.what == "init" and (args.urdf or args.mjcf))
     if verb == "paper":  # results of earlier experiments are read from their file
         return not (args.quick or (args.results and args.results.exists()))
-    return (verb == "fault" and args.action in ("campaign", "sequences")) or (verb == "tune" and args.kind == "search")
+    return (verb == "fault" and args.action in ("campaign", "sequences")) or (
+        verb == "tune" and args.kind == "search"
+    )

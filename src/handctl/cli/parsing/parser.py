@@ -16,7 +16,9 @@ from handctl.printing import LONGEST_WORD, printable_text, similar_name
 
 DOUBLE_DASH_AS_VALUE = re.compile(r"(--?[^=]+)=--")
 """Pattern for an option with the value ``--``. argparse would remove this value and fail without a message."""
-INVALID_CHOICE = re.compile(r"invalid choice: '(?P<word>.*)' \(choose from (?P<choices>.*)\)", re.DOTALL)
+INVALID_CHOICE = re.compile(
+    r"invalid choice: '(?P<word>.*)' \(choose from (?P<choices>.*)\)", re.DOTALL
+)
 """Pattern for the message of argparse about a word that is not an allowed choice."""
 
 SIMULATED_HAND = "handctl sim --hand jamia --bus local:demo"
@@ -36,7 +38,11 @@ class CommandExample(NamedTuple):
 
     def epilog(self) -> str:
         """Return the end of a help text with the example. The last line is the command line."""
-        beside = ["in other terminals:", *(f"  {command}" for command in self.beside)] if self.beside else []
+        beside = (
+            ["in other terminals:", *(f"  {command}" for command in self.beside)]
+            if self.beside
+            else []
+        )
         return "\n".join([*beside, "example:", f"  {self.line}"])
 
 
@@ -47,7 +53,10 @@ class HelpFormatter(argparse.HelpFormatter):
     """
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
-        lines = (line if line.startswith(" ") else textwrap.fill(line, width) for line in text.splitlines())
+        lines = (
+            line if line.startswith(" ") else textwrap.fill(line, width)
+            for line in text.splitlines()
+        )
         return "\n".join(lines)
 
 
@@ -94,7 +103,10 @@ class VerbParser(argparse.ArgumentParser):
                 raise ConfigError(f"{word} has been renamed", self._verb_names(), new)
             # This check comes before argparse reports a missing argument, whose name may be the
             # misspelt one.
-            if not (self._has_sub_verbs or any(option.startswith(word) for option in self._option_string_actions)):
+            if not (
+                self._has_sub_verbs
+                or any(option.startswith(word) for option in self._option_string_actions)
+            ):
                 self._refuse_word(word)
         parsed, rest = super().parse_known_args(args, namespace)
         if rest:
@@ -162,7 +174,10 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
 
 
 def add_sub_verb(
-    sub_verbs: "argparse._SubParsersAction[VerbParser]", name: str, text: str, example: CommandExample
+    sub_verbs: "argparse._SubParsersAction[VerbParser]",
+    name: str,
+    text: str,
+    example: CommandExample,
 ) -> "VerbParser":
     """Add the parser of a subcommand, and return this parser.
 

@@ -53,7 +53,9 @@ def demo(parser: argparse.ArgumentParser) -> None:
     add_wire_option(parser)
     text = "simulate in virtual time: faster than real time, with the same result each time"
     parser.add_argument("--lockstep", action="store_true", help=text)
-    parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
+    parser.add_argument(
+        "--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)"
+    )
     parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
     add_time_scale_option(parser, 1.0, "1")
     _strict_clock_option(parser)
@@ -67,10 +69,21 @@ def run(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``run``."""
     add_run_options(parser)
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time")
-    what.add_argument("--task", type=Path, metavar="FILE", help="task file; without one the hand waits for requests")
-    what.add_argument("--dataset", type=Path, metavar="DIR", help="LeRobot dataset (3.0): follow its joint angles")
-    parser.add_argument("--episode", type=int, metavar="N", help="episode of --dataset (default: 0)")
+    what.add_argument(
+        "--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time"
+    )
+    what.add_argument(
+        "--task",
+        type=Path,
+        metavar="FILE",
+        help="task file; without one the hand waits for requests",
+    )
+    what.add_argument(
+        "--dataset", type=Path, metavar="DIR", help="LeRobot dataset (3.0): follow its joint angles"
+    )
+    parser.add_argument(
+        "--episode", type=int, metavar="N", help="episode of --dataset (default: 0)"
+    )
     text = "limit the joint speed of --dataset: jumps become ramps (default: a jump is refused)"
     parser.add_argument("--speed", type=float, metavar="DEG_S", help=text)
     text = "file with the true state of the simulator (default: that of the simulator on the bus)"
@@ -84,7 +97,9 @@ def stop(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``stop``."""
     add_bus_option(parser)
     add_json_option(parser)
-    parser.add_argument("--cut", action="store_true", help="remove the torque at once, without a ramp")
+    parser.add_argument(
+        "--cut", action="store_true", help="remove the torque at once, without a ramp"
+    )
 
 
 def clear(parser: argparse.ArgumentParser) -> None:
@@ -101,28 +116,38 @@ def commission(parser: argparse.ArgumentParser) -> None:
 def jog(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``jog``."""
     add_run_options(parser)
-    parser.add_argument("digit", nargs="?", help="the digit to move, or with --angle a joint such as index_j1")
+    parser.add_argument(
+        "digit", nargs="?", help="the digit to move, or with --angle a joint such as index_j1"
+    )
     goal = parser.add_mutually_exclusive_group(required=True)
-    goal.add_argument("--tension", type=float, metavar="N", help="hold this tension in each tendon of the digit")
+    goal.add_argument(
+        "--tension", type=float, metavar="N", help="hold this tension in each tendon of the digit"
+    )
     goal.add_argument("--angle", type=float, metavar="DEG", help="move to this joint angle")
     text = "move one drive on a bench instead of a digit, without a hand file: quantity that the drive controls"
     goal.add_argument("--mode", choices=[mode.value for mode in DriveMode], help=text)
     text = "duration of the motion (default: 2)"
     parser.add_argument("--for", dest="duration", type=float, default=2.0, metavar="S", help=text)
     _drive_options(parser.add_argument_group("with --mode", DRIVE_EXAMPLE))
-    add_bitrate_options(parser, "with --mode: bit rate of the bus", "bit rate of CAN FD's data phase")
+    add_bitrate_options(
+        parser, "with --mode: bit rate of the bus", "bit rate of CAN FD's data phase"
+    )
 
 
 def _drive_options(group: argparse._ArgumentGroup) -> None:
     """Declare the options of ``jog`` for one drive on a bench."""
     add = group.add_argument
     add("--protocol", choices=sorted(PROTOCOL_TRAITS), help="protocol of the drive")
-    add("--node", type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus")
+    add(
+        "--node", type=lambda word: int(word, 0), metavar="N", help="number of the drive on the bus"
+    )
     text = "torque [N m], velocity [rad/s], or position relative to the present position [rad]"
     add("--setpoint", type=float, metavar="X", help=text)
     text = "largest commanded torque [N m]; it is also the limit that the drive gets"
     add("--torque-limit-Nm", type=float, metavar="X", dest="limit", help=text)
-    text = "largest speed [rad/s]; also the limit of the drive if the drive has the mode (default: 5)"
+    text = (
+        "largest speed [rad/s]; also the limit of the drive if the drive has the mode (default: 5)"
+    )
     add("--speed-limit", type=float, default=5.0, metavar="X", help=text)
     text = "largest acceleration [rad/s2] of the ramps (default: 10)"
     add("--acceleration-limit", type=float, default=10.0, metavar="X", help=text)
@@ -145,7 +170,9 @@ def sim(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, help="random seed of the simulator's noise")
     add_perturb_option(parser)
     text = "serial number of one simulated motor, or a base to which each drive adds its number on the bus"
-    parser.add_argument("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
+    parser.add_argument(
+        "--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text
+    )
     add_wire_option(parser)
     add_time_scale_option(parser, 1.0, "1")
     _strict_clock_option(parser)

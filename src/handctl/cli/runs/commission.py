@@ -25,7 +25,9 @@ def run(args: argparse.Namespace) -> int:
     calibration = calibration.model_copy(update={"identified": previous})
     write_calibration(path, calibration)
     if args.json:
-        print_json({"calibration": str(path), "log": str(log), **calibration.model_dump(by_alias=True)})
+        print_json(
+            {"calibration": str(path), "log": str(log), **calibration.model_dump(by_alias=True)}
+        )
     else:
         print(f"calibration written to {path}")
     return outcome.exit_code

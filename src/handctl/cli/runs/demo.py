@@ -27,7 +27,12 @@ from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.runtime.paths import truth_path
-from handctl.session.calibration import IdentifiedByTendon, identified_in, run_commissioning, write_calibration
+from handctl.session.calibration import (
+    IdentifiedByTendon,
+    identified_in,
+    run_commissioning,
+    write_calibration,
+)
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import gain_assignments
 from handctl.session.plan import RunPlan, commission_log, default_log
@@ -59,7 +64,11 @@ def run(args: argparse.Namespace) -> int:
 def _run_demo(args: argparse.Namespace) -> int:
     """Run the demo with the same hand file for simulator and controller, and return the exit code."""
     if args.lockstep and args.time_scale != 1:
-        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "1 with --lockstep, which does not run in real time")
+        raise ConfigError(
+            f"{args.time_scale:g}",
+            "--time-scale",
+            "1 with --lockstep, which does not run in real time",
+        )
     args.bus = _bus_words(load_hand(args.hand).bus_names)
     plan = make_plan(args, lockstep=args.lockstep)
     task, text = find_task(args.task, plan.hand)
@@ -85,7 +94,10 @@ def _run_demo(args: argparse.Namespace) -> int:
     result |= _speed_ratio(outcome, plan, wall) if args.lockstep else {}
     code = print_run_result(result, outcome, plan, args.json)
     if code == ExitCode.DONE and result["failure"]:
-        print(f"handctl: {DriveError(result['failure'], f'{task.name} on {args.scene}')}", file=sys.stderr)
+        print(
+            f"handctl: {DriveError(result['failure'], f'{task.name} on {args.scene}')}",
+            file=sys.stderr,
+        )
         return ExitCode.FAILED
     return code
 
@@ -100,7 +112,11 @@ def _bus_words(names: tuple[str, ...]) -> list[str]:
 
 
 def _run_in_real_time(
-    args: argparse.Namespace, plan: RunPlan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
+    args: argparse.Namespace,
+    plan: RunPlan,
+    program: TaskProgram,
+    log: Path,
+    identified: IdentifiedByTendon,
 ) -> RunOutcome:
     """Run the demo in real time, with the simulator as a separate process."""
     runners = (run_live, partial(run_live, live_view=args.view))
@@ -127,7 +143,11 @@ def _commission_and_run(
 
 
 def _run_in_lockstep(
-    args: argparse.Namespace, plan: RunPlan, program: TaskProgram, log: Path, identified: IdentifiedByTendon
+    args: argparse.Namespace,
+    plan: RunPlan,
+    program: TaskProgram,
+    log: Path,
+    identified: IdentifiedByTendon,
 ) -> tuple[RunOutcome, Path]:
     """Run the demo in virtual time. Return the outcome and the path of the truth file."""
     truth = log.with_suffix(".truth")
@@ -148,7 +168,12 @@ def _speed_ratio(outcome: RunOutcome, plan: RunPlan, wall: float) -> dict[str, A
     The times include commissioning.
     """
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
-    return {"lockstep": True, "simulated_s": simulated, "wall_s": wall, "times_real_time": simulated / wall}
+    return {
+        "lockstep": True,
+        "simulated_s": simulated,
+        "wall_s": wall,
+        "times_real_time": simulated / wall,
+    }
 
 
 @contextmanager
@@ -160,7 +185,12 @@ def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]
     """
     command = [sys.executable, "-m", SIMULATOR_PACKAGE, "--hand", str(args.hand)]
     command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_words(args)]
-    command += ["--time-scale", str(plan.time_scale), *["--strict-clock"] * args.strict_clock, *perturb_words(args)]
+    command += [
+        "--time-scale",
+        str(plan.time_scale),
+        *["--strict-clock"] * args.strict_clock,
+        *perturb_words(args),
+    ]
     for name, spec in zip(plan.hand.bus_names, plan.buses, strict=True):
         command += ["--bus", f"{name}={spec}"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
@@ -170,7 +200,9 @@ def running_simulator(args: argparse.Namespace, plan: RunPlan) -> Iterator[None]
         if "ready" not in line:
             if child.wait(START_TIMEOUT_S) == ExitCode.BAD_INPUT:
                 raise SystemExit(ExitCode.BAD_INPUT)  # the simulator has printed the reason
-            raise BusError("the simulator did not start", SIMULATOR_PACKAGE, "a line that says ready")
+            raise BusError(
+                "the simulator did not start", SIMULATOR_PACKAGE, "a line that says ready"
+            )
         yield
     finally:
         child.terminate()

@@ -20,14 +20,25 @@ def run(args: argparse.Namespace) -> int:
     """Arm a hand, move one digit or joint, then relax and disarm the hand. Return the exit code."""
     if args.mode:
         return jog_drive.run(args)
-    if args.protocol or args.node is not None or args.setpoint is not None or args.limit is not None:
-        raise ConfigError("an option of one drive", "jog", "--mode with --protocol, --node, --setpoint")
+    if (
+        args.protocol
+        or args.node is not None
+        or args.setpoint is not None
+        or args.limit is not None
+    ):
+        raise ConfigError(
+            "an option of one drive", "jog", "--mode with --protocol, --node, --setpoint"
+        )
     plan = make_plan(args)
-    names = plan.hand.digit_names if args.angle is None else (*plan.hand.digit_names, *plan.hand.joints)
+    names = (
+        plan.hand.digit_names if args.angle is None else (*plan.hand.digit_names, *plan.hand.joints)
+    )
     program = _jog_program(args, names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
-        line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {reason}" if reason else "")
+        line = f"{plan.hand.name}: would jog {args.digit}" + (
+            f", after commissioning: {reason}" if reason else ""
+        )
         return report_dry_run(args, plan, line, digit=args.digit, commissioning=reason)
     announce_motion(args, plan, path, calibration)
     log = args.log or default_log(plan.hand, "jog")
@@ -61,6 +72,8 @@ def _jog_program(args: argparse.Namespace, names: tuple[str, ...], ceiling: floa
         }
         return JogProgram(validate_content(goal, MoveDigits, "--angle"), args.duration)
     if args.tension > ceiling:
-        raise ConfigError(f"{args.tension:g} N", "--tension", f"at most tension_max_N = {ceiling:g} N")
+        raise ConfigError(
+            f"{args.tension:g} N", "--tension", f"at most tension_max_N = {ceiling:g} N"
+        )
     goal = {"do": "hold", "tension_N": {args.digit: args.tension}}
     return JogProgram(validate_content(goal, HoldTension, "--tension"), args.duration)

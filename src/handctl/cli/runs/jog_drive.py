@@ -51,7 +51,9 @@ def run(args: argparse.Namespace) -> int:
     line = f"{args.protocol} {args.node} on {args.bus} is moved: {_goal_text(goal)}, at most {goal.torque:g} N m"
     if args.dry_run:
         if args.json:
-            print_json({"mode": goal.mode.value, "setpoint": goal.target, "torque_limit_N_m": goal.torque})
+            print_json(
+                {"mode": goal.mode.value, "setpoint": goal.target, "torque_limit_N_m": goal.torque}
+            )
         else:
             print(f"would jog: {line}")
         return ExitCode.DONE
@@ -60,7 +62,9 @@ def run(args: argparse.Namespace) -> int:
     with bus_lock(args.bus):
         node = find_drive(args)
         drive = _describe_motion(args, options, node, goal)
-        torque_drive = _describe_motion(args, _torque_options(options), node, goal._replace(mode=DriveMode.TORQUE))
+        torque_drive = _describe_motion(
+            args, _torque_options(options), node, goal._replace(mode=DriveMode.TORQUE)
+        )
         result, off = _move_drive(args, goal, drive, with_torque_range(torque_drive, node))
     _print_result(args, goal, result, off)
     if not off:
@@ -92,7 +96,9 @@ def _motion_goal(args: argparse.Namespace) -> JogGoal:
     _check_number(args.travel, "--travel", 1e-2, MAX_POSITION_RANGE_RAD)
     _check_number(args.duration, "--for", 1e-2, MAX_JOG_S)
     mode = DriveMode(args.mode)
-    largest = {"N m": args.limit, "rad/s": args.speed_limit, ANGLE_UNIT: args.travel}[COMMAND_UNITS[mode]]
+    largest = {"N m": args.limit, "rad/s": args.speed_limit, ANGLE_UNIT: args.travel}[
+        COMMAND_UNITS[mode]
+    ]
     _check_number(args.setpoint, "--setpoint", -largest, largest)
     limits = MotionLimits(args.speed_limit, args.acceleration_limit)
     return JogGoal(mode, args.setpoint, args.duration, limits, args.limit, args.travel)
@@ -142,16 +148,24 @@ def _with_current_limit(motor: Motor, full_scale: float, torque: float) -> Motor
 
 def _torque_options(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options without those that belong to the position and velocity modes."""
-    return {key: value for key, value in options.items() if key not in ("current_fraction", "velocity_unit")}
+    return {
+        key: value
+        for key, value in options.items()
+        if key not in ("current_fraction", "velocity_unit")
+    }
 
 
 def _goal_text(goal: JogGoal) -> str:
     """Return the motion of a drive in words."""
-    motion = f"{goal.mode.value} {goal.target:+g} {COMMAND_UNITS[goal.mode]} for {goal.duration_s:g} s"
+    motion = (
+        f"{goal.mode.value} {goal.target:+g} {COMMAND_UNITS[goal.mode]} for {goal.duration_s:g} s"
+    )
     return f"{motion}, at most {goal.limits.speed:g} rad/s and {goal.travel:g} rad from here"
 
 
-def _move_drive(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: Drive) -> tuple[JogResult, bool]:
+def _move_drive(
+    args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_drive: Drive
+) -> tuple[JogResult, bool]:
     """Move and disable a drive. Return the result, and True if the drive has confirmed that it is disabled.
 
     If a fault or a limit stops the motion, the drive stays latched in the mode of the motion.
@@ -167,9 +181,15 @@ def _move_drive(args: argparse.Namespace, goal: JogGoal, drive: Drive, torque_dr
             if result is None:
                 bus.send(drive.cut())
             rig.idle_command = lambda state: 0.0
-            complete = result is not None and not result.failure and rig.state.phase != DrivePhase.FAULT
+            complete = (
+                result is not None and not result.failure and rig.state.phase != DrivePhase.FAULT
+            )
             watchdog_s = WATCHDOG_MS / 1e3
-            off = release_drive(rig, watchdog_s, torque_drive) if complete else rig.confirm_off(watchdog_s)
+            off = (
+                release_drive(rig, watchdog_s, torque_drive)
+                if complete
+                else rig.confirm_off(watchdog_s)
+            )
             if not off and result is None:  # ended by Ctrl-C or a bug: report it here
                 raise PowerError(NOT_OFF_WARNING)
     return result, off
@@ -191,7 +211,9 @@ def _print_result(args: argparse.Namespace, goal: JogGoal, result: JogResult, of
         }
         print_json({**done, **finite, "confirmed_off": off, "failure": result.failure})
         return
-    strongest = "no torque reported" if math.isnan(result.strongest) else f"{result.strongest:.3g} N m"
+    strongest = (
+        "no torque reported" if math.isnan(result.strongest) else f"{result.strongest:.3g} N m"
+    )
     print(f"moved {result.moved_rad:+.3f} rad, at most {result.fastest:.2f} rad/s, {strongest}")
     if result.failure:
         print(f"stopped: {result.failure}", file=sys.stderr, flush=True)

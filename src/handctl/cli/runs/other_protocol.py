@@ -43,7 +43,9 @@ def path_in_protocol(args: argparse.Namespace) -> Path:
     """
     path = Path(f"{Path(args.hand).stem}-{args.protocol}.toml")
     if path.exists() and path.read_bytes() != _hand_text(args).encode():
-        raise ConfigError(f"{path} exists and describes another hand", "--protocol", "a folder without it")
+        raise ConfigError(
+            f"{path} exists and describes another hand", "--protocol", "a folder without it"
+        )
     return path
 
 

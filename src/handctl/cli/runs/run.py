@@ -32,7 +32,11 @@ def run(args: argparse.Namespace) -> int:
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.dry_run:
         summary = f"{plan.hand.name}: all files are valid; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
-        next_step = f"the hand would be commissioned first: {reason}" if reason else "the hand is commissioned"
+        next_step = (
+            f"the hand would be commissioned first: {reason}"
+            if reason
+            else "the hand is commissioned"
+        )
         return report_dry_run(args, plan, summary, next_step, commissioning=reason)
     announce_motion(args, plan, path, calibration)
     log = args.log or default_log(plan.hand)
@@ -62,7 +66,9 @@ def _program_of_task(args: argparse.Namespace, plan: RunPlan) -> tuple[Program, 
         from handctl.replay.dataset_episode import find_episode
 
         period = plan.period_ns * 1e-9
-        return PlaybackProgram(find_episode(args.dataset, args.episode or 0, plan.hand, period, args.speed)), {}
+        return PlaybackProgram(
+            find_episode(args.dataset, args.episode or 0, plan.hand, period, args.speed)
+        ), {}
     for name in ("episode", "speed"):
         if getattr(args, name) is not None:
             raise ConfigError(f"{getattr(args, name):g}", f"--{name}", "only with --dataset")
@@ -75,7 +81,9 @@ def _program_of_task(args: argparse.Namespace, plan: RunPlan) -> tuple[Program, 
     return TaskProgram(task), {"task.toml": text}
 
 
-def print_run_result(result: dict[str, Any], outcome: RunOutcome, plan: RunPlan, as_json: bool) -> int:
+def print_run_result(
+    result: dict[str, Any], outcome: RunOutcome, plan: RunPlan, as_json: bool
+) -> int:
     """Print the result of a run, and return the exit code."""
     if as_json:
         print_json(result)
@@ -84,5 +92,8 @@ def print_run_result(result: dict[str, Any], outcome: RunOutcome, plan: RunPlan,
 
         print_summary(result, plan)
     if outcome.state.failure:
-        print(f"handctl: {DriveError(outcome.state.failure, right=pace_advice(plan, outcome))}", file=sys.stderr)
+        print(
+            f"handctl: {DriveError(outcome.state.failure, right=pace_advice(plan, outcome))}",
+            file=sys.stderr,
+        )
     return outcome.exit_code

@@ -23,7 +23,11 @@ class StdinWatch:
 
     def poll_requests(self) -> tuple[str, ...]:
         """Return a stop request once, after standard input has ended."""
-        if self.input_ended or not select.select([STDIN_FD], [], [], 0)[0] or os.read(STDIN_FD, READ_BYTES):
+        if (
+            self.input_ended
+            or not select.select([STDIN_FD], [], [], 0)[0]
+            or os.read(STDIN_FD, READ_BYTES)
+        ):
             return ()
         self.input_ended = True
         return (STOP_REQUEST,)

@@ -18,5 +18,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"asked": word, "bus": bus, "confirmed": True, "mode": line["mode"]})
     else:
-        print(f"the controller on {bus} has switched the drives off, and each drive has reported this")
+        print(
+            f"the controller on {bus} has switched the drives off, and each drive has reported this"
+        )
     return 0

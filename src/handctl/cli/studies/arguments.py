@@ -6,7 +6,12 @@ The code of a command is imported only when the command runs. Therefore help tex
 import argparse
 from pathlib import Path
 
-from handctl.cli.console.options import add_hand_option, add_jobs_option, add_json_option, add_output_option
+from handctl.cli.console.options import (
+    add_hand_option,
+    add_jobs_option,
+    add_json_option,
+    add_output_option,
+)
 from handctl.cli.parsing.parser import SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 
@@ -29,7 +34,9 @@ handctl fault kinds lists all faults that a running simulator can inject"""
 
 def fault(parser: VerbParser) -> None:
     """Declare the arguments of ``fault``."""
-    actions = parser.add_subparsers(dest="action", required=True, metavar="inject|list|kinds|campaign|sequences")
+    actions = parser.add_subparsers(
+        dest="action", required=True, metavar="inject|list|kinds|campaign|sequences"
+    )
 
     def action(name: str, text: str) -> VerbParser:
         return add_sub_verb(actions, name, text, EXAMPLES[f"fault {name}"])
@@ -38,27 +45,45 @@ def fault(parser: VerbParser) -> None:
     inject.description = FAULT_SYNTAX
     text = 'fault and its parameters, as in "drop node=3 p=0.05 at=3s for=2s"'
     inject.add_argument("text", metavar="FAULT", help=text)
-    listed = action("list", "list the faults of a running simulator, and how often each took effect")
+    listed = action(
+        "list", "list the faults of a running simulator, and how often each took effect"
+    )
     kinds = action("kinds", "list the faults that a running simulator can inject")
     for sub in (inject, listed, kinds):
         text = "bus of the simulator (default: that of the only running simulator)"
         sub.add_argument("--bus", metavar="SPEC", help=text)
         add_json_option(sub)
     _declare_campaign(action("campaign", "inject every fault of the fault matrix in lockstep"))
-    _declare_sequences(action("sequences", "inject random sequences of faults in lockstep, and check the safety rules"))
+    _declare_sequences(
+        action(
+            "sequences", "inject random sequences of faults in lockstep, and check the safety rules"
+        )
+    )
 
 
 def paper(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``paper``."""
     kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--json", action="store_true", help="print the items as JSON on standard output")
-    kind.add_argument("--markdown", action="store_true", help="print the page as Markdown on standard output")
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="folder for the figures as PNG and SVG")
+    kind.add_argument(
+        "--json", action="store_true", help="print the items as JSON on standard output"
+    )
+    kind.add_argument(
+        "--markdown", action="store_true", help="print the page as Markdown on standard output"
+    )
+    parser.add_argument(
+        "--figures", type=Path, metavar="DIR", help="folder for the figures as PNG and SVG"
+    )
     add_output_option(parser, "write all results as one HTML page")
-    parser.add_argument("--export", type=Path, metavar="DIR", help="folder for the paper's hand as URDF and MJCF")
+    parser.add_argument(
+        "--export", type=Path, metavar="DIR", help="folder for the paper's hand as URDF and MJCF"
+    )
     text = "file with the results of the experiments; if it does not exist, run the experiments and write it"
     parser.add_argument("--results", type=Path, metavar="FILE", help=text)
-    parser.add_argument("--quick", action="store_true", help="do not run the experiments, which take a minute or two")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="do not run the experiments, which take a minute or two",
+    )
     add_jobs_option(parser, 2, "number of experiments at a time")
 
 
@@ -68,21 +93,32 @@ def _declare_campaign(parser: argparse.ArgumentParser) -> None:
     text = "protocol of the drives (default: mit)"
     parser.add_argument("--protocol", default="mit", choices=[*GUARDED_PROTOCOLS, "all"], help=text)
     add_jobs_option(parser, 2, "number of scenarios at a time")
-    parser.add_argument("--quick", action="store_true", help="run a sample of the campaign, in less than a minute")
+    parser.add_argument(
+        "--quick", action="store_true", help="run a sample of the campaign, in less than a minute"
+    )
     text = "inject only the fault of this row; may be repeated"
     parser.add_argument("--row", action="append", default=[], metavar="ID", help=text)
     text = "duration of the run without a fault (default: 60, with --quick 4)"
     parser.add_argument("--calm", type=float, metavar="S", help=text)
-    parser.add_argument("--calm-only", action="store_true", help="run the hand without a fault only")
-    parser.add_argument("--seed", type=int, default=1, help="random seed of the simulated hand (default: 1)")
-    add_output_option(parser, "folder of report.html, report.json and the logs of failures (logs/campaign)", "DIR")
+    parser.add_argument(
+        "--calm-only", action="store_true", help="run the hand without a fault only"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="random seed of the simulated hand (default: 1)"
+    )
+    add_output_option(
+        parser, "folder of report.html, report.json and the logs of failures (logs/campaign)", "DIR"
+    )
 
 
 def _declare_sequences(parser: argparse.ArgumentParser) -> None:
     add_hand_option(parser)
     add_json_option(parser)
     parser.add_argument(
-        "--protocol", default="mit", choices=GUARDED_PROTOCOLS, help="protocol of the drives (default: mit)"
+        "--protocol",
+        default="mit",
+        choices=GUARDED_PROTOCOLS,
+        help="protocol of the drives (default: mit)",
     )
     count = "number of random fault sequences (default: 30)"
     parser.add_argument("--count", type=int, default=30, metavar="N", help=count)

@@ -43,7 +43,9 @@ def _print_kinds(args: argparse.Namespace) -> int:
         print_json({"kinds": kinds})
         return 0
     for kind in kinds:
-        print(f"{kind['kind']:10} on {' or '.join(kind['on'])}: {kind['text']}; size {kind['size']:g}")
+        print(
+            f"{kind['kind']:10} on {' or '.join(kind['on'])}: {kind['text']}; size {kind['size']:g}"
+        )
     print()
     names = {component: names for kind in kinds for component, names in kind["on"].items()}
     for component, instances in names.items():

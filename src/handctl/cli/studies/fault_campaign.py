@@ -41,17 +41,25 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= args.jobs <= MAX_JOBS:
         raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {MAX_JOBS}")
     for id_ in set(args.row) - {row.id for row in FAULT_MATRIX}:
-        raise ConfigError(repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in FAULT_MATRIX)))
+        raise ConfigError(
+            repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in FAULT_MATRIX))
+        )
     if args.calm is not None and not 0 <= args.calm <= MAX_FAULT_FREE_S:
         raise ConfigError(f"{args.calm:g}", "--calm", f"0 to {MAX_FAULT_FREE_S:g} s")
     protocols = ALL_PROTOCOLS if args.protocol == "all" else (args.protocol,)
     tried = {
-        one.row.id for name in protocols for one in scenarios_of_hand(hand_with_protocol(args.hand, name), name, 1.0)
+        one.row.id
+        for name in protocols
+        for one in scenarios_of_hand(hand_with_protocol(args.hand, name), name, 1.0)
     }
     for id_ in sorted(set(args.row) - tried):
-        raise ConfigError(repr(id_), "--row", f"a fault that can occur in this hand with {args.protocol} drives")
+        raise ConfigError(
+            repr(id_), "--row", f"a fault that can occur in this hand with {args.protocol} drives"
+        )
     folder = report_folder(args)
-    fault_free_s = args.calm if args.calm is not None else QUICK_FAULT_FREE_S if args.quick else FAULT_FREE_S
+    fault_free_s = (
+        args.calm if args.calm is not None else QUICK_FAULT_FREE_S if args.quick else FAULT_FREE_S
+    )
     with progress_bar(FIRST_LABEL, quiet=args.json) as update_progress:
         report = run_campaign(
             args.hand,
@@ -98,7 +106,9 @@ def failure_log_writer(folder: Path) -> Callable[[SimulatedRun, ScenarioResult],
         plan = RunPlan(model.hand, model.gains, 1.0 / model.period, ())
         path = folder / f"{name}.mcap"
         path.unlink(missing_ok=True)
-        recorder = Recorder.start(path, run_header(plan, simulation.controller, None, lockstep=True))
+        recorder = Recorder.start(
+            path, run_header(plan, simulation.controller, None, lockstep=True)
+        )
         for entry, out in simulation.recorded:
             recorder.record(pack_tick_record(entry, out))
         recorder.close(result.problem)

@@ -7,7 +7,12 @@ from handctl.campaign import sequences
 from handctl.campaign.stage import hand_with_protocol
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress_bar
-from handctl.cli.studies.fault_campaign import FIRST_LABEL, MAX_JOBS, failure_log_writer, report_folder
+from handctl.cli.studies.fault_campaign import (
+    FIRST_LABEL,
+    MAX_JOBS,
+    failure_log_writer,
+    report_folder,
+)
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import default_rate
@@ -51,7 +56,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(figures | {"results": [result.plain() for result in broken]})
     else:
-        print(f"{len(results)} sequences, {figures['felt']} faults with an effect; {len(broken)} violated a rule")
+        print(
+            f"{len(results)} sequences, {figures['felt']} faults with an effect; {len(broken)} violated a rule"
+        )
         print(f"largest true tension {figures['worst_tension_N']:.0f} N")
         for result in broken:
             print(f"{result.scenario}: {result.problem}")

@@ -95,7 +95,9 @@ def _export_files(folder: Path) -> None:
 
 def _print_items(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
     if args.json:
-        json.dump(items_as_json([item for part in parts for item in part.items]), sys.stdout, indent=2)
+        json.dump(
+            items_as_json([item for part in parts for item in part.items]), sys.stdout, indent=2
+        )
         sys.stdout.write("\n")
     elif args.markdown:
         sys.stdout.write(page_as_markdown(parts))
@@ -131,13 +133,17 @@ def _print_table(parts: tuple[PageSection, ...]) -> None:
             for row in part.table[1:]:
                 numbers.add_row(*row)
             console.print(numbers)
-        table = Table(title=part.title, title_justify="left", title_style="bold", expand=True, show_lines=True)
+        table = Table(
+            title=part.title, title_justify="left", title_style="bold", expand=True, show_lines=True
+        )
         table.add_column("id", no_wrap=True)
         table.add_column("verdict", no_wrap=True)
         table.add_column("printed → right, and why", ratio=1)
         for item in part.items:
             verdict = Text(item.verdict.value, VERDICT_COLOURS[item.verdict])
-            cell = Text.assemble(item.printed, (" → ", "bold"), value_text(item), "\n", (item.why, "dim"))
+            cell = Text.assemble(
+                item.printed, (" → ", "bold"), value_text(item), "\n", (item.why, "dim")
+            )
             table.add_row(item.id, verdict, cell)
         console.print(table)
     counts = count_by_verdict([item for part in parts for item in part.items])

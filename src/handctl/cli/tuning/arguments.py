@@ -20,7 +20,13 @@ from handctl.cli.console.options import (
     add_time_scale_option,
     add_yes_option,
 )
-from handctl.cli.parsing.parser import RUNNING_HAND, SIMULATED_HAND, CommandExample, VerbParser, add_sub_verb
+from handctl.cli.parsing.parser import (
+    RUNNING_HAND,
+    SIMULATED_HAND,
+    CommandExample,
+    VerbParser,
+    add_sub_verb,
+)
 
 NEW_GAINS = "printf 'schema = 1\\n[motion]\\nforce_N = 12.0\\n' > new.toml;"
 """Shell command that writes a small gains file."""
@@ -37,11 +43,19 @@ EXAMPLES = {
     ),
     "gains rollback": CommandExample("handctl gains rollback --to 0 --hand jamia"),
     "gains log": CommandExample("handctl gains log --hand jamia"),
-    "gains set": CommandExample("handctl gains set motion.force_N=12 --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)),
+    "gains set": CommandExample(
+        "handctl gains set motion.force_N=12 --bus local:demo", (SIMULATED_HAND, RUNNING_HAND)
+    ),
     "tune": CommandExample("handctl tune design --hand jamia --plants 2 --output designed.toml"),
-    "tune design": CommandExample("handctl tune design --hand jamia --plants 2 --output designed.toml"),
-    "tune search": CommandExample("handctl tune search --hand jamia --plants 1 --trials 2 --output found.toml"),
-    "tune verify": CommandExample(f"{NEW_GAINS} handctl tune verify new.toml --hand jamia --lockstep --dry-run"),
+    "tune design": CommandExample(
+        "handctl tune design --hand jamia --plants 2 --output designed.toml"
+    ),
+    "tune search": CommandExample(
+        "handctl tune search --hand jamia --plants 1 --trials 2 --output found.toml"
+    ),
+    "tune verify": CommandExample(
+        f"{NEW_GAINS} handctl tune verify new.toml --hand jamia --lockstep --dry-run"
+    ),
 }
 """Example command line for the help of each command and subcommand."""
 
@@ -64,12 +78,16 @@ def identify(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--lockstep", action="store_true", help=text)
     parser.add_argument("--seed", type=int, default=0, help="random seed of the simulated hand")
     add_perturb_option(parser)
-    parser.add_argument("--no-write", action="store_true", help="do not change the calibration file")
+    parser.add_argument(
+        "--no-write", action="store_true", help="do not change the calibration file"
+    )
 
 
 def gains(parser: VerbParser) -> None:
     """Declare the arguments of ``gains``."""
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="show|diff|apply|rollback|log|set")
+    kinds = parser.add_subparsers(
+        dest="what", required=True, metavar="show|diff|apply|rollback|log|set"
+    )
 
     def kind(name: str, text: str) -> VerbParser:
         one = add_sub_verb(kinds, name, text, EXAMPLES[f"gains {name}"])
@@ -91,9 +109,13 @@ def gains(parser: VerbParser) -> None:
     ):
         apply.add_argument(option, dest=name, default="", help=meaning)
     text = "recorded run from which the gains were found, for the history; may be repeated"
-    apply.add_argument("--from-log", dest="log", action="append", type=Path, default=[], metavar="LOG", help=text)
+    apply.add_argument(
+        "--from-log", dest="log", action="append", type=Path, default=[], metavar="LOG", help=text
+    )
     back = kind("rollback", "use earlier gains again")
-    back.add_argument("--to", type=int, metavar="N", help="number in the history, 0 for the packaged gains")
+    back.add_argument(
+        "--to", type=int, metavar="N", help="number in the history, 0 for the packaged gains"
+    )
     kind("log", "list all gains that were applied")
     live = kind("set", "change gains of a running controller, without a step in torque")
     live.add_argument("values", nargs="+", metavar="KEY=VALUE", help="gains and their new values")
@@ -104,9 +126,15 @@ def tune(parser: VerbParser) -> None:
     """Declare the arguments of ``tune``."""
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="design|search|verify")
     _declare_design(
-        _add_kind(kinds, "design", "design gains with margins on every plant of an ensemble, from linear models")
+        _add_kind(
+            kinds,
+            "design",
+            "design gains with margins on every plant of an ensemble, from linear models",
+        )
     )
-    _declare_search(_add_kind(kinds, "search", "search the best gains on an ensemble of simulated plants"))
+    _declare_search(
+        _add_kind(kinds, "search", "search the best gains on an ensemble of simulated plants")
+    )
     text = "try new gains on the hand at rising amplitude, and return to the old ones at a limit"
     _declare_verify(_add_kind(kinds, "verify", text))
 
@@ -116,7 +144,12 @@ def _add_kind(kinds: "argparse._SubParsersAction[VerbParser]", name: str, text: 
     add_hand_option(parser)
     add_json_option(parser)
     add_gains_options(parser)
-    parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: computed from the bus load)")
+    parser.add_argument(
+        "--rate",
+        type=float,
+        metavar="HZ",
+        help="control rate (default: computed from the bus load)",
+    )
     text = "random seed of plants, noise and search (default: 0)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=text)
     return parser
@@ -137,7 +170,12 @@ def _declare_design(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--poles-Hz", dest="poles", metavar="MOTION,TENSION", help=text)
     text = "damping ratio of the poles of --poles-Hz (default: 1)"
     parser.add_argument("--damping", type=float, default=1.0, metavar="X", help=text)
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="picture of the result (default: beside --output)")
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="picture of the result (default: beside --output)",
+    )
 
 
 def _declare_search(parser: argparse.ArgumentParser) -> None:
@@ -149,24 +187,39 @@ def _declare_search(parser: argparse.ArgumentParser) -> None:
     add_jobs_option(parser, 1, "number of parallel processes")
     text = "use an existing Dask cluster instead of local processes"
     parser.add_argument("--scheduler", metavar="tcp://...", help=text)
-    parser.add_argument("--picture", type=Path, metavar="FILE", help="picture of the result (default: beside --output)")
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="picture of the result (default: beside --output)",
+    )
 
 
 def _declare_verify(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("candidate", type=Path, metavar="NEW.toml", help="gains to verify")
     add_bus_option(parser, required=False)
     add_dry_run_option(parser)
-    parser.add_argument("--lockstep", action="store_true", help="use a simulated hand in virtual time, without a bus")
+    parser.add_argument(
+        "--lockstep",
+        action="store_true",
+        help="use a simulated hand in virtual time, without a bus",
+    )
     add_perturb_option(parser)
     text = (
-        "calibration file (default: HAND.calibration.toml; with --lockstep none, and only identified values are used)"
+        "calibration file (default: HAND.calibration.toml; with "
+        "--lockstep none, and only identified values are used)"
     )
     parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
     text = "with --lockstep: number of runs with different seeds; their spread gives the intervals (default: 3)"
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help=text)
     text = "accept the gains even if a column is worse than with the old gains"
     parser.add_argument("--accept-worse", action="store_true", help=text)
-    parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND-verify.mcap)")
+    parser.add_argument(
+        "--log",
+        type=Path,
+        metavar="FILE",
+        help="log to write (default: logs/DATE-HAND-verify.mcap)",
+    )
     add_clear_option(parser)
     add_yes_option(parser)
     add_time_scale_option(parser)

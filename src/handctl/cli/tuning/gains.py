@@ -9,7 +9,13 @@ from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import layered_gains, print_notice
 from handctl.cli.console.verbosity import is_quiet
-from handctl.core.gains.bounds import GainBounds, checked_bound, different_values, values_by_key, with_values
+from handctl.core.gains.bounds import (
+    GainBounds,
+    checked_bound,
+    different_values,
+    values_by_key,
+    with_values,
+)
 from handctl.core.gains.gains import Gains, GainsProvenance, load_gains_file, packaged_gains
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
@@ -57,12 +63,16 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
         }
         print_json({"hand": hand.name, "gains": rows, "provenance": provenance.model_dump()})
         return ExitCode.DONE
-    print_escaped(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance))
+    print_escaped(
+        f"# gains of {hand.name}: {layers.file or 'packaged'}" + _provenance_text(provenance)
+    )
     for key, value in values.items():
         when = "changes at any time" if gain_bounds[key].live else "changes before arming"
         print_escaped(f"{key:<38} {value:<10g} {layers.origins[key]}")
         if not is_quiet():
-            print_escaped(f"    {gain_meaning(gain_bounds[key])} {str(gain_bounds[key]).capitalize()}, {when}.")
+            print_escaped(
+                f"    {gain_meaning(gain_bounds[key])} {str(gain_bounds[key]).capitalize()}, {when}."
+            )
     return ExitCode.DONE
 
 
@@ -85,7 +95,9 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
     Raises:
         ConfigError: more than two sets of gains are named.
     """
-    sides = {0: ["packaged", "present"], 1: ["present", *args.sides], 2: args.sides}.get(len(args.sides))
+    sides = {0: ["packaged", "present"], 1: ["present", *args.sides], 2: args.sides}.get(
+        len(args.sides)
+    )
     if sides is None:
         raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
     one, other = (_gains_to_compare(word, hand) for word in sides)
@@ -95,7 +107,9 @@ def _print_diff(args: argparse.Namespace, hand: Hand) -> int:
         return ExitCode.DONE
     for key, (was, now) in changed.items():
         print(f"{key:<38} {was:g} -> {now:g}")
-    print(f"{len(changed)} of {len(values_by_key(other))} gains differ between {sides[0]} and {sides[1]}")
+    print(
+        f"{len(changed)} of {len(values_by_key(other))} gains differ between {sides[0]} and {sides[1]}"
+    )
     return ExitCode.DONE
 
 
@@ -114,7 +128,9 @@ def _gains_to_compare(word: str, hand: Hand) -> Gains:
     if word.isdecimal():
         entries = {str(entry.number): entry.file.gains for entry in store.entries()}
         if word.lstrip("0") not in entries:
-            raise ConfigError(f"no gains number {word}", str(store.history), "one that handctl gains log lists")
+            raise ConfigError(
+                f"no gains number {word}", str(store.history), "one that handctl gains log lists"
+            )
         return entries[word.lstrip("0")]
     if word.endswith(".mcap"):
         from handctl.log.read.reader import RunLog
@@ -135,7 +151,9 @@ def _apply_file(args: argparse.Namespace, hand: Hand) -> int:
         "note": args.note,
         "log": tuple(map(str, args.log)),
     }
-    provenance = file.provenance.model_copy(update={key: value for key, value in options.items() if value})
+    provenance = file.provenance.model_copy(
+        update={key: value for key, value in options.items() if value}
+    )
     store = GainsStore(hand.name, hand.identity)
     _rename_unusable(store)
     return _report_done(args, store, store.apply(file.gains, provenance).provenance)
@@ -160,7 +178,9 @@ def _rename_unusable(store: GainsStore) -> bool:
     """
     aside = store.set_aside()
     if aside:
-        print_escaped(f"handctl: {store.path} cannot be used, and was renamed to {aside}", error=True)
+        print_escaped(
+            f"handctl: {store.path} cannot be used, and was renamed to {aside}", error=True
+        )
     return bool(aside)
 
 
@@ -195,7 +215,9 @@ def _print_history(args: argparse.Namespace, hand: Hand) -> int:
     for entry in entries:
         mark = "*" if entry.number == _number_text(present) else " "
         print_escaped(f"{mark} {entry.number:>4}  {_entry_line(entry, entries)}")
-    print(f"{len(entries)} applied; present: {_number_text(present) or 'packaged' if present is None else store.path}")
+    print(
+        f"{len(entries)} applied; present: {_number_text(present) or 'packaged' if present is None else store.path}"
+    )
     return ExitCode.DONE
 
 
@@ -206,7 +228,9 @@ def _number_text(present: Any) -> int:
 def _entry_line(entry: StoredGains, entries: list[StoredGains]) -> str:
     """Return an entry of the history as one line: time, sources, and the first three changed gains."""
     by_number = {one.number: one.file.gains for one in entries}
-    before = by_number.get(entry.file.provenance.replaces, packaged_gains(entry.file.provenance.hand))
+    before = by_number.get(
+        entry.file.provenance.replaces, packaged_gains(entry.file.provenance.hand)
+    )
     changed = list(different_values(before, entry.file.gains))
     few = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
     made_and_sources = _provenance_text(entry.file.provenance).partition(", made ")[2]
@@ -235,11 +259,16 @@ def _change_live_gains(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"bus": bus, "set": applied})
     else:
-        print("\n".join(f"{key} = {text}" for key, text in applied.items()) or "no change: these gains are in use")
+        print(
+            "\n".join(f"{key} = {text}" for key, text in applied.items())
+            or "no change: these gains are in use"
+        )
     return ExitCode.DONE
 
 
-def _wait_for_answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> dict[str, str]:
+def _wait_for_answers(
+    watcher: Any, values: dict[str, float], taken: dict[str, Any]
+) -> dict[str, str]:
     """Wait until the controller has answered a request to change gains, and return the event text of each changed gain.
 
     Raises:

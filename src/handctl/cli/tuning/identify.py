@@ -50,7 +50,8 @@ from handctl.tune.identify.identify import (
 )
 
 BLOCKED_HINT = (
-    "expected a digit that touches nothing: remove the object that it touches, or correct the springs in the hand file"
+    "expected a digit that touches nothing: remove the object "
+    "that it touches, or correct the springs in the hand file"
 )
 
 
@@ -61,17 +62,23 @@ def run(args: argparse.Namespace) -> int:
     """
     given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if given != 1:
-        raise ConfigError(f"{given or 'none'} given", "--bus, --lockstep, --from-log", "one of them")
+        raise ConfigError(
+            f"{given or 'none'} given", "--bus, --lockstep, --from-log", "one of them"
+        )
     check_perturb(args, args.lockstep)
     if args.logs and args.digits:
-        raise ConfigError("together with --from-log", "--digits", "logs of these digits, or a new motion")
+        raise ConfigError(
+            "together with --from-log", "--digits", "logs of these digits, or a new motion"
+        )
     check_seed(args.seed)
     if not args.bus:
         refuse_bus_options(args)
     if args.logs:
         return _identify_from_logs(args)
     plan = make_plan(args, lockstep=args.lockstep)
-    program = ExciteProgram(excitation_steps(plan.hand, tuple(args.digits or plan.hand.digit_names)))
+    program = ExciteProgram(
+        excitation_steps(plan.hand, tuple(args.digits or plan.hand.digit_names))
+    )
     path, calibration, reason = find_calibration(args, plan.hand)
     if args.lockstep and not args.calibration:  # keep simulated results out of the real calibration
         path = _simulated_calibration_path(plan.hand)
@@ -87,7 +94,9 @@ def run(args: argparse.Namespace) -> int:
     else:
         announce_motion(args, plan, path, calibration)
         print_note(about)
-        calibration = calibration or ensure_calibration(plan, path, reason, run_live, commission_log(log))
+        calibration = calibration or ensure_calibration(
+            plan, path, reason, run_live, commission_log(log)
+        )
         controller = make_controller(plan, program, calibration, arm_at_once=True)
         held = HoldLimit()
         outcome = run_live(plan, controller, log, observer=held)
@@ -106,7 +115,9 @@ def _in_lockstep(
     Return the calibration and the outcome.
     """
     perturb = gain_assignments(args.perturb, "--perturb")
-    simulator = SimulatorSettings(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
+    simulator = SimulatorSettings(
+        args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth")
+    )
     with simulator.clock(plan.period_ns) as clock:
         print_note(about)
         return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
@@ -139,13 +150,19 @@ def _identify_from_logs(args: argparse.Namespace) -> int:
         print_note(f"reading {log}")
         with RunLog(log) as record:
             if logged_hand(record).identity != hand.identity:
-                raise ConfigError("is of another hand", str(log), f"a log of {hand.name} {hand.identity[:12]}")
+                raise ConfigError(
+                    "is of another hand", str(log), f"a log of {hand.name} {hand.identity[:12]}"
+                )
             results[log] = {} if args.dry_run else identify_tendons(record, hand, print_note)
     if args.dry_run:
         if args.json:
-            print_json({"hand": hand.name, "logs": list(map(str, results)), "calibration": str(path)})
+            print_json(
+                {"hand": hand.name, "logs": list(map(str, results)), "calibration": str(path)}
+            )
         else:
-            print_escaped(f"{hand.name}: would identify from {', '.join(map(str, results))}, and write {path}")
+            print_escaped(
+                f"{hand.name}: would identify from {', '.join(map(str, results))}, and write {path}"
+            )
         return ExitCode.DONE
     return _report_results(args, hand, results, path, calibration)
 
@@ -169,7 +186,9 @@ def _are_simulated(logs: list[Path]) -> bool:
         with RunLog(log) as record:
             kinds[record.header.deterministic] = log
     if len(kinds) > 1:
-        raise ConfigError("is of a simulated hand", str(kinds[True]), f"runs of one hand, as {kinds[False]}")
+        raise ConfigError(
+            "is of a simulated hand", str(kinds[True]), f"runs of one hand, as {kinds[False]}"
+        )
     return kinds.get(True) is not None
 
 
@@ -182,7 +201,9 @@ def _report_results(
 ) -> int:
     """Write the calibration, draw the pictures, and print the results. Return the exit code."""
     made = utc_now_text()
-    identified = previous_identified(path, hand, calibration.drive if calibration else {}, print_notice)
+    identified = previous_identified(
+        path, hand, calibration.drive if calibration else {}, print_notice
+    )
     every = [one for tendons in results.values() for one in tendons.values()]
     spoilt = {one.data.digit: one.blocked for one in every if one.blocked}
     met = {one.data.digit: one.contact for one in every if one.contact and not one.blocked}
@@ -190,11 +211,17 @@ def _report_results(
     for log, tendons in results.items():
         new = {name: one.identified(log, made) for name, one in tendons.items()}
         any_identified = any_identified or any(one is not None for one in new.values())
-        identified |= {name: one.beside(identified.get(name)) for name, one in new.items() if one is not None}
-    written = calibration is not None and not args.no_write and (any_identified or not (spoilt or met))
+        identified |= {
+            name: one.beside(identified.get(name)) for name, one in new.items() if one is not None
+        }
+    written = (
+        calibration is not None and not args.no_write and (any_identified or not (spoilt or met))
+    )
     if calibration is not None and written:
         write_calibration(path, calibration.model_copy(update={"identified": identified}))
-    pictures = _draw_pictures(hand, results, print_note)  # after the calibration: a drawing error loses nothing else
+    pictures = _draw_pictures(
+        hand, results, print_note
+    )  # after the calibration: a drawing error loses nothing else
     for digit, reason in spoilt.items():
         print_escaped(
             f"handctl: no parameters of {digit} are kept: {reason}; expected a digit that touches nothing",
@@ -207,7 +234,10 @@ def _report_results(
         )
     ended = ExitCode.FAILED if spoilt or met else ExitCode.DONE
     if args.json:
-        print_json(_result_fields(results, pictures, path if written else None) | {"blocked": spoilt, "met": met})
+        print_json(
+            _result_fields(results, pictures, path if written else None)
+            | {"blocked": spoilt, "met": met}
+        )
         return ended
     for log, tendons in results.items():
         print("\n".join([f"from {log}:", *result_table(tendons)]))
@@ -216,7 +246,9 @@ def _report_results(
         print(f"calibration written to {path}\nnext: {_search_command(args, path)}")
         return ended
     reason = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
-    print(f"no calibration written: {'every digit was blocked' if spoilt and calibration else reason}")
+    print(
+        f"no calibration written: {'every digit was blocked' if spoilt and calibration else reason}"
+    )
     return ended
 
 
@@ -226,7 +258,9 @@ def _search_command(args: argparse.Namespace, path: Path) -> str:
     return shlex.join(words + same_hand_words(args))
 
 
-def _draw_pictures(hand: Hand, results: dict[Path, dict[str, TendonResult]], say: Callable[[str], None]) -> list[Path]:
+def _draw_pictures(
+    hand: Hand, results: dict[Path, dict[str, TendonResult]], say: Callable[[str], None]
+) -> list[Path]:
     pictures = []
     for log, tendons in results.items():
         for name, one in tendons.items():
@@ -240,5 +274,8 @@ def _draw_pictures(hand: Hand, results: dict[Path, dict[str, TendonResult]], say
 def _result_fields(
     results: dict[Path, dict[str, TendonResult]], pictures: list[Path], path: Path | None
 ) -> dict[str, Any]:
-    logs = {str(log): {name: one.as_json() for name, one in tendons.items()} for log, tendons in results.items()}
+    logs = {
+        str(log): {name: one.as_json() for name, one in tendons.items()}
+        for log, tendons in results.items()
+    }
     return {"logs": logs, "pictures": pictures, "calibration": path}

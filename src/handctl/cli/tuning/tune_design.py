@@ -39,7 +39,9 @@ def run(args: argparse.Namespace) -> int:
     from handctl.tune.plots import draw_loops
 
     if args.poles is None and args.damping != 1.0:
-        raise ConfigError(f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps")
+        raise ConfigError(
+            f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps"
+        )
     hand, twin, spread = load_tuned_hand(args.hand, args.fit)
     gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
@@ -96,13 +98,17 @@ def _place_poles(args: argparse.Namespace, model: HandModel, plants: Any, rate: 
     except ValueError:
         raise ConfigError(repr(args.poles), "--poles-Hz", "two numbers, e.g. 6,25") from None
     if not (MIN_POLE_HZ <= motion < rate / 2 and MIN_POLE_HZ <= tension < rate / 2):
-        raise ConfigError(args.poles, "--poles-Hz", f"{MIN_POLE_HZ:g} to half of the rate, {rate / 2:g}")
+        raise ConfigError(
+            args.poles, "--poles-Hz", f"{MIN_POLE_HZ:g} to half of the rate, {rate / 2:g}"
+        )
     if not 0 < args.damping <= MAX_DAMPING:
         raise ConfigError(f"{args.damping:g}", "--damping", f"more than 0, at most {MAX_DAMPING:g}")
     return design_with_poles(model, plants, motion, tension, args.damping)
 
 
-def _result_fields(result: Any, out: Path, picture: Path, rate: float, plants: int) -> dict[str, Any]:
+def _result_fields(
+    result: Any, out: Path, picture: Path, rate: float, plants: int
+) -> dict[str, Any]:
     return {
         "gains": str(out),
         "picture": str(picture),
@@ -120,13 +126,17 @@ def _print_design(result: Any, rate: float, plants: int) -> None:
     from rich import box
     from rich.table import Table
 
-    title = f"loops at {rate:g} Hz, before \u2192 after; in the last row the least of {plants} plants"
+    title = (
+        f"loops at {rate:g} Hz, before \u2192 after; in the last row the least of {plants} plants"
+    )
     table = Table(title=title, box=box.SIMPLE, pad_edge=False)
     for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
         table.add_column(heading, no_wrap=True)
     alike: dict[tuple[str, ...], list[str]] = {}
     for (name, kind), after in result.after.items():
-        alike.setdefault((str(kind), *_margin_cells(result.before[name, kind], after)), []).append(name)
+        alike.setdefault((str(kind), *_margin_cells(result.before[name, kind], after)), []).append(
+            name
+        )
     for (kind, *cells), names in alike.items():
         more = f" + {len(names) - 1}" if len(names) > 1 else ""
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
@@ -143,7 +153,11 @@ def _margin_cells(before: Any, after: Any) -> list[str]:
         value = getattr(margins, name)
         if not margins.stable:
             return "none"
-        return "-" if math.isnan(value) else f"{'>' if value >= limit else ''}{value * scale:.{digits}f}"
+        return (
+            "-"
+            if math.isnan(value)
+            else f"{'>' if value >= limit else ''}{value * scale:.{digits}f}"
+        )
 
     def pair(name: str, scale: float = 1.0, digits: int = 1) -> str:
         return f"{one(before, name, scale, digits)}\u2192{one(after, name, scale, digits)}"

@@ -31,11 +31,15 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     picture: Path = args.picture or path_with_suffix(out, ".png")
     check_output(picture, "--picture", *read)
     if picture.resolve() == out.resolve():
-        raise ConfigError("is the name of the picture, too", f"--output {out}", "another --output or --picture")
+        raise ConfigError(
+            "is the name of the picture, too", f"--output {out}", "another --output or --picture"
+        )
     return out, picture
 
 
-def plants_of(args: argparse.Namespace, spread: dict[str, float], maximum: int) -> tuple[dict[str, float], ...]:
+def plants_of(
+    args: argparse.Namespace, spread: dict[str, float], maximum: int
+) -> tuple[dict[str, float], ...]:
     """Return the parameter factors of the plants for tuning: an ensemble around the best estimate of the hand.
 
     Without a calibration, the center of the ensemble has the parameters of the hand file times the
@@ -49,7 +53,9 @@ def plants_of(args: argparse.Namespace, spread: dict[str, float], maximum: int) 
     plants = draw_ensemble(checked_count(args.plants, "--plants", maximum), args.seed, spread)
     if args.fit:
         return plants
-    return tuple(one | {key: one.get(key, 1.0) * factor for key, factor in perturb.items()} for one in plants)
+    return tuple(
+        one | {key: one.get(key, 1.0) * factor for key, factor in perturb.items()} for one in plants
+    )
 
 
 def verify_command(args: argparse.Namespace, out: Path) -> str:
@@ -67,9 +73,13 @@ def same_hand_words(args: argparse.Namespace) -> list[str]:
     return words + perturb_words(args)
 
 
-def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
+def write_gains(
+    path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = ""
+) -> None:
     """Write a gains file that states where the gains come from."""
-    provenance = GainsProvenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
+    provenance = GainsProvenance(
+        hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study
+    )
     write_text_atomically(path, gains_text(gains, provenance))
 
 

@@ -82,16 +82,22 @@ def run(args: argparse.Namespace) -> int:
     return ExitCode.DONE
 
 
-def _report_infeasible(args: argparse.Namespace, result: Any, storage: Path, picture: Path, trials: int) -> int:
+def _report_infeasible(
+    args: argparse.Namespace, result: Any, storage: Path, picture: Path, trials: int
+) -> int:
     """Report that no trial keeps the stability margins, and return the exit code."""
     if args.json:
         print_json(_report_fields(result, storage, None, picture))
     else:
-        print(f"no trial keeps the margins on every plant; look at {picture}, and try --trials {2 * trials}")
+        print(
+            f"no trial keeps the margins on every plant; look at {picture}, and try --trials {2 * trials}"
+        )
     return ExitCode.FAILED
 
 
-def _designed_gains(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
+def _designed_gains(
+    hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]
+) -> tuple[Gains, ...]:
     """Return the gains of a design for the same plants, a further start point of the search.
 
     If the design fails, return none.
@@ -99,7 +105,9 @@ def _designed_gains(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[st
     from handctl.tune.loops.design import design_gains, linear_factors
 
     try:
-        result = design_gains(HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants))
+        result = design_gains(
+            HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants)
+        )
     except (ValueError, ConfigError):
         return ()
     return (result.as_weights(),)
@@ -125,7 +133,9 @@ class _SearchProgress:
             TextColumn("{task.description}"),
         )
         self._console = rich_console(error=True)
-        self._bar = Progress(*columns, console=self._console, disable=quiet or not self._console.is_terminal)
+        self._bar = Progress(
+            *columns, console=self._console, disable=quiet or not self._console.is_terminal
+        )
         self._task = self._bar.add_task("designing", total=trials)
         self._quiet = quiet
         self._next = 0.0
@@ -145,7 +155,9 @@ class _SearchProgress:
         Without a terminal, the display prints at most one line in 5 s.
         """
         text = (
-            f"best {result.cost(result.best):.3f}, trial {result.best.number}" if result.best else "none feasible yet"
+            f"best {result.cost(result.best):.3f}, trial {result.best.number}"
+            if result.best
+            else "none feasible yet"
         )
         self._bar.update(self._task, completed=len(result.trials), description=text)
         if not self._quiet and self._bar.disable and time.monotonic() >= self._next:
@@ -176,7 +188,9 @@ def _report_fields(result: Any, storage: Path, out: Path | None, picture: Path) 
 def _print_search(result: Any, report: dict[str, Any]) -> None:
     from rich.table import Table
 
-    table = Table(title=f"{report['trials']} trials, {report['good']} good, {len(report['front'])} on the Pareto front")
+    table = Table(
+        title=f"{report['trials']} trials, {report['good']} good, {len(report['front'])} on the Pareto front"
+    )
     for heading in ("", "where it began", f"trial {result.best.number}"):
         table.add_column(heading)
     rows = (

@@ -30,7 +30,11 @@ def run(args: argparse.Namespace) -> int:
     from handctl.tune.verify import ROUND_AMPLITUDES, VerifyObserver
 
     if bool(args.bus) == args.lockstep:
-        raise ConfigError("none or both given", "--bus, --lockstep", "one of them, --lockstep for a simulated hand")
+        raise ConfigError(
+            "none or both given",
+            "--bus, --lockstep",
+            "one of them, --lockstep for a simulated hand",
+        )
     check_perturb(args, args.lockstep)
     if args.lockstep:
         refuse_bus_options(args)
@@ -40,7 +44,9 @@ def run(args: argparse.Namespace) -> int:
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
     if old.filter != new.gains.filter:
-        print_note("the filter's gains cannot change in a run: both halves use the new filter gains")
+        print_note(
+            "the filter's gains cannot change in a run: both halves use the new filter gains"
+        )
     if args.dry_run:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(ROUND_AMPLITUDES)} rounds"
         return report_dry_run(args, plan, line, gains=args.candidate, amplitudes=ROUND_AMPLITUDES)
@@ -48,7 +54,9 @@ def run(args: argparse.Namespace) -> int:
     plan = _with_gains(plan, base, args.candidate)
     first = args.seed
     runs = []
-    for seed in range(first, first + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)):
+    for seed in range(
+        first, first + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)
+    ):
         args.seed = seed
         run_log = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
         observer = VerifyObserver(plan.hand, base, new.gains)
@@ -63,7 +71,9 @@ def run(args: argparse.Namespace) -> int:
 def _with_gains(plan: RunPlan, gains: Any, candidate: Path) -> RunPlan:
     from dataclasses import replace
 
-    return replace(plan, gains=gains, attachments=plan.attachments | {"candidate.toml": candidate.read_bytes()})
+    return replace(
+        plan, gains=gains, attachments=plan.attachments | {"candidate.toml": candidate.read_bytes()}
+    )
 
 
 def _run_once(
@@ -79,11 +89,17 @@ def _run_once(
     calibration = homed_calibration(plan.hand, identified_in(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
     perturb = gain_assignments(args.perturb, "--perturb")
-    with SimulatorSettings(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(plan.period_ns) as clock:
-        return run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock, observer), truth
+    with SimulatorSettings(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(
+        plan.period_ns
+    ) as clock:
+        return run_lockstep(
+            plan, make_controller(plan, program, calibration, True), log, clock, observer
+        ), truth
 
 
-def _judge_run(plan: RunPlan, outcome: RunOutcome, observer: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
+def _judge_run(
+    plan: RunPlan, outcome: RunOutcome, observer: Any, log: Path, truth_file: Path | None
+) -> dict[str, Any]:
     """Score one run of the test, and draw a picture of the run.
 
     Return the fields of the JSON result.
@@ -99,7 +115,9 @@ def _judge_run(plan: RunPlan, outcome: RunOutcome, observer: Any, log: Path, tru
         picture = log.with_suffix(".png")
         draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, observer.rollback)
     return {
-        "through": observer.rollback is None and not outcome.state.failure and len(rounds) == len(ROUND_AMPLITUDES),
+        "through": observer.rollback is None
+        and not outcome.state.failure
+        and len(rounds) == len(ROUND_AMPLITUDES),
         "returned": asdict(observer.rollback) if observer.rollback else None,
         "failure": outcome.state.failure,
         "rounds": rounds,
@@ -109,7 +127,9 @@ def _judge_run(plan: RunPlan, outcome: RunOutcome, observer: Any, log: Path, tru
     }
 
 
-def _report_verification(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: RunOutcome) -> int:
+def _report_verification(
+    args: argparse.Namespace, runs: list[dict[str, Any]], outcome: RunOutcome
+) -> int:
     """Print the result of all runs of the test, with the table of the last run.
 
     Return the exit code.
@@ -178,7 +198,9 @@ def _print_rounds(result: dict[str, Any], rounds: Iterable[Any], args: argparse.
     if result.get("columns"):
         _print_columns(result)
     if result.get("worse") and not result["verified"]:
-        print(f"not verified: {', '.join(result['worse'])} worse than with the old gains; --accept-worse accepts this")
+        print(
+            f"not verified: {', '.join(result['worse'])} worse than with the old gains; --accept-worse accepts this"
+        )
     if result["verified"]:
         console.print(
             f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}",

@@ -24,7 +24,11 @@ A busy node may answer its queued requests over many ticks.
 
 
 def detect_unsolicited_replies(
-    drives: tuple[Drive, ...], sensors: SensorInterface, before: State, state: State, frames: Sequence[Frame]
+    drives: tuple[Drive, ...],
+    sensors: SensorInterface,
+    before: State,
+    state: State,
+    frames: Sequence[Frame],
 ) -> tuple[str, ...]:
     """Detect unsolicited and duplicate replies in a tick.
 
@@ -49,15 +53,21 @@ def detect_unsolicited_replies(
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:
-            duplicates[n] = _duplicate_kind(_accepted_payloads(drives[n], before, n, frames), count - 1)
+            duplicates[n] = _duplicate_kind(
+                _accepted_payloads(drives[n], before, n, frames), count - 1
+            )
     _detect_duplicate_answers(sensors, before, state, frames)
     return tuple(signs)
 
 
-def _detect_duplicate_answers(sensors: SensorInterface, before: State, state: State, frames: Sequence[Frame]) -> None:
+def _detect_duplicate_answers(
+    sensors: SensorInterface, before: State, state: State, frames: Sequence[Frame]
+) -> None:
     """Write duplicate answers of the load cells into ``DUPLICATES``, and count late answers in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
-    excused = not sensors.has_counter and (state.whole(s.MISSED_TICKS) > 0 or _has_lost_answers(before))
+    excused = not sensors.has_counter and (
+        state.whole(s.MISSED_TICKS) > 0 or _has_lost_answers(before)
+    )
     answered = before.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1 and (excused or not (sensors.has_counter or answered[group])):
@@ -69,7 +79,8 @@ def _detect_duplicate_answers(sensors: SensorInterface, before: State, state: St
             fresh = [
                 frame.data
                 for frame in frames
-                if (frame.bus, frame.can_id) == (sensors.bus, can_id) and sensors.answers(frame.data, counter)
+                if (frame.bus, frame.can_id) == (sensors.bus, can_id)
+                and sensors.answers(frame.data, counter)
             ]
             duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh, 1))
 
@@ -80,7 +91,9 @@ def _has_lost_answers(before: State) -> bool:
     An additional answer without a counter then counts as late, and not as a duplicate. The same
     holds after a tick without an answer, and if this host has missed a tick.
     """
-    return bool(before.layout.table(before.block, "node_int")[s.LOST_REPLIES, -1] & (1 << LATE_TICKS) - 1)
+    return bool(
+        before.layout.table(before.block, "node_int")[s.LOST_REPLIES, -1] & (1 << LATE_TICKS) - 1
+    )
 
 
 def _duplicate_kind(payloads: list[bytes], due: int) -> int:

@@ -32,7 +32,9 @@ ROUNDING_NOISE_COUNTS = 6.0
 """Mean squared jerk of a motor position that rounding of the encoder causes [squared encoder counts]."""
 
 
-def safety_limits(model: HandModel, drives: tuple[Drive, ...], sensors: SensorInterface) -> SafetyLimits:
+def safety_limits(
+    model: HandModel, drives: tuple[Drive, ...], sensors: SensorInterface
+) -> SafetyLimits:
     """Return the safety thresholds of a hand."""
     hand = model.hand
     return SafetyLimits(
@@ -134,7 +136,11 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
             if signal.quantity in inputs:
                 # A float has finer steps than the encoder whose position it contains.
                 encoder = model.space.encoder_step[n] / model.space.spool[n]
-                step = max(signal.step, encoder) if signal.quantity == Quantity.POSITION else signal.step
+                step = (
+                    max(signal.step, encoder)
+                    if signal.quantity == Quantity.POSITION
+                    else signal.step
+                )
                 torque[n] += step * loop[inputs[signal.quantity]][n]
     return {
         "servo_kp_max": largest[0],
@@ -152,13 +158,23 @@ def torque_resolution(drive: Drive) -> float:
     It is 0 for a floating-point torque.
     """
     messages = (*drive.cyclic.feedback, *drive.cyclic.commands)
-    signals = [signal for message in messages for signal in message.signals if signal.quantity == Quantity.TORQUE]
-    return max((abs(signal.scale) for signal in signals if signal.coding != SignalCoding.FLOAT), default=0.0)
+    signals = [
+        signal
+        for message in messages
+        for signal in message.signals
+        if signal.quantity == Quantity.TORQUE
+    ]
+    return max(
+        (abs(signal.scale) for signal in signals if signal.coding != SignalCoding.FLOAT),
+        default=0.0,
+    )
 
 
 def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> int:
     """Return the number of frames in a tick above which the bus counts as flooded: twice the replies of all nodes."""
-    return max(MIN_FRAMES_LIMIT, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
+    return max(
+        MIN_FRAMES_LIMIT, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids)
+    )
 
 
 def _noise_limit(model: HandModel) -> float:

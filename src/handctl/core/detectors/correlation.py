@@ -62,7 +62,13 @@ differ by 0.3 counts (rms).
 """
 MIN_SERVO_SHARE = 0.01
 """If a drive closed its position loop in a larger fraction of the recent ticks, ``SERVO_COUNTS`` applies."""
-COMMAND_SQUARED_ROW, COMMAND_REPORT_ROW, LATE_COMMAND_REPORT_ROW, REPORT_SQUARED_ROW, FILTER_RESPONSE_ROW = range(5)
+(
+    COMMAND_SQUARED_ROW,
+    COMMAND_REPORT_ROW,
+    LATE_COMMAND_REPORT_ROW,
+    REPORT_SQUARED_ROW,
+    FILTER_RESPONSE_ROW,
+) = range(5)
 """Rows of ``block.REPORT_MOMENTS``, low-passed products of increments.
 
 They are: command squared, command times report, the earlier command times report (for a report that
@@ -141,7 +147,9 @@ def _clipped_increment(increment: float, largest: float) -> float:
 
 @kernel_helper
 def _low_pass_moment(x: Tables, n: int, moment: int, fraction: float, value: float) -> None:
-    x.tendon[s.REPORT_MOMENTS + moment, n] += fraction * (value - x.tendon[s.REPORT_MOMENTS + moment, n])
+    x.tendon[s.REPORT_MOMENTS + moment, n] += fraction * (
+        value - x.tendon[s.REPORT_MOMENTS + moment, n]
+    )
 
 
 @kernel_helper
@@ -150,7 +158,8 @@ def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
     aa = x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n]
     bb = x.tendon[s.REPORT_MOMENTS + REPORT_SQUARED_ROW, n]
     ab = max(
-        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n], x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n]
+        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
+        x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n],
     )
     # Command and report must both change by more than rounding errors. A constant report is a sign
     # of another fault.
@@ -167,7 +176,8 @@ def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
 def fraction_of_command_reported(x: Tables, n: int) -> float:
     """Return the fraction of the changes of a motor's command that its reports show, 1 for a drive that obeys."""
     ab = max(
-        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n], x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n]
+        x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],
+        x.tendon[s.REPORT_MOMENTS + LATE_COMMAND_REPORT_ROW, n],
     )
     # The lower bound of the divisor prevents a division by 0.
     return ab / max(x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n], 1e-300)

@@ -6,7 +6,17 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors.bus import Evidence
-from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, I11A, I11B, LATE_FRACTION, REFUSED_REQUESTS_LIMIT
+from handctl.safety.faults.host import (
+    H01,
+    H02,
+    H03,
+    I07A,
+    I07B,
+    I11A,
+    I11B,
+    LATE_FRACTION,
+    REFUSED_REQUESTS_LIMIT,
+)
 
 
 @kernel_helper

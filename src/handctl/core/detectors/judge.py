@@ -56,7 +56,11 @@ def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> t
     cut = mode == CUT or mode == DISARM
     evidence = np.full((FAULT_ROWS, x.instance_int.shape[1]), math.nan)
     losses.update_loss_counts(
-        x, c, x.run_int[s.T_NS], x.run_int[s.UNKNOWN_FRAMES], armed and x.run_int[s.MISSED_TICKS] == 0
+        x,
+        c,
+        x.run_int[s.T_NS],
+        x.run_int[s.UNKNOWN_FRAMES],
+        armed and x.run_int[s.MISSED_TICKS] == 0,
     )
     bus.detect_bus_faults(x, c, armed, evidence)
     node.detect_node_faults(x, c, armed, evidence)

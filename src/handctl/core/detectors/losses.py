@@ -41,7 +41,9 @@ def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) ->
 @kernel_helper
 def motor_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the feedback of motor n is overdue."""
-    return ticks_overdue(now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS])
+    return ticks_overdue(
+        now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS]
+    )
 
 
 @kernel_helper
@@ -62,7 +64,9 @@ def cell_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int
 
 
 @kernel_helper
-def update_loss_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool) -> None:
+def update_loss_counts(
+    x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool
+) -> None:
     """Update the counts of lost, malformed and unknown frames of all nodes.
 
     Args:
@@ -85,7 +89,9 @@ def update_loss_counts(x: Tables, c: ConstantTables, now_ns: int, unknown: int, 
         earlier = x.node_int[s.LOST_REPLIES + 1, node]
         # The two words form a shift register: the oldest bit of the recent word moves into the
         # earlier word.
-        x.node_int[s.LOST_REPLIES + 1, node] = (earlier << 1 | recent >> (BITS_PER_WORD - 1)) & WORD_MASK
+        x.node_int[s.LOST_REPLIES + 1, node] = (
+            earlier << 1 | recent >> (BITS_PER_WORD - 1)
+        ) & WORD_MASK
         x.node_int[s.LOST_REPLIES, node] = (recent << 1 | (late and judged)) & WORD_MASK
         misread = x.node_int[s.MALFORMED_NOW, node] != 0
         x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
@@ -109,7 +115,9 @@ def count_set_bits(bits: int) -> int:
 @kernel_helper
 def count_lost_replies(x: Tables, node: int) -> int:
     """Return in how many of the last ``LOSS_WINDOW_TICKS`` ticks a node sent no reply."""
-    return count_set_bits(x.node_int[s.LOST_REPLIES, node]) + count_set_bits(x.node_int[s.LOST_REPLIES + 1, node])
+    return count_set_bits(x.node_int[s.LOST_REPLIES, node]) + count_set_bits(
+        x.node_int[s.LOST_REPLIES + 1, node]
+    )
 
 
 @kernel_helper

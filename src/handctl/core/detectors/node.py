@@ -81,7 +81,9 @@ def _detect_drive_errors(x: Tables, evidence: Evidence) -> None:
     """
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.PHASE, n] == PHASE_FAULT:
-            evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[s.FAULT_CODE, n]
+            evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[
+                s.FAULT_CODE, n
+            ]
 
 
 @kernel_helper
@@ -152,14 +154,20 @@ def _detect_stuck_encoders(x: Tables, c: ConstantTables, evidence: Evidence) -> 
     """
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
-            goal = stuck.motion_since_reading(x.tendon[s.FILTERED_GOAL, n], x.tendon[s.MOTOR_ANCHOR, n])
-            tension = stuck.motion_since_reading(stuck.reference_tension(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n])
+            goal = stuck.motion_since_reading(
+                x.tendon[s.FILTERED_GOAL, n], x.tendon[s.MOTOR_ANCHOR, n]
+            )
+            tension = stuck.motion_since_reading(
+                stuck.reference_tension(x, c, n), x.tendon[s.MOTOR_ANCHOR + 1, n]
+            )
             if goal > STUCK_GOAL_M or tension > STUCK_TENSION_N:
                 evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_S:
             turned = (
-                stuck.motion_since_reading(stuck.joint_angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j])
+                stuck.motion_since_reading(
+                    stuck.joint_angle_by_spools(x, c, j), x.joint[s.JOINT_ANCHOR, j]
+                )
                 * DEG_PER_RAD
             )
             if turned > STUCK_JOINT_DEG:
@@ -173,5 +181,8 @@ def detect_tension_after_cut(x: Tables, c: ConstantTables, evidence: Evidence) -
         return
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.TENSION_AFTER_CUT, n]
-        if tension > STILL_PULLING_N and tension > STILL_PULLING_FRACTION * x.tendon[s.TENSION_AT_CUT, n]:
+        if (
+            tension > STILL_PULLING_N
+            and tension > STILL_PULLING_FRACTION * x.tendon[s.TENSION_AT_CUT, n]
+        ):
             evidence[N16, n] = tension

@@ -55,7 +55,10 @@ def age_of_repeated_readings(x: Tables, n: int) -> int:
     longest = x.tendon_int[s.LONGEST_REPETITION, n]
     # The probability of a run of this length is compared as a logarithm, because the power itself
     # is too small a number.
-    if longest < MIN_REPEATS or -longest * math.log(_chance_of_equal_readings(x, n)) < MIN_LOG_IMPROBABILITY:
+    if (
+        longest < MIN_REPEATS
+        or -longest * math.log(_chance_of_equal_readings(x, n)) < MIN_LOG_IMPROBABILITY
+    ):
         return 0
     for age in range(MAX_AGE_TICKS):
         if x.tendon_int[s.REPETITIONS + age, n] == longest:

@@ -18,7 +18,9 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.measure import monitored_tension
 
-BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCESS_FRICTION = range(8)
+BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCESS_FRICTION = range(
+    8
+)
 """Rows of ``block.RESIDUAL``."""
 TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 """Time constant of the low-pass filter of each row [s]."""
@@ -57,7 +59,9 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
         turned = position - x.tendon[s.LAST_POSITION, n]
         # Friction is proportional to tanh(1000 v). It is fully developed above some millimetres per
         # second, and does not chatter at rest.
-        drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed * 1e3)
+        drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.MOTOR_COULOMB, n] * math.tanh(
+            speed * 1e3
+        )
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
         balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
         now[BALANCE] = balance
@@ -70,11 +74,15 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
         now[SLIP] = x.tendon[s.SLIP, n]
         now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
         # Friction has the sign of the speed, so excess friction is the balance times this sign.
-        now[EXCESS_FRICTION] = math.copysign(1.0, speed) * balance if abs(speed) > FULL_FRICTION_SPEED else math.nan
+        now[EXCESS_FRICTION] = (
+            math.copysign(1.0, speed) * balance if abs(speed) > FULL_FRICTION_SPEED else math.nan
+        )
         for row in range(8):
             low = x.tendon[s.RESIDUAL + row, n]
             if not math.isnan(now[row] - low):
-                x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (now[row] - low)
+                x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (
+                    now[row] - low
+                )
         x.tendon[s.LAST_SPEED, n] = speed
         x.tendon[s.LAST_POSITION, n] = position
         x.tendon[s.LAST_POSITION_STEP, n] = turned
@@ -83,7 +91,9 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
 @kernel_helper
 def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
     """Return the difference of tension that friction and torque-constant tolerance do not explain [N], 0 or more."""
-    explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n])
+    explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(
+        x.tendon[s.RESIDUAL + MOTOR_FORCE, n]
+    )
     return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - explained, 0.0)
 
 
@@ -91,5 +101,7 @@ def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
 def excess_friction(x: Tables, n: int) -> float:
     """Return by how much the friction of a moving rotor exceeds the friction of the model [N], 0 or more."""
     return max(
-        x.tendon[s.RESIDUAL + EXCESS_FRICTION, n] - GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n]), 0.0
+        x.tendon[s.RESIDUAL + EXCESS_FRICTION, n]
+        - GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MOTOR_FORCE, n]),
+        0.0,
     )

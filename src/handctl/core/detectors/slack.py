@@ -63,7 +63,9 @@ def update_history_after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
         if ticks == 0:
-            x.tendon[s.TENSION_AT_CUT, n] = x.tendon[s.STUCK_TEST_TENSION, n] if math.isnan(tension) else tension
+            x.tendon[s.TENSION_AT_CUT, n] = (
+                x.tendon[s.STUCK_TEST_TENSION, n] if math.isnan(tension) else tension
+            )
         elif math.isnan(x.tendon[s.TENSION_AT_CUT, n]):
             x.tendon[s.TENSION_AT_CUT, n] = tension
         if ticks * c.run[h.PERIOD] < LATE_READING_S:

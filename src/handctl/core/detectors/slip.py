@@ -41,6 +41,10 @@ def update_slip(x: Tables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.SLIP_REFERENCE, n] = math.nan
         x.tendon[s.SLIP, n] = math.nan
         if read:
-            x.tendon[s.SLIP, n] = (apart - x.tendon[s.SLIP_REFERENCE, n]) / c.tendon[h.ARMS_SUM, n] * DEG_PER_RAD
+            x.tendon[s.SLIP, n] = (
+                (apart - x.tendon[s.SLIP_REFERENCE, n]) / c.tendon[h.ARMS_SUM, n] * DEG_PER_RAD
+            )
             far = abs(x.tendon[s.SLIP, n]) > DERAILED_DEG
-            x.tendon[s.DERAILED_READINGS, n] = x.tendon[s.DERAILED_READINGS, n] + 1.0 if far else 0.0
+            x.tendon[s.DERAILED_READINGS, n] = (
+                x.tendon[s.DERAILED_READINGS, n] + 1.0 if far else 0.0
+            )

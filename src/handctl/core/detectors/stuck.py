@@ -105,7 +105,9 @@ def joint_angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
     for n in range(x.tendon.shape[1]):
         if c.joint_tendon[h.MOVES_JOINT, j, n] != 0.0:
             stretch = x.tendon[s.RESIDUAL + TENSION, n] / c.tendon[h.TENDON_STIFFNESS, n]
-            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * (x.tendon[s.MEASURED_TRAVEL, n] - stretch)
+            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * (
+                x.tendon[s.MEASURED_TRAVEL, n] - stretch
+            )
     return angle
 
 
@@ -142,7 +144,9 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
             continue
         change = goal - before
         if abs(change) > min_step and x.tendon_int[s.MOTOR_STUCK, n] != 0:
-            x.tendon[s.FILTERED_GOAL, n] = before + math.copysign(max(fraction * abs(change), min_step), change)
+            x.tendon[s.FILTERED_GOAL, n] = before + math.copysign(
+                max(fraction * abs(change), min_step), change
+            )
         if abs(goal - present) < ARRIVED_M:
             x.tendon[s.FILTERED_GOAL, n] = present
             if abs(present - before) > GOAL_JUMP_M:
@@ -156,4 +160,7 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
 @kernel_helper
 def _is_digit_pressing(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True if a streamed digit presses: the tension of its tendon is much larger than the tension goal."""
-    return is_tendon_streamed(x, c, n) and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSED_N
+    return (
+        is_tendon_streamed(x, c, n)
+        and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSED_N
+    )

@@ -87,7 +87,9 @@ def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Ev
             evidence[T04B, n] = unexplained
         if rubs > FRICTION_WARN_N:
             evidence[T09, n] = rubs
-        pushed = stuck.motion_since_reading(x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n])
+        pushed = stuck.motion_since_reading(
+            x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n]
+        )
         same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
         if same and pushed > CELL_FORCE_N and x.tendon[s.STUCK_TEST_TENSION, n] > TAUT_N:
             evidence[T05, n] = pushed
@@ -137,5 +139,10 @@ def _detect_slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> N
         tension = -tension
     was_taut = 0.0 <= x.tendon_int[s.TICKS_SINCE_TAUT, n] * period < SNAP_MEMORY_S
     beyond = speed - max(planned, 0.0)
-    if beyond > SNAP_SPEED and commanded > SNAP_N and tension < SNAP_FRACTION * commanded and was_taut:
+    if (
+        beyond > SNAP_SPEED
+        and commanded > SNAP_N
+        and tension < SNAP_FRACTION * commanded
+        and was_taut
+    ):
         evidence[T01, n] = beyond

@@ -18,7 +18,9 @@ class NamedFields(Protocol):
         ...
 
 
-def consistency_events(model: HandModel, before: NamedFields, after: NamedFields) -> tuple[TickEvent, ...]:
+def consistency_events(
+    model: HandModel, before: NamedFields, after: NamedFields
+) -> tuple[TickEvent, ...]:
     """Return the log events for changes of consistency and blocking between two ticks.
 
     Args:
@@ -33,7 +35,9 @@ def consistency_events(model: HandModel, before: NamedFields, after: NamedFields
         for n in np.flatnonzero(doubtful != was).tolist():
             name = model.hand.tendon_names[n]
             nis = after.view("nis_mean")[n]
-            verdict = "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
+            verdict = (
+                "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
+            )
             text = f"{name}: NIS {nis:.1f} over {MEAN_NIS_S:g} s, 2 is right: {verdict}"
             events.append(TickEvent("warn" if doubtful[n] else "info", "estimate", name, text))
     blocked = after.view("blocked")
@@ -44,5 +48,7 @@ def consistency_events(model: HandModel, before: NamedFields, after: NamedFields
             name = model.hand.digit_names[d]
             tension = after.view("touch")[d]
             text = f"{name} is blocked: {tension:.1f} N of unexplained tension"
-            events.append(TickEvent("info", "blocked", name, text if blocked[d] else f"{name} is free again"))
+            events.append(
+                TickEvent("info", "blocked", name, text if blocked[d] else f"{name} is free again")
+            )
     return tuple(events)

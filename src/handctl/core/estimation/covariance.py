@@ -37,7 +37,13 @@ After this time the watchdogs of the drives have removed the torque.
 
 @kernel_helper
 def correct_covariance(
-    x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after: Matrix, information: Vector
+    x: Tables,
+    c: ConstantTables,
+    n: int,
+    z: Vector,
+    gain: Matrix,
+    after: Matrix,
+    information: Vector,
 ) -> float:
     """Correct the covariance of a tendon by its encoder and load cell. The gain for joint encoders does not change.
 
@@ -66,7 +72,9 @@ def correct_covariance(
     size = _multiply_matrices(H, crossed)
     R = np.zeros(2)
     for m in range(2):
-        R[m] = c.design[n, kind, h.R_AT + m] * (MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0)
+        R[m] = c.design[n, kind, h.R_AT + m] * (
+            MISSING_VARIANCE_FACTOR if math.isnan(z[m]) else 1.0
+        )
     # Innovation covariance [[a, b], [b, d]], inverted in closed form.
     a = size[0, 0] + R[0]
     b = size[0, 1]
@@ -90,7 +98,9 @@ def correct_covariance(
     joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
-            after[i, j] = joseph[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
+            after[i, j] = (
+                joseph[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
+            )
     return math.sqrt(d)
 
 
@@ -167,7 +177,11 @@ def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
     variance = 0.0
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
-            variance += c.design[n, kind, h.TENSION_ROW_AT + i] * P[i, j] * c.design[n, kind, h.TENSION_ROW_AT + j]
+            variance += (
+                c.design[n, kind, h.TENSION_ROW_AT + i]
+                * P[i, j]
+                * c.design[n, kind, h.TENSION_ROW_AT + j]
+            )
     return variance
 
 

@@ -115,7 +115,9 @@ class FilterDesign:
 
     def __post_init__(self) -> None:
         """Create the cache of the transition matrices."""
-        object.__setattr__(self, "transition", functools.lru_cache(TRANSITION_CACHE_SIZE)(self._transition))
+        object.__setattr__(
+            self, "transition", functools.lru_cache(TRANSITION_CACHE_SIZE)(self._transition)
+        )
 
     @property
     def held_sigma(self) -> Matrix:
@@ -123,9 +125,13 @@ class FilterDesign:
         return np.sqrt([tendon[TendonRegime.HELD].tension_variance for tendon in self.blocks])
 
     def _transition(self, kinds: bytes) -> StateTransition:
-        in_use = [tendon[kind] for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)]
+        in_use = [
+            tendon[kind]
+            for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)
+        ]
         return StateTransition(
-            _stack_blocks([block.F for block in in_use]), _stack_blocks([block.B for block in in_use])
+            _stack_blocks([block.F for block in in_use]),
+            _stack_blocks([block.B for block in in_use]),
         )
 
 

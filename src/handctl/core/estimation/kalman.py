@@ -132,7 +132,9 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
         _write_steady_gain(c, n, kind, gain[n], information[n])
         cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_AT]
         if full:
-            cell_sigma[n] = covariance.correct_covariance(x, c, n, z[n], gain[n], after[n], information[n])
+            cell_sigma[n] = covariance.correct_covariance(
+                x, c, n, z[n], gain[n], after[n], information[n]
+            )
     _gate_and_correct(x, c, innovation, gain, cell_sigma)
     _move_slack_with_taut(x, c)
     _judge_consistency(x, c, innovation, information, full)
@@ -158,7 +160,9 @@ def _usable_measurements(x: Tables) -> Matrix:
         if x.tendon_int[s.SATURATED, n]:
             z[n, 1] = math.nan
         if x.tendon_int[s.REGIME, n] == SLACK_REGIME:
-            stretch = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
+            stretch = (
+                x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
+            )
             if not (stretch < -SLACK_LENGTH_M and x.tendon_int[s.LENGTH_KNOWN, n]):
                 z[n, 1] = math.nan
     return z
@@ -194,7 +198,9 @@ def _is_measurement_missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
 
 
 @kernel_helper
-def _write_steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector) -> None:
+def _write_steady_gain(
+    c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector
+) -> None:
     """Write the steady gain (7, 3) of a tendon's filter, and the inverse covariance (3,) of its innovations."""
     for i in range(STATE_COUNT):
         for m in range(3):
@@ -204,7 +210,9 @@ def _write_steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, infor
 
 
 @kernel_helper
-def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector) -> None:
+def _gate_and_correct(
+    x: Tables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector
+) -> None:
     """Correct the states by the innovations. Reject a single outlier of a load cell, but accept two in a row.
 
     Args:
@@ -224,7 +232,9 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
             steady = 0.0
             kind = x.tendon_int[s.FILTER_KIND, n]
             for i in range(STATE_COUNT):
-                steady += c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
+                steady += (
+                    c.design[n, kind, h.TENSION_ROW_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
+                )
             # The correction by the gain is added below, so only the rest of STEP_FRACTION is
             # computed here.
             jump = max(STEP_FRACTION - steady, 0.0) * cell
@@ -248,7 +258,9 @@ def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
     """
     for n in range(x.tendon.shape[1]):
         if c.tendon_int[h.HAS_SURPLUS, n] and x.tendon_int[s.REGIME, n] == SLACK_REGIME:
-            excursion = value_from_other_tendons(c, n, x.tendon[s.EXCURSION], c.tendon[h.EXPLAINED_OFFSET, n])
+            excursion = value_from_other_tendons(
+                c, n, x.tendon[s.EXCURSION], c.tendon[h.EXPLAINED_OFFSET, n]
+            )
             rate = value_from_other_tendons(c, n, x.tendon[s.EXCURSION_RATE], 0.0)
             if not math.isnan(excursion):
                 x.tendon[s.EXCURSION, n] = excursion
@@ -266,11 +278,15 @@ def _normalised_innovation_squared(innovation: Vector, information: Vector, blin
         return 2.0 * information[0] * innovation[0] * innovation[0]
     encoder = innovation[0]
     cell = innovation[1]
-    return (information[0] * encoder + information[1] * cell) * encoder + information[2] * (cell * cell)
+    return (information[0] * encoder + information[1] * cell) * encoder + information[2] * (
+        cell * cell
+    )
 
 
 @kernel_helper
-def _judge_consistency(x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool) -> None:
+def _judge_consistency(
+    x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool
+) -> None:
     """Average the normalised innovations squared (NIS), and judge whether the model of each tendon is consistent.
 
     NIS has a slow and a fast average. The slow average decides when the operator is informed. The
@@ -321,7 +337,9 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
     limit = NOISE_NIS_LIMIT if total < NOISE_NIS_LIMIT_OF_HAND * count else 0.0
     for n in range(count):
         left = max(x.tendon[s.ADDED_NOISE_S, n] - c.run[h.PERIOD], 0.0)
-        x.tendon[s.ADDED_NOISE_S, n] = MAX_ADDED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else left
+        x.tendon[s.ADDED_NOISE_S, n] = (
+            MAX_ADDED_NOISE_S if x.tendon[s.NIS_FAST, n] > limit else left
+        )
 
 
 @kernel_helper
@@ -404,7 +422,9 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
         regime = x.tendon_int[s.REGIME, n]
         cell = x.tendon[s.MEASURED_TENSION, n]
         # While a tendon is slack, the encoder alone determines the length that must still be wound.
-        near = regime == SLACK_REGIME and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
+        near = (
+            regime == SLACK_REGIME and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and is_nearly_taut(x, n)
+        )
         blind = c.tendon_int[h.CELL_GROUP, n] < 0
         points = x.tendon_int[s.REGIME_EVIDENCE, n]
         tension = filtered_tension(x, c, n)
@@ -433,7 +453,10 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
             side = c.tendon[h.CLOSING_SIGN, n]
             opened = c.tendon[h.OPEN_EXCURSION, n]
             stopped = _is_at_stop(
-                was, side * (x.tendon[s.EXCURSION, n] - opened), side * force[1, n], side * force[0, n]
+                was,
+                side * (x.tendon[s.EXCURSION, n] - opened),
+                side * force[1, n],
+                side * force[0, n],
             )
         x.tendon_int[s.ON_OPEN_STOP, n] = stopped
         if regime != SLACK_REGIME:
@@ -445,7 +468,11 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
                 x.tendon[s.EXCURSION, n] = opened
                 x.tendon[s.EXCURSION_RATE, n] = 0.0
                 changed = True
-            regime = HELD_REGIME if stopped or is_in_contact(x, c.tendon_int[h.DIGIT_OF_TENDON, n]) else FREE_REGIME
+            regime = (
+                HELD_REGIME
+                if stopped or is_in_contact(x, c.tendon_int[h.DIGIT_OF_TENDON, n])
+                else FREE_REGIME
+            )
         changed |= regime != x.tendon_int[s.REGIME, n]
         x.tendon_int[s.REGIME, n] = regime
     if changed:
@@ -508,7 +535,9 @@ def derive_estimate(x: Tables, c: ConstantTables) -> None:
         tension = filtered_tension(x, c, n)
         # A single tendon cannot push.
         x.tendon[s.TENSION, n] = tension if c.tendon_int[h.IS_SPOOL_PAIR, n] else max(tension, 0.0)
-        x.tendon[s.TENSION_SIGMA, n] = math.sqrt(c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_AT])
+        x.tendon[s.TENSION_SIGMA, n] = math.sqrt(
+            c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_AT]
+        )
         if x.run_int[s.COVARIANCE_PROPAGATED]:
             x.tendon[s.TENSION_SIGMA, n] = covariance.predicted_tension_sigma(x, c, n)
     write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])

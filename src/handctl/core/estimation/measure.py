@@ -30,7 +30,9 @@ def write_measurements(x: Tables, c: ConstantTables) -> None:
                 # When a load cell is overloaded, its amplifier may send NaN, or a number far
                 # outside of the range.
                 cell = c.run[h.CELL_HIGH] if cell >= c.run[h.CELL_HIGH] else c.run[h.CELL_LOW]
-            x.tendon[s.MEASURED_TENSION, n] = cell - (c.tendon[h.CELL_TARE, n] + x.tendon[s.PROGRAM_TARE, n])
+            x.tendon[s.MEASURED_TENSION, n] = cell - (
+                c.tendon[h.CELL_TARE, n] + x.tendon[s.PROGRAM_TARE, n]
+            )
             x.tendon_int[s.SATURATED, n] = saturated
     x.run_int[s.JOINTS_READ] = 0
     for j in range(x.joint.shape[1]):
@@ -160,14 +162,18 @@ def start_filter(x: Tables, c: ConstantTables) -> None:
     """
     for n in range(x.tendon.shape[1]):
         group = c.tendon_int[h.CELL_GROUP, n]
-        if (group >= 0 and x.group_int[s.GROUP_FRAMES, group] == 0) or math.isnan(x.tendon[s.POSITION, n]):
+        if (group >= 0 and x.group_int[s.GROUP_FRAMES, group] == 0) or math.isnan(
+            x.tendon[s.POSITION, n]
+        ):
             return
     for n in range(x.tendon.shape[1]):
         for state in range(7):
             x.tendon[s.TRAVEL + state, n] = 0.0
         x.tendon[s.EXCURSION, n] = c.tendon[h.OPEN_EXCURSION, n]
         x.tendon_int[s.ON_OPEN_STOP, n] = c.tendon_int[h.HAS_RETURN_SPRINGS, n]
-        x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]) * c.tendon[h.SPOOL_RADIUS, n]
+        x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.MOTOR_ZERO, n]) * c.tendon[
+            h.SPOOL_RADIUS, n
+        ]
         if c.run_int[h.HAS_CARRIER_ARMS]:
             # The tendons of a carrying digit come before the tendons of the digits that it carries,
             # so its angles are known here.

@@ -27,7 +27,12 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.statics import first_wrap, link_poses_of_hand, write_static_torque, write_tip_levers
+from handctl.core.estimation.statics import (
+    first_wrap,
+    link_poses_of_hand,
+    write_static_torque,
+    write_tip_levers,
+)
 from handctl.core.estimation.structure import keep_excursion
 from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_turned_levers
 
@@ -85,7 +90,9 @@ def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> No
     for d in range(x.digit.shape[1]):
         # The contact tension rises at once with the touch, and decays with the time constant
         # CONTACT_FADE_S.
-        x.digit[s.CONTACT_TENSION, d] = max(x.digit[s.TOUCH, d], x.digit[s.CONTACT_TENSION, d] * c.run[h.CONTACT_DECAY])
+        x.digit[s.CONTACT_TENSION, d] = max(
+            x.digit[s.TOUCH, d], x.digit[s.CONTACT_TENSION, d] * c.run[h.CONTACT_DECAY]
+        )
     update = k % c.run_int[h.POSTURE_TICKS] == 0
     columns = np.zeros((0, 0))
     if update:
@@ -108,8 +115,12 @@ def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]
     spread = np.zeros((joints, tendons))
     total = np.zeros(joints)
     for n in range(tendons):
-        stretch = square(x.tendon[s.TENSION, n] * STIFFNESS_ERROR_FRACTION) + square(x.tendon[s.TENSION_SIGMA, n])
-        variance = c.tendon[h.EXCURSION_VARIANCE, n] + stretch / square(c.tendon[h.TENDON_STIFFNESS, n])
+        stretch = square(x.tendon[s.TENSION, n] * STIFFNESS_ERROR_FRACTION) + square(
+            x.tendon[s.TENSION_SIGMA, n]
+        )
+        variance = c.tendon[h.EXCURSION_VARIANCE, n] + stretch / square(
+            c.tendon[h.TENDON_STIFFNESS, n]
+        )
         if c.run_int[h.HAS_CARRIER_ARMS]:
             # Add the error by the angles of carriers. The tendons of carriers come first, so
             # ``total`` contains this error already.
@@ -139,7 +150,9 @@ def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
         mean = 0.0
         for place in range(places):
             mean += c.place_joint[h.PLACE_WEIGHT, place, j] * turns[place, j]
-        turn = x.joint[s.CONTACT_TURN, j] + c.run[h.TURN_FRACTION] * (mean - x.joint[s.CONTACT_TURN, j])
+        turn = x.joint[s.CONTACT_TURN, j] + c.run[h.TURN_FRACTION] * (
+            mean - x.joint[s.CONTACT_TURN, j]
+        )
         x.joint[s.CONTACT_TURN, j] = turn
         for place in range(places):
             root = math.sqrt(c.place_joint[h.PLACE_WEIGHT, place, j])
@@ -149,7 +162,10 @@ def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
             columns[places + place, j] = root * deviation[place, j]
     for row in range(places, 2 * places + 2):
         for d in range(x.digit.shape[1]):
-            fraction = max(_range_fraction(x, c, d, columns[row], 1.0), _range_fraction(x, c, d, columns[row], -1.0))
+            fraction = max(
+                _range_fraction(x, c, d, columns[row], 1.0),
+                _range_fraction(x, c, d, columns[row], -1.0),
+            )
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
                 columns[row, j] *= fraction
     for j in range(joints):
@@ -289,7 +305,9 @@ def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
 
 
 @kernel_helper
-def _fuse_encoders(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int) -> None:
+def _fuse_encoders(
+    x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int
+) -> None:
     """Correct the joint angles by the joint encoders, one after the other.
 
     This is exact, because the noise of each encoder is independent of the others.
@@ -370,7 +388,9 @@ def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
         length = c.joint[h.LINK_TABLE + LENGTH_ROW, last]
         write_tip_levers(c, d, pose, about)
         _reduce_levers(c, d, about, lever)
-        force = _dot_over_coordinates(c, d, lever, torque) / _dot_over_coordinates(c, d, lever, lever)
+        force = _dot_over_coordinates(c, d, lever, torque) / _dot_over_coordinates(
+            c, d, lever, lever
+        )
         x.digit[s.TIP_FORCE, d] = force
         x.digit[s.TIP_FORCE_SIGMA, d] = 0.0
         for j in range(first, last + 1):
@@ -379,7 +399,11 @@ def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
                 about_turned[i] = about[i]
             write_turned_levers(pose, first, last, length, j, x.joint[s.Q_SIGMA, j], about_turned)
             _reduce_levers(c, d, about_turned, turned)
-            change = _dot_over_coordinates(c, d, turned, torque) / _dot_over_coordinates(c, d, turned, turned) - force
+            change = (
+                _dot_over_coordinates(c, d, turned, torque)
+                / _dot_over_coordinates(c, d, turned, turned)
+                - force
+            )
             x.digit[s.TIP_FORCE_SIGMA, d] += square(change)
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
@@ -389,7 +413,11 @@ def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
             + square(MODEL_ERROR_FRACTION * x.tendon[s.EXTERNAL_TENSION, n])
         )
         arms = c.tendon_coordinate[h.REDUCED_ARMS, n]
-        change = _dot_over_coordinates(c, d, lever, arms) * error / _dot_over_coordinates(c, d, lever, lever)
+        change = (
+            _dot_over_coordinates(c, d, lever, arms)
+            * error
+            / _dot_over_coordinates(c, d, lever, lever)
+        )
         x.digit[s.TIP_FORCE_SIGMA, d] += square(change)
     for d in range(x.digit.shape[1]):
         x.digit[s.TIP_FORCE_SIGMA, d] = math.sqrt(x.digit[s.TIP_FORCE_SIGMA, d])

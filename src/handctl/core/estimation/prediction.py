@@ -12,7 +12,9 @@ with deferred_imports():
     from filterpy.kalman import predict_steadystate
 
 
-def predict_filter_states(model: HandModel, layout: BlockLayout, block: BlockArray, missed: int = 0) -> None:
+def predict_filter_states(
+    model: HandModel, layout: BlockLayout, block: BlockArray, missed: int = 0
+) -> None:
     """Predict the states of all tendons to the next tick.
 
     Missed ticks are predicted with the motor force of the last tick, and without a planned change

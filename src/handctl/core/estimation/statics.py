@@ -35,14 +35,21 @@ def write_static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
     """
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
     rigid_body.write_weight_torques(
-        c.joint, h.LINK_TABLE, c.joint_int[h.PARENT_JOINT], gravity, link_poses_of_hand(c, q), torque
+        c.joint,
+        h.LINK_TABLE,
+        c.joint_int[h.PARENT_JOINT],
+        gravity,
+        link_poses_of_hand(c, q),
+        torque,
     )
     for j in range(len(q)):
         torque[j] += c.joint[h.SPRING_STIFFNESS, j] * (q[j] + c.joint[h.SPRING_PRELOAD, j])
 
 
 @kernel_helper
-def pulley_torque(c: ConstantTables, n: int, arm: float, tension: float, developed: float, wrapped: float) -> float:
+def pulley_torque(
+    c: ConstantTables, n: int, arm: float, tension: float, developed: float, wrapped: float
+) -> float:
     """Return the torque of tendon n about the joint of a pulley, less the effect of friction [N m].
 
     Args:
@@ -63,7 +70,9 @@ def pulley_torque(c: ConstantTables, n: int, arm: float, tension: float, develop
 
 
 @kernel_helper
-def subtract_passing_torque(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, torque: Vector) -> None:
+def subtract_passing_torque(
+    c: ConstantTables, q: Vector, tension: Vector, developed: Vector, torque: Vector
+) -> None:
     """Subtract the torques of passing tendons from the joint torques (J,) that the tendons of carriers must make.
 
     A passing tendon belongs to a digit, and passes a joint of the carrier of this digit, for
@@ -110,7 +119,11 @@ def write_tip_levers(c: ConstantTables, d: int, pose: Matrix, lever: Vector) -> 
     """Write the levers (J,) of a force at a digit's tip about its joints [m], see ``rigid_body.write_levers``."""
     last = c.digit_int[h.JOINTS_END, d] - 1
     rigid_body.write_levers(
-        pose, c.digit_int[h.JOINTS_FIRST, d], last, c.joint[h.LINK_TABLE + rigid_body.LENGTH_ROW, last], lever
+        pose,
+        c.digit_int[h.JOINTS_FIRST, d],
+        last,
+        c.joint[h.LINK_TABLE + rigid_body.LENGTH_ROW, last],
+        lever,
     )
 
 
@@ -125,7 +138,9 @@ def write_tensions_for_torque(c: ConstantTables, torque: Vector, tension: Vector
 
 
 @kernel_helper
-def write_tensions_at_joints(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, result: Vector) -> None:
+def write_tensions_at_joints(
+    c: ConstantTables, q: Vector, tension: Vector, developed: Vector, result: Vector
+) -> None:
     """Write the tensions at the joints, less friction.
 
     Without friction, the result would make the same joint torques as the tensions at the load cells

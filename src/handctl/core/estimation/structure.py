@@ -109,7 +109,11 @@ def motor_speed(x: Tables, c: ConstantTables, n: int) -> float:
 @kernel_helper
 def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
     """Return the derivative of tendon n's moment arm with respect to the angle of joint j [m/rad]."""
-    if not c.tendon_int[h.HAS_VARYING_ARM, n] or q < c.joint[h.JOINT_MIN, j] or q > c.joint[h.JOINT_MAX, j]:
+    if (
+        not c.tendon_int[h.HAS_VARYING_ARM, n]
+        or q < c.joint[h.JOINT_MIN, j]
+        or q > c.joint[h.JOINT_MAX, j]
+    ):
         return 0.0
     value = 0.0
     for order in range(POLYNOMIAL_COEFFICIENTS - 1, 0, -1):
@@ -178,7 +182,10 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
         for k in range(count):
             reduced = 0.0
             for j in range(joints[0], joints[1]):
-                reduced += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint_coordinate[h.COUPLING, j, first + k]
+                reduced += (
+                    c.tendon_joint[h.MOMENT_ARMS, n, j]
+                    * c.joint_coordinate[h.COUPLING, j, first + k]
+                )
             c.tendon_coordinate[h.REDUCED_ARMS, n, first + k] = reduced
         for k in range(count):
             for other in range(count):
@@ -193,12 +200,16 @@ def _write_structure(c: ConstantTables, d: int, q: Vector) -> None:
                 for other in range(count):
                     product = c.joint_coordinate[h.COUPLING, j, first + k] * gram[k, other]
                     angle += product * c.tendon_coordinate[h.REDUCED_ARMS, n, first + other]
-            c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint[h.TORQUE_TO_TENSION, n, j] = angle
+            c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] = c.tendon_joint[
+                h.TORQUE_TO_TENSION, n, j
+            ] = angle
             c.joint[h.ANGLE_OFFSET, j] -= angle * rest[n - tendons[0]]
     for n in range(tendons[0], tendons[1]):
         c.tendon[h.EXPLAINED_OFFSET, n] = rest[n - tendons[0]]
         for j in range(joints[0], joints[1]):
-            c.tendon[h.EXPLAINED_OFFSET, n] += c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]
+            c.tendon[h.EXPLAINED_OFFSET, n] += (
+                c.tendon_joint[h.MOMENT_ARMS, n, j] * c.joint[h.ANGLE_OFFSET, j]
+            )
 
 
 @kernel_helper
@@ -209,17 +220,24 @@ def _write_weights(c: ConstantTables, d: int) -> None:
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             total += abs(c.tendon_joint[h.MOMENT_ARMS, n, j])
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-            c.tendon_joint[h.PULLEY_WEIGHTS, n, j] = abs(c.tendon_joint[h.MOMENT_ARMS, n, j]) / total
+            c.tendon_joint[h.PULLEY_WEIGHTS, n, j] = (
+                abs(c.tendon_joint[h.MOMENT_ARMS, n, j]) / total
+            )
             torque = 0.0
             for i in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-                torque += c.joint_joint[h.COORDINATE_PROJECTION, j, i] * c.tendon_joint[h.MOMENT_ARMS, n, i]
+                torque += (
+                    c.joint_joint[h.COORDINATE_PROJECTION, j, i]
+                    * c.tendon_joint[h.MOMENT_ARMS, n, i]
+                )
             c.joint_tendon[h.POSTURE_TORQUE, j, n] = torque
         mean = c.tendon[h.MEAN_BALANCE, n]
         if c.tendon_int[h.HAS_SURPLUS, n] and mean > 0.0:
             # The new balance tension is the part of the mean one that makes no torque with the
             # present moment arms.
             balance = mean - part_explained_by_motion(c, n, c.tendon[h.MEAN_BALANCE])
-            c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(balance, MIN_BALANCE_FRACTION * mean)
+            c.tendon[h.BALANCE_TENSION, n] = c.tendon[h.RELAXED_TENSION, n] = max(
+                balance, MIN_BALANCE_FRACTION * mean
+            )
 
 
 @kernel_helper
@@ -247,7 +265,9 @@ def _write_compliance(c: ConstantTables, d: int) -> None:
             value = soft[i] if i == j else 0.0
             for a in range(count):
                 for b in range(count):
-                    product = soft[i] * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, i] * stiff[a, b]
+                    product = (
+                        soft[i] * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + a, i] * stiff[a, b]
+                    )
                     value -= product * c.tendon_joint[h.MOMENT_ARMS, tendons[0] + b, j] * soft[j]
             c.joint_joint[h.COMPLIANCE, i, j] = value
 

@@ -45,7 +45,9 @@ RANGE_MARGIN_M = 1e-3
 
 
 @kernel_helper
-def regime_evidence(regime: int, points: int, tension: float, cell: float, error: float, near: bool) -> int:
+def regime_evidence(
+    regime: int, points: int, tension: float, cell: float, error: float, near: bool
+) -> int:
     """Return the evidence that a regime ends: points for a slack tendon, or ticks in a row for a taut tendon.
 
     A missing load-cell sample sets the number of ticks to 0, and does not change the points.
@@ -104,7 +106,10 @@ def regime_evidence_without_cell(regime: int, points: int, tension: float, missi
 @kernel_helper
 def is_nearly_taut(x: Tables, n: int) -> bool:
     """Return True if the encoder shows that a slack tendon of known length is nearly taut."""
-    return x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n] > -NEARLY_TAUT_M
+    return (
+        x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
+        > -NEARLY_TAUT_M
+    )
 
 
 @kernel_helper

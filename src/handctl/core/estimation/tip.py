@@ -19,7 +19,9 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
         q: (n,) joint angles [rad].
     """
     last = digit.joint_count - 1
-    return rigid_body.tip_levers(digit.table, digit.parent, np.asarray(q), last, digit.lengths[last])
+    return rigid_body.tip_levers(
+        digit.table, digit.parent, np.asarray(q), last, digit.lengths[last]
+    )
 
 
 def reduced_tip_lever(digit: DigitModel, q: Vector) -> Vector:

@@ -91,7 +91,9 @@ def gain_bounds() -> Mapping[str, GainBounds]:
             key = f"{section}.{name}"
             whole = field.annotation is int
             why = key_description(model, name)
-            result[key] = GainBounds(key, low, high, open_low, field.default, whole, section in LIVE_SECTIONS, why)
+            result[key] = GainBounds(
+                key, low, high, open_low, field.default, whole, section in LIVE_SECTIONS, why
+            )
     return result
 
 
@@ -122,10 +124,17 @@ def bound_of(key: str) -> GainBounds | None:
 
 def values_by_key(gains: Gains) -> dict[str, float]:
     """Return the value of every key, including the keys for forces of single tendons."""
-    values = {key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2]) for key in gain_bounds()}
+    values = {
+        key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2])
+        for key in gain_bounds()
+    }
     for one in gains.tendon:
         forces = {field: getattr(one, field) for field in SHARED_KEYS}
-        values |= {f"{TENDON_SECTION}.{one.name}.{field}": force for field, force in forces.items() if force}
+        values |= {
+            f"{TENDON_SECTION}.{one.name}.{field}": force
+            for field, force in forces.items()
+            if force
+        }
     return values
 
 
@@ -149,7 +158,9 @@ def _value_of(values: Mapping[str, float], key: str) -> float:
     return values[parts.shared] if parts and key not in values else values[key]
 
 
-def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bool = False) -> Gains:
+def with_values(
+    gains: Gains, values: Mapping[str, float], source: str, live: bool = False
+) -> Gains:
     """Return a copy of gains with some values replaced. All new values are checked first.
 
     Args:
@@ -167,7 +178,9 @@ def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bo
         bound = checked_bound(key, value, source)
         if live and not bound.live:
             right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
-            raise ConfigError("is designed before arming and cannot change in a run", f"{source}: {key}", right)
+            raise ConfigError(
+                "is designed before arming and cannot change in a run", f"{source}: {key}", right
+            )
         if parts := tendon_key(key):
             _set_tendon_force(content, parts, float(value))
             continue

@@ -86,7 +86,9 @@ Their order is that of the kinds 3 and 4.
 """
 
 
-def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix) -> FilterDesign:
+def design_filter(
+    space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix
+) -> FilterDesign:
     """Design the filter of each tendon in each regime. Equal tendons share a design.
 
     Args:
@@ -106,9 +108,13 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
         if kind not in made:
             with solver_failures_as_errors("filter"):
                 certain = tuple(
-                    _design_block(space, i, (regime, False), gains, period, joints) for regime in TendonRegime
+                    _design_block(space, i, (regime, False), gains, period, joints)
+                    for regime in TendonRegime
                 )
-                adds_noise = (_design_block(space, i, (regime, True), gains, period, joints) for regime in TAUT_REGIMES)
+                adds_noise = (
+                    _design_block(space, i, (regime, True), gains, period, joints)
+                    for regime in TAUT_REGIMES
+                )
                 made[kind] = (
                     *certain,
                     *adds_noise,
@@ -152,8 +158,16 @@ def _continuous_model(
 def _motor_noise(regime: TendonRegime, gains: FilterGains) -> tuple[float, float, float]:
     """Return the disturbance force on the motor [N], its correlation time [s], and the white noise of the force [N]."""
     if regime == TendonRegime.HELD:
-        return gains.held_disturbance_N, gains.held_disturbance_time_s, gains.held_acceleration_noise_N
-    return gains.motor_disturbance_N, gains.motor_disturbance_time_s, gains.motor_acceleration_noise_N
+        return (
+            gains.held_disturbance_N,
+            gains.held_disturbance_time_s,
+            gains.held_acceleration_noise_N,
+        )
+    return (
+        gains.motor_disturbance_N,
+        gains.motor_disturbance_time_s,
+        gains.motor_acceleration_noise_N,
+    )
 
 
 def _process_noise(space: TendonSpace, i: int, regime: TendonRegime, gains: FilterGains) -> Matrix:
@@ -195,7 +209,9 @@ def _add_noise(Q: Matrix, stiffness: float, regime: TendonRegime) -> None:
     Q[S, S] += ((ADDED_TENSION_WALK if free else ADDED_HELD_TENSION_WALK) / stiffness) ** 2
 
 
-def _discretise_model(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix, Matrix, Matrix]:
+def _discretise_model(
+    A: Matrix, B: Matrix, Q: Matrix, period: float
+) -> tuple[Matrix, Matrix, Matrix]:
     """Return the zero-order hold of A and B, and the discrete covariance of Q.
 
     Source: van Loan (1978).
@@ -210,7 +226,12 @@ def _discretise_model(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[M
 
 
 def _design_block(
-    space: TendonSpace, i: int, kind: tuple[TendonRegime, bool], gains: FilterGains, period: float, joint_period: float
+    space: TendonSpace,
+    i: int,
+    kind: tuple[TendonRegime, bool],
+    gains: FilterGains,
+    period: float,
+    joint_period: float,
 ) -> FilterBlock:
     """Return the filter of a tendon for one kind of design: a regime, and True if noise is added.
 
@@ -250,17 +271,25 @@ def _design_block(
     # The load-cell error is a consider state: it is corrected only if it is observable.
     K[E] *= known
     H[1, E] = 1.0
-    K[S, 2] = 1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
+    K[S, 2] = (
+        1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
+    )
     # Travel and tension determine the sum of excursion and offset, so the offset changes by the
     # opposite amount.
     K[O, 2] = -K[S, 2]
-    drift = 0.0 if known or read == 1 else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
+    drift = (
+        0.0
+        if known or read == 1
+        else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
+    )
     variance = float(tension @ P @ tension) + drift  # 0 for a slack tendon, whose tension row is 0
     information = np.zeros((2, 2))
     information[:read, :read] = np.linalg.inv(innovation[:read, :read])
     sigma = math.sqrt(innovation[1, 1])
     finite_or_error(F, held, K, P, information)
-    return FilterBlock(F, held, H, K, Q, noise**2, P, known, drift, tension, variance, information, sigma)
+    return FilterBlock(
+        F, held, H, K, Q, noise**2, P, known, drift, tension, variance, information, sigma
+    )
 
 
 def _solve_riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
@@ -271,6 +300,9 @@ def _solve_riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     scale = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
     rows = 1.0 / np.sqrt(np.diag(R))
     P = solve_covariance(
-        F * scale / scale[:, None], H * scale * rows[:, None], Q / np.outer(scale, scale), np.eye(len(rows))
+        F * scale / scale[:, None],
+        H * scale * rows[:, None],
+        Q / np.outer(scale, scale),
+        np.eye(len(rows)),
     )
     return P * np.outer(scale, scale)

@@ -149,7 +149,9 @@ class Gains(Document):
     def _refuse_repeated_names(self) -> "Gains":
         names = [one.name for one in self.tendon]
         if repeated := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"tendon {repeated[0]!r} is there twice, expected one entry for each tendon")
+            raise ValueError(
+                f"tendon {repeated[0]!r} is there twice, expected one entry for each tendon"
+            )
         return self
 
     def forces_of(self, tendon: str) -> tuple[float, float]:
@@ -236,6 +238,8 @@ def load_gains_file(path: Path) -> GainsFile:
 def gains_text(gains: Gains, provenance: GainsProvenance) -> str:
     """Return the text of a gains file with every value, defaults included."""
     every = provenance.model_dump()
-    given = {key: value for key, value in every.items() if value or (key == "restores" and value == 0)}
+    given = {
+        key: value for key, value in every.items() if value or (key == "restores" and value == 0)
+    }
     content = gains.model_dump(by_alias=True, include=set(Gains.model_fields))
     return toml_text(content | ({"provenance": given} if given else {}))

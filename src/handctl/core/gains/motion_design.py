@@ -67,7 +67,8 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
     """
     check_tendon_names(gains, space.names)
     return design_from_pieces(
-        space, [design_piece(space, gains, period, piece) for piece in range(design_piece_count(space))]
+        space,
+        [design_piece(space, gains, period, piece) for piece in range(design_piece_count(space))],
     )
 
 
@@ -132,7 +133,9 @@ def _design_motion_loop(space: TendonSpace, i: int, gains: Gains, period: float)
     A = np.array([[0.0, 1.0], [0.0, 0.0]])
     B = np.array([[0.0], [1.0 / mass]])
     force = largest_force_weight(gains.forces_of(space.names[i])[0], period)
-    return _sampled_lqr_gain(A, B, [weights.position_error_m, weights.speed_error_m_s], force, period)
+    return _sampled_lqr_gain(
+        A, B, [weights.position_error_m, weights.speed_error_m_s], force, period
+    )
 
 
 def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
@@ -147,4 +150,6 @@ def _design_tension_loop(space: TendonSpace, i: int, gains: Gains, period: float
     A = np.array([[0.0, k], [-1.0 / mass, -b / mass]])
     B = np.array([[0.0], [1.0 / mass]])
     force = largest_force_weight(gains.forces_of(space.names[i])[1], period)
-    return _sampled_lqr_gain(A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period)
+    return _sampled_lqr_gain(
+        A, B, [weights.tension_error_N, weights.speed_error_m_s], force, period
+    )

@@ -25,9 +25,15 @@ def solver_failures_as_errors(section: str) -> Iterator[None]:
     try:
         with np.errstate(all="ignore"):
             yield
-    except (ValueError, ArithmeticError, TypeError) as error:  # the errors of scipy, numpy and control
+    except (
+        ValueError,
+        ArithmeticError,
+        TypeError,
+    ) as error:  # the errors of scipy, numpy and control
         right = "weights nearer to the packaged ones (handctl gains show)"
-        raise ConfigError("no controller follows from these values", f"gains: {section}", right) from error
+        raise ConfigError(
+            "no controller follows from these values", f"gains: {section}", right
+        ) from error
 
 
 def finite_or_error(*solutions: NDArray[np.float64]) -> None:

@@ -20,7 +20,9 @@ The weight is so small that it only selects one of several solutions with equal 
 """
 
 
-def tensions_for_torque(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector) -> tuple[Vector, Vector]:
+def tensions_for_torque(
+    moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
+) -> tuple[Vector, Vector]:
     """Return the tensions of a digit that make a torque, and the part of the torque that they do not make.
 
     Args:
@@ -34,7 +36,9 @@ def tensions_for_torque(moment_arms: Vector, torque: Vector, floor: Vector, ceil
     """
     tension = _unique_solution(moment_arms, torque)
     if tension is None or (tension < floor).any() or (tension > ceiling).any():
-        tension = solve_bounded(moment_arms, torque, floor, ceiling, floor if tension is None else tension)
+        tension = solve_bounded(
+            moment_arms, torque, floor, ceiling, floor if tension is None else tension
+        )
     return tension, torque - moment_arms.T @ tension
 
 
@@ -88,7 +92,9 @@ def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
     return problem
 
 
-def solve_bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, near: Vector) -> Vector:
+def solve_bounded(
+    moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, near: Vector
+) -> Vector:
     """Return the tensions (n_t,) within the bounds that solve the quadratic program, by daqp.
 
     Args:
@@ -106,5 +112,7 @@ def solve_bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: V
     linear = -(arms.dot(torque / mean) + REGULARISATION * floor)
     start = np.minimum(np.maximum(near, floor), ceiling)
     # Bounds and weights are copied, because daqp may write into its arguments.
-    result = solve(weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start)
+    result = solve(
+        weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start
+    )
     return np.minimum(np.maximum(np.asarray(result[0], dtype=np.float64), floor), ceiling)

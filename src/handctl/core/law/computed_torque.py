@@ -31,7 +31,13 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.estimation.statics import part_explained_by_motion, winding_efficiency
-from handctl.core.estimation.structure import arm_slope, carrier_excursion, joint_excursion, moment_arm, motor_speed
+from handctl.core.estimation.structure import (
+    arm_slope,
+    carrier_excursion,
+    joint_excursion,
+    moment_arm,
+    motor_speed,
+)
 from handctl.core.estimation.take_up import SLACK_BELOW_N, SLACK_REGIME
 from handctl.core.estimation.touch import MAX_PRESS_N
 from handctl.core.law.friction_band import predict_moving_tension
@@ -82,9 +88,9 @@ def command_no_torque(x: Tables, c: ConstantTables) -> None:
     begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
         x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
-        x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_FORCE, n] = x.tendon[s.PLANNED_TENSION, n] = x.tendon[
-            s.PLANNED_TENSION_RATE, n
-        ] = 0.0
+        x.tendon[s.TENSION_INTEGRAL, n] = x.tendon[s.FILTER_FORCE, n] = x.tendon[
+            s.PLANNED_TENSION, n
+        ] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
         x.tendon[s.TRIM, n] = x.tendon[s.TORQUE, n] = 0.0
         x.tendon[s.TENSION_GOAL, n] = x.tendon[s.FRICTION_STATE, n] = math.nan
     for j in range(x.joint.shape[1]):
@@ -256,7 +262,9 @@ def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carr
         # The travel in the filter excludes the motion of carriers, so the force for this motion is
         # subtracted.
         x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_MASS, n] * carried
-        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(c, n, x.joint[s.DQ])
+        x.tendon[s.FILTER_FORCE, n] -= c.tendon[h.MOTOR_DAMPING, n] * carrier_excursion(
+            c, n, x.joint[s.DQ]
+        )
 
 
 @kernel_helper
@@ -277,7 +285,10 @@ def _write_joint_torques(x: Tables, c: ConstantTables, way: Matrix, load: Vector
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.MOMENT_ARMS, n, j]
-            if x.tendon_int[s.GOAL_KIND, n] == MOTION and c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+            if (
+                x.tendon_int[s.GOAL_KIND, n] == MOTION
+                and c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0
+            ):
                 x.joint[s.Q_GOAL, j] = way[0, j]
                 x.joint[s.DQ_GOAL, j] = way[1, j]
         if c.run_int[h.HAS_CARRIER_ARMS]:
@@ -286,7 +297,9 @@ def _write_joint_torques(x: Tables, c: ConstantTables, way: Matrix, load: Vector
 
 
 @kernel_helper
-def _relaxing_force(x: Tables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool) -> float:
+def _relaxing_force(
+    x: Tables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool
+) -> float:
     """Return the motor force of a relaxing hand [N]: limited by the envelope, or in open loop the envelope itself.
 
     Args:
@@ -305,7 +318,9 @@ def _relaxing_force(x: Tables, c: ConstantTables, n: int, force: float, ceiling:
 
 
 @kernel_helper
-def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> tuple[Vector, Matrix, Matrix]:
+def _motion_terms(
+    x: Tables, c: ConstantTables, way: Matrix, limit: Vector
+) -> tuple[Vector, Matrix, Matrix]:
     """Return pulley efficiency (N,), tension goal and feedback (2, N) [N], null-space force and integral (2, N) [N].
 
     The feedback accelerates rotor and digit. All terms are 0 for tendons that follow no trajectory.
@@ -331,9 +346,18 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
             surplus = True
             # If no motion of the digit explains a part of the excursions, this part is an error of
             # tendon length. It gets no feedback.
-            place = part_explained_by_motion(c, n, x.tendon[s.EXCURSION]) + c.tendon[h.EXPLAINED_OFFSET, n]
-        feedback = x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
-        feedback += x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SPEED_GAIN, n] * (rate - x.tendon[s.SPEED, n])
+            place = (
+                part_explained_by_motion(c, n, x.tendon[s.EXCURSION])
+                + c.tendon[h.EXPLAINED_OFFSET, n]
+            )
+        feedback = (
+            x.tendon[s.STIFFNESS_FRACTION, n] * c.tendon[h.ERROR_GAIN, n] * (excursion - place)
+        )
+        feedback += (
+            x.tendon[s.DAMPING_FRACTION, n]
+            * c.tendon[h.SPEED_GAIN, n]
+            * (rate - x.tendon[s.SPEED, n])
+        )
         counted = c.run[h.FRICTION_FRACTION]
         # Tension behind the pulleys, as a fraction of the tension before them: the efficiency while
         # the tendon is wound, and 1 / efficiency while it is paid out.
@@ -341,10 +365,14 @@ def _motion_terms(x: Tables, c: ConstantTables, way: Matrix, limit: Vector) -> t
         passed = (1.0 - counted) + counted * math.pow(efficiency[n], winding)
         ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
-            required = net_tension_at_spool(x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], passed)
+            required = net_tension_at_spool(
+                x.tendon[s.REQUIRED_TENSION, n], c.tendon[h.PRETENSION, n], passed
+            )
             terms[0, n] = min(max(required, -ceiling), ceiling)
         else:
-            terms[0, n] = min(max(x.tendon[s.REQUIRED_TENSION, n] / passed, c.tendon[h.TENSION_FLOOR, n]), ceiling)
+            terms[0, n] = min(
+                max(x.tendon[s.REQUIRED_TENSION, n] / passed, c.tendon[h.TENSION_FLOOR, n]), ceiling
+            )
         terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * feedback
         if _is_moved_by_drive(x, c, n):
             terms[1, n] = servo_force(x, c, n, excursion, rate, terms[0, n])
@@ -359,7 +387,9 @@ def _takes_up_slack(x: Tables, c: ConstantTables, n: int) -> bool:
     """Return True for a slack tendon of a streamed digit. A spool pair is never slack."""
     if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
         return False
-    return x.tendon_int[s.REGIME, n] == SLACK_REGIME or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
+    return (
+        x.tendon_int[s.REGIME, n] == SLACK_REGIME or x.tendon[s.MEASURED_TENSION, n] < SLACK_BELOW_N
+    )
 
 
 @kernel_helper
@@ -375,7 +405,9 @@ def _take_up_speed(rate: float) -> float:
 
 
 @kernel_helper
-def _take_up_slack(x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, internal: Matrix) -> None:
+def _take_up_slack(
+    x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, internal: Matrix
+) -> None:
     """Replace the feedback on slack tendons of streamed digits, so that their spools wind at a low speed.
 
     A slack tendon does not move its digit. Feedback of the position could pay the tendon out
@@ -442,12 +474,22 @@ def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: fl
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0
     friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
-    return friction + c.tendon[h.MOTOR_DAMPING, n] * rate + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
+    return (
+        friction
+        + c.tendon[h.MOTOR_DAMPING, n] * rate
+        + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
+    )
 
 
 @kernel_helper
 def _motion_force(
-    x: Tables, c: ConstantTables, n: int, tension: float, feedback: float, rate: float, acceleration: float
+    x: Tables,
+    c: ConstantTables,
+    n: int,
+    tension: float,
+    feedback: float,
+    rate: float,
+    acceleration: float,
 ) -> float:
     """Return the motor force of a moving tendon by computed torque [N], and write its tension goal.
 
@@ -472,7 +514,9 @@ def _motion_force(
         tension
         + feedback
         + c.tendon[h.FEEDFORWARD_MASS, n] * acceleration
-        - x.tendon[s.STIFFNESS_FRACTION, n] * c.run[h.DISTURBANCE_REJECTION] * x.tendon[s.DISTURBANCE, n]
+        - x.tendon[s.STIFFNESS_FRACTION, n]
+        * c.run[h.DISTURBANCE_REJECTION]
+        * x.tendon[s.DISTURBANCE, n]
         + inner_gain * (tension - x.tendon[s.TENSION, n])
         + counted * c.tendon[h.MOTOR_DAMPING, n] * speed
         + counted * c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
@@ -480,7 +524,9 @@ def _motion_force(
 
 
 @kernel_helper
-def _tension_force(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, float, float]:
+def _tension_force(
+    x: Tables, c: ConstantTables, n: int, limit: float
+) -> tuple[float, float, float]:
     """Return motor force, setpoint and integral of the tension loop [N].
 
     Args:
@@ -525,7 +571,9 @@ def _feedforward_force(x: Tables, c: ConstantTables, n: int) -> float:
     acceleration = 0.0
     for k in range(x.coordinate.shape[1]):
         speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 1, k]
-        acceleration += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
+        acceleration += (
+            c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
+        )
     friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED)
     feedforward = friction + c.tendon[h.MOTOR_MASS, n] * acceleration
     return feedforward + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
@@ -549,7 +597,9 @@ def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) 
     It is computed by the implicit midpoint rule, so that friction can stop a rotor within a period,
     but cannot reverse it.
     """
-    coasting = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (command_force - x.tendon[s.TENSION, n])
+    coasting = motor_speed(x, c, n) + c.tendon[h.HALF_PERIOD_SPEED, n] * (
+        command_force - x.tendon[s.TENSION, n]
+    )
     return c.tendon[h.MOTOR_COULOMB, n] * math.tanh(coasting / c.tendon[h.FRICTION_STOP_SPEED, n])
 
 

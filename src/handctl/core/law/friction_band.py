@@ -31,7 +31,9 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 
 
 @kernel_helper
-def predict_moving_tension(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: float) -> None:
+def predict_moving_tension(
+    x: Tables, c: ConstantTables, n: int, rate: float, efficiency: float
+) -> None:
     """Write the tension of a moving tendon a period from now, its rate of change, and the development of friction.
 
     Args:
@@ -90,7 +92,9 @@ def tension_after_period(
 
 
 @kernel_helper
-def _predict_pair_tension(x: Tables, c: ConstantTables, n: int, coming: float, efficiency: float, wound: float) -> None:
+def _predict_pair_tension(
+    x: Tables, c: ConstantTables, n: int, coming: float, efficiency: float, wound: float
+) -> None:
     """Write the results of ``predict_moving_tension`` for a spool pair.
 
     At both edges of the friction band, one tendon of the pair is wound, and the other is paid out.

@@ -12,7 +12,9 @@ from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, BlockLayout
 
 
-def write_goals(model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...]) -> None:
+def write_goals(
+    model: HandModel, layout: BlockLayout, block: BlockArray, goals: tuple[DigitGoal, ...]
+) -> None:
     """Write the goals of all digits into the state block.
 
     Args:
@@ -26,7 +28,9 @@ def write_goals(model: HandModel, layout: BlockLayout, block: BlockArray, goals:
     kinds = layout.table(block, "tendon_int")[s.GOAL_KIND]
     ways = layout.table(block, "digit_int")[s.TRAJECTORY_KIND]
     way = layout.table(block, "coordinate")
-    for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)):
+    for d, (goal, tendons, places) in enumerate(
+        zip(goals, model.digit_tendons, model.digit_coordinates, strict=True)
+    ):
         kinds[tendons] = int(_kind_of_control(goal))
         if goal.kind == GoalKind.TENSION and goal.trajectory is not None:
             # Spool pairs that move the digit sideways hold their position while the other tendons
@@ -67,15 +71,20 @@ def sample_trajectories(
 ) -> None:
     """Write position, rate and acceleration at time t [s] of trajectories that compiled code cannot evaluate."""
     for trajectory, since, places in sampled_goals(model, goals):
-        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = trajectory.at(t - since)
+        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = trajectory.at(
+            t - since
+        )
 
 
 @functools.lru_cache(maxsize=16)
-def sampled_goals(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Trajectory, float, slice], ...]:
+def sampled_goals(
+    model: HandModel, goals: tuple[DigitGoal, ...]
+) -> tuple[tuple[Trajectory, float, slice], ...]:
     """Return trajectory, start time [s] and slice of coordinates of each goal whose trajectory Python samples."""
     rows = zip(goals, model.digit_coordinates, strict=True)
     return tuple(
         (goal.trajectory, goal.since, places)
         for goal, places in rows
-        if goal.trajectory is not None and not isinstance(goal.trajectory, MinimumJerk | StreamedTrajectory)
+        if goal.trajectory is not None
+        and not isinstance(goal.trajectory, MinimumJerk | StreamedTrajectory)
     )

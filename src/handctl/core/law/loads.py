@@ -19,7 +19,11 @@ from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 
 def write_tension_goals(
-    model: HandModel, layout: BlockLayout, constants: HandConstants, block: BlockArray, action: int = 0
+    model: HandModel,
+    layout: BlockLayout,
+    constants: HandConstants,
+    block: BlockArray,
+    action: int = 0,
 ) -> None:
     """Evaluate the goals of all digits, and write the required tensions of all moving tendons.
 
@@ -36,7 +40,9 @@ def write_tension_goals(
     if model.inverse is not required_torque:  # an experiment has replaced the inverse dynamics
         way = stages.joint_motion(block, layout.places, *constants_in)
         for digit in model.digits:
-            required[digit.joints] = model.inverse(digit, *(row[digit.joints].tolist() for row in way))
+            required[digit.joints] = model.inverse(
+                digit, *(row[digit.joints].tolist() for row in way)
+            )
         undecided = stages.write_loads(block, layout.places, *constants_in)
     if undecided:
         way = stages.joint_motion(block, layout.places, *constants_in)
@@ -44,7 +50,12 @@ def write_tension_goals(
 
 
 def allocate_bounded_tensions(
-    model: HandModel, layout: BlockLayout, constants: HandConstants, block: BlockArray, undecided: int, way: Vector
+    model: HandModel,
+    layout: BlockLayout,
+    constants: HandConstants,
+    block: BlockArray,
+    undecided: int,
+    way: Vector,
 ) -> None:
     """Solve the bounded least-squares problem for digits whose tensions are out of bounds or not unique.
 
@@ -64,12 +75,16 @@ def allocate_bounded_tensions(
             if digit.has_varying_arm:
                 digit = _with_present_arms(digit, constants)
             if model.redundancy.surplus[tendons.start]:
-                load[tendons] = _tensions_with_friction(model, digit, required[digit.joints], way[:2, digit.joints])
+                load[tendons] = _tensions_with_friction(
+                    model, digit, required[digit.joints], way[:2, digit.joints]
+                )
                 continue
             required_torque = required[digit.joints] @ digit.coupling
             low = model.floor[tendons]
             high = model.ceiling[tendons]
-            load[tendons] = solve_bounded(digit.reduced_moment_arms, required_torque, low, high, load[tendons])
+            load[tendons] = solve_bounded(
+                digit.reduced_moment_arms, required_torque, low, high, load[tendons]
+            )
 
 
 def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitModel:
@@ -78,7 +93,9 @@ def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitMode
     return replace(digit, moment_arms=arms, reduced_moment_arms=arms @ digit.coupling)
 
 
-def _tensions_with_friction(model: HandModel, digit: DigitModel, required: Vector, way: Vector) -> Vector:
+def _tensions_with_friction(
+    model: HandModel, digit: DigitModel, required: Vector, way: Vector
+) -> Vector:
     """Return the tensions at the joints (n_t,) of a digit whose tendons act against each other [N].
 
     Each pulley of a tendon has its own friction. In a digit without springs, the torques of all

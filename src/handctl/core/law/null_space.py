@@ -33,7 +33,9 @@ feedback has to move.
 
 
 @kernel_helper
-def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix) -> None:
+def raise_tensions_to_floor(
+    x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix
+) -> None:
     """Raise the tension goals of moving surplus tendons above the floor, and write the null-space forces.
 
     The motion feedback may reduce the force on a tendon by more than its tension goal is above the
@@ -75,18 +77,24 @@ def raise_tensions_to_floor(x: Tables, c: ConstantTables, limit: Vector, terms: 
             error[n] = terms[0, n] - x.tendon[s.TENSION, n]
             total[n] = x.tendon[s.TENSION_INTEGRAL, n] + c.run[h.INTEGRAL_GAIN] * error[n]
         for n in range(first, end):
-            internal[0, n] = c.tendon[h.TENSION_GAIN, n] * (error[n] - part_explained_by_motion(c, n, error))
+            internal[0, n] = c.tendon[h.TENSION_GAIN, n] * (
+                error[n] - part_explained_by_motion(c, n, error)
+            )
             integral = total[n] - part_explained_by_motion(c, n, total)
             internal[1, n] = min(max(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
 
 
 @kernel_helper
-def _largest_balance_factor(c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix) -> float:
+def _largest_balance_factor(
+    c: ConstantTables, first: int, end: int, limit: Vector, terms: Matrix
+) -> float:
     """Return the largest factor of the balance tensions with which all tendons of a digit stay within their limits."""
     factor = math.inf
     for n in range(first, end):
         room = min(c.tendon[h.TENSION_CEILING, n], limit[n]) - terms[0, n]
-        factor = min(factor, min(max(room, 0.0), MAX_ADDED_BALANCE_N) / c.tendon[h.BALANCE_TENSION, n])
+        factor = min(
+            factor, min(max(room, 0.0), MAX_ADDED_BALANCE_N) / c.tendon[h.BALANCE_TENSION, n]
+        )
     return factor
 
 

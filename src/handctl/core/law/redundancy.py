@@ -58,7 +58,9 @@ def redundancy_of_hand(
     counts = [len(digit.moment_arms) for digit in digits]
     surplus = [len(digit.moment_arms) > digit.coupling.shape[1] for digit in digits]
     balance = [
-        _balance_tensions(digit, floor[digit.tendons], ceiling[digit.tendons]) if more else np.zeros(count)
+        _balance_tensions(digit, floor[digit.tendons], ceiling[digit.tendons])
+        if more
+        else np.zeros(count)
         for digit, more, count in zip(digits, surplus, counts, strict=True)
     ]
     return TendonRedundancy(
@@ -91,7 +93,9 @@ def _excursion_range(digit: DigitModel) -> Vector:
 
 def is_sprung(digit: DigitModel) -> bool:
     """Return True if springs push every coordinate of a digit towards the lower joint limits."""
-    torque = np.asarray(digit.spring_stiffness) * (np.asarray(digit.spring_preload) + digit.joint_min)
+    torque = np.asarray(digit.spring_stiffness) * (
+        np.asarray(digit.spring_preload) + digit.joint_min
+    )
     return bool((digit.coupling.T @ torque > 0.0).all())
 
 

@@ -54,7 +54,9 @@ def follow_trajectories(x: Tables, c: ConstantTables, frozen: bool) -> None:
             acceleration = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / (duration * duration)
             for k in range(first, end):
                 length = x.coordinate[s.TRAJECTORY_END, k] - x.coordinate[s.TRAJECTORY_START, k]
-                x.coordinate[s.TRAJECTORY, k] = x.coordinate[s.TRAJECTORY_START, k] + position * length
+                x.coordinate[s.TRAJECTORY, k] = (
+                    x.coordinate[s.TRAJECTORY_START, k] + position * length
+                )
                 x.coordinate[s.TRAJECTORY + 1, k] = rate * length
                 x.coordinate[s.TRAJECTORY + 2, k] = acceleration * length
                 _add_blend(x, k, after, x.digit[s.TRAJECTORY_BLEND, d])
@@ -81,10 +83,16 @@ def _add_blend(x: Tables, k: int, after: float, blend: float) -> None:
     if speed == 0.0 and bend == 0.0:
         return
     u = min(max(after / blend, 0.0), 1.0)
-    x.coordinate[s.TRAJECTORY, k] += blend * u * (1.0 + u * u * (-6.0 + u * (8.0 - 3.0 * u))) * speed
-    x.coordinate[s.TRAJECTORY, k] += 0.5 * blend * blend * u * u * (1.0 + u * (-3.0 + u * (3.0 - u))) * bend
+    x.coordinate[s.TRAJECTORY, k] += (
+        blend * u * (1.0 + u * u * (-6.0 + u * (8.0 - 3.0 * u))) * speed
+    )
+    x.coordinate[s.TRAJECTORY, k] += (
+        0.5 * blend * blend * u * u * (1.0 + u * (-3.0 + u * (3.0 - u))) * bend
+    )
     x.coordinate[s.TRAJECTORY + 1, k] += (1.0 + u * u * (-18.0 + u * (32.0 - 15.0 * u))) * speed
-    x.coordinate[s.TRAJECTORY + 1, k] += 0.5 * blend * u * (2.0 + u * (-9.0 + u * (12.0 - 5.0 * u))) * bend
+    x.coordinate[s.TRAJECTORY + 1, k] += (
+        0.5 * blend * u * (2.0 + u * (-9.0 + u * (12.0 - 5.0 * u))) * bend
+    )
     x.coordinate[s.TRAJECTORY + 2, k] += u * (-36.0 + u * (96.0 - 60.0 * u)) / blend * speed
     x.coordinate[s.TRAJECTORY + 2, k] += (1.0 + u * (-9.0 + u * (18.0 - 10.0 * u))) * bend
 
@@ -147,7 +155,9 @@ def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
         return
     parent = c.joint_int[h.PARENT_JOINT]
     gravity = c.run[h.GRAVITY : h.GRAVITY + 3]
-    write_newton_euler(c.joint, h.LINK_TABLE, parent, gravity, motion[0], motion[1], motion[2], torque)
+    write_newton_euler(
+        c.joint, h.LINK_TABLE, parent, gravity, motion[0], motion[1], motion[2], torque
+    )
     if c.run_int[h.HAS_CARRIER_ARMS]:
         winding = np.zeros(x.tendon.shape[1])
         for n in range(len(winding)):
@@ -156,8 +166,12 @@ def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
     for d in range(x.digit.shape[1]):
         if is_digit_moving(x, c, d):
             for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-                spring = c.joint[h.SPRING_STIFFNESS, j] * (motion[0, j] + c.joint[h.SPRING_PRELOAD, j])
-                x.joint[s.REQUIRED_JOINT_TORQUE, j] = torque[j] + spring + c.joint[h.JOINT_DAMPING, j] * motion[1, j]
+                spring = c.joint[h.SPRING_STIFFNESS, j] * (
+                    motion[0, j] + c.joint[h.SPRING_PRELOAD, j]
+                )
+                x.joint[s.REQUIRED_JOINT_TORQUE, j] = (
+                    torque[j] + spring + c.joint[h.JOINT_DAMPING, j] * motion[1, j]
+                )
 
 
 @kernel_helper
@@ -185,9 +199,14 @@ def write_required_tensions(x: Tables, c: ConstantTables) -> int:
                 )
             low = c.tendon[h.TENSION_FLOOR, n]
             high = c.tendon[h.TENSION_CEILING, n]
-            good &= c.tendon_int[h.HAS_UNIQUE_TENSIONS, n] == 1 and low <= x.tendon[s.REQUIRED_TENSION, n] <= high
+            good &= (
+                c.tendon_int[h.HAS_UNIQUE_TENSIONS, n] == 1
+                and low <= x.tendon[s.REQUIRED_TENSION, n] <= high
+            )
             if end - first == 1:
-                x.tendon[s.REQUIRED_TENSION, n] = min(max(x.tendon[s.REQUIRED_TENSION, n], low), high)
+                x.tendon[s.REQUIRED_TENSION, n] = min(
+                    max(x.tendon[s.REQUIRED_TENSION, n], low), high
+                )
         if not good and end - first > 1:
             undecided |= 1 << d
     return undecided

@@ -93,9 +93,9 @@ def is_loop_closed_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
         or math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
     ):
         return False
-    return (c.tendon_int[h.IS_SPOOL_PAIR, n] == 1 or x.tendon_int[s.REGIME, n] != SLACK_REGIME) and servo_stiffness(
-        x, c, n
-    ) > 0.0
+    return (
+        c.tendon_int[h.IS_SPOOL_PAIR, n] == 1 or x.tendon_int[s.REGIME, n] != SLACK_REGIME
+    ) and servo_stiffness(x, c, n) > 0.0
 
 
 @kernel_helper
@@ -127,7 +127,11 @@ def servo_speed_force(x: Tables, c: ConstantTables, n: int, rate: float) -> floa
         rate: rate of the digit's excursion on the trajectory [m/s].
     """
     gain = servo_damping(x, c, n) + 0.5 * c.run[h.PERIOD] * servo_stiffness(x, c, n)
-    return gain / (c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n]) * (rate - x.tendon[s.SPEED, n])
+    return (
+        gain
+        / (c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n])
+        * (rate - x.tendon[s.SPEED, n])
+    )
 
 
 @kernel_helper
@@ -149,7 +153,9 @@ def servo_force(
         - x.tendon[s.EXCURSION, n]
         + (tension - x.tendon[s.TENSION, n]) / c.tendon[h.TENDON_STIFFNESS, n]
     )
-    stiffness = servo_stiffness(x, c, n) / (c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n])
+    stiffness = servo_stiffness(x, c, n) / (
+        c.tendon[h.SPOOL_RADIUS, n] * c.tendon[h.SPOOL_RADIUS, n]
+    )
     return stiffness * error + servo_speed_force(x, c, n, rate)
 
 
@@ -186,7 +192,9 @@ def write_servo_command(
     x.servo[s.SERVO_KD, n] = servo_damping(x, c, n)
     x.servo[s.SERVO_TORQUE, n] = added * spool
     if c.tendon_int[h.DRIVE_MOVES_TARGET, n]:
-        x.servo[s.SERVO_LIMIT, n] = min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.FORCE_MAX, n]) * spool
+        x.servo[s.SERVO_LIMIT, n] = (
+            min(abs(force) + LIMIT_MARGIN_N, c.tendon[h.FORCE_MAX, n]) * spool
+        )
 
 
 @kernel_helper

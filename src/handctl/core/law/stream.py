@@ -80,7 +80,9 @@ def begin_segments(
 
 
 @kernel_helper
-def _write_segment(x: Tables, k: int, target: float, speed: float, duration: float, smooth: bool) -> None:
+def _write_segment(
+    x: Tables, k: int, target: float, speed: float, duration: float, smooth: bool
+) -> None:
     """Write the polynomial of a coordinate's motion to a target, lowest power first [rad, s].
 
     The motion of minimum jerk begins with the position, rate and acceleration of the reference, and
@@ -158,7 +160,9 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
         slowest - gain * LIMIT_TOLERANCE <= min(mean, aim_rate)
         and max(mean, aim_rate) <= fastest + gain * LIMIT_TOLERANCE
     )
-    free &= abs(aim_rate - end_rate) <= max_stoppable_speed(abs(point - aim), gain, period) + allowed
+    free &= (
+        abs(aim_rate - end_rate) <= max_stoppable_speed(abs(point - aim), gain, period) + allowed
+    )
     new_rate = aim_rate
     if not free:
         x.run_int[s.STREAM_LIMITED] += 1
@@ -172,7 +176,9 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
 
 
 @kernel_helper
-def _allowed_rates(x: Tables, c: ConstantTables, d: int, k: int, period: float) -> tuple[float, float]:
+def _allowed_rates(
+    x: Tables, c: ConstantTables, d: int, k: int, period: float
+) -> tuple[float, float]:
     """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
 
     They follow from the speed limit, from the range of the coordinate, and from the distance
@@ -188,9 +194,15 @@ def _allowed_rates(x: Tables, c: ConstantTables, d: int, k: int, period: float) 
     position = x.coordinate[s.TRAJECTORY, k]
     top = c.run[h.STREAM_SPEED]
     gain = c.run[h.STREAM_ACCELERATION] * period
-    slowest = max(-top, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period))
-    fastest = min(top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period))
-    lead = MAX_LEAD / max(x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS)
+    slowest = max(
+        -top, -max_stoppable_speed(position - x.coordinate[s.STREAM_RANGE, k], gain, period)
+    )
+    fastest = min(
+        top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
+    )
+    lead = MAX_LEAD / max(
+        x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS
+    )
     digit, digit_rate = _estimated_coordinate(x, c, d, k)
     back = _speed_to(digit - lead - position, gain, period) + min(digit_rate, 0.0)
     ahead = _speed_to(digit + lead - position, gain, period) + max(digit_rate, 0.0)

@@ -115,7 +115,9 @@ class CurveTrajectory:
     coordinates: int
 
     @staticmethod
-    def through(times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int) -> "CurveTrajectory":
+    def through(
+        times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int
+    ) -> "CurveTrajectory":
         """Return the curve through angles (k,) or (k, n) [rad] at times [s]."""
         from scipy.interpolate import CubicSpline
 
@@ -139,7 +141,11 @@ class CurveTrajectory:
             rate = moving * (c + s * (2 * b + s * 3 * a))
             return np.array((d + s * (c + s * (b + s * a)), rate, moving * (2 * b + 6 * a * s)))
         a, b, c, d = self.coefficients[:, piece].tolist()
-        values = (d + s * (c + s * (b + s * a)), moving * (c + s * (2 * b + s * 3 * a)), moving * (2 * b + 6 * a * s))
+        values = (
+            d + s * (c + s * (b + s * a)),
+            moving * (c + s * (2 * b + s * 3 * a)),
+            moving * (2 * b + 6 * a * s),
+        )
         return _equal_coordinates(values, self.coordinates)
 
     def peak_speed(self) -> float:
@@ -207,7 +213,9 @@ class ChirpTrajectory:
         cosine = math.cos(phase)
         way = size * sine
         velocity = growth * sine + size * speed * cosine
-        acceleration = bend * sine + 2.0 * growth * speed * cosine + size * (rise * cosine - speed**2 * sine)
+        acceleration = (
+            bend * sine + 2.0 * growth * speed * cosine + size * (rise * cosine - speed**2 * sine)
+        )
         moving = self.amplitude if s == t else 0.0
         values = (self.centre + self.amplitude * way, moving * velocity, moving * acceleration)
         return _equal_coordinates(values, self.coordinates)
@@ -220,7 +228,11 @@ class ChirpTrajectory:
             return 1.0, 0.0, 0.0
         w = math.pi / ramp
         sign = 1.0 if t <= self.duration - t else -1.0
-        return 0.5 - 0.5 * math.cos(w * left), sign * 0.5 * w * math.sin(w * left), 0.5 * w * w * math.cos(w * left)
+        return (
+            0.5 - 0.5 * math.cos(w * left),
+            sign * 0.5 * w * math.sin(w * left),
+            0.5 * w * w * math.cos(w * left),
+        )
 
 
 def _equal_coordinates(values: tuple[float, float, float], coordinates: int) -> Vector:

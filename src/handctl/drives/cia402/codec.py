@@ -150,7 +150,17 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> M
         rated: rated torque of the drive at the shaft [N m].
         limit: largest torque command [N m at the spool].
     """
-    torque = Signal("torque", Quantity.TORQUE, 16, 16, False, SignalCoding.SIGNED, rated / 1000 * ratio, 0.0, "N m")
+    torque = Signal(
+        "torque",
+        Quantity.TORQUE,
+        16,
+        16,
+        False,
+        SignalCoding.SIGNED,
+        rated / 1000 * ratio,
+        0.0,
+        "N m",
+    )
     control = Signal("control", Quantity.UNUSED, 0, 16)
     base = struct.pack("<Hh", ENABLE_OPERATION, 0)
     return Message("rpdo1", RPDO + node_id, 4, (control, torque), 0, base, False, limit)
@@ -171,7 +181,17 @@ def position_message(node_id: int, counts: int, ratio: float, zero: float, limit
         ValueError: the largest position does not fit into the object of the drive.
     """
     count = math.tau / counts / ratio
-    signal = Signal("position", Quantity.POSITION, 16, 32, False, SignalCoding.SIGNED, count, -zero / ratio, "rad")
+    signal = Signal(
+        "position",
+        Quantity.POSITION,
+        16,
+        32,
+        False,
+        SignalCoding.SIGNED,
+        count,
+        -zero / ratio,
+        "rad",
+    )
     return _motion_message(node_id, signal, limit, limit + abs(zero / ratio))
 
 
@@ -187,14 +207,18 @@ def velocity_message(node_id: int, unit: float, limit: float) -> Message:
     Raises:
         ValueError: the largest velocity does not fit into the object of the drive.
     """
-    signal = Signal("velocity", Quantity.VELOCITY, 16, 32, False, SignalCoding.SIGNED, unit, 0.0, "rad/s")
+    signal = Signal(
+        "velocity", Quantity.VELOCITY, 16, 32, False, SignalCoding.SIGNED, unit, 0.0, "rad/s"
+    )
     return _motion_message(node_id, signal, limit, limit)
 
 
 def _motion_message(node_id: int, signal: Signal, limit: float, largest: float) -> Message:
     """Return the signal table of RPDO1 with a target of four bytes, from ``-largest`` to ``largest``."""
     if not largest / abs(signal.scale) < MAX_TARGET_COUNT:
-        raise ValueError(f"{signal.name} {limit:g} {signal.unit} does not fit into the object of the drive")
+        raise ValueError(
+            f"{signal.name} {limit:g} {signal.unit} does not fit into the object of the drive"
+        )
     control = Signal("control", Quantity.UNUSED, 0, 16)
     base = struct.pack("<Hi", ENABLE_OPERATION, 0)
     return Message("rpdo1", RPDO + node_id, 6, (control, signal), 0, base, False, limit)

@@ -44,12 +44,18 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     discovered nodes, and the number of channels of measuring amplifiers.
     """
     if turn == 2:
-        return tuple(Frame(codec.SDO_REQUEST + number, codec.upload_request(DEVICE_TYPE, 0)) for number in NODE_NUMBERS)
+        return tuple(
+            Frame(codec.SDO_REQUEST + number, codec.upload_request(DEVICE_TYPE, 0))
+            for number in NODE_NUMBERS
+        )
     if turn == 3:
         found = discovered_nodes(received)
         asked = [(node, SERIAL_NUMBER) for node in found]
         asked += [(node, CHANNEL_COUNT_OBJECT) for node in found if node.protocol == CIA404]
-        return tuple(Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*entry)) for node, entry in asked)
+        return tuple(
+            Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*entry))
+            for node, entry in asked
+        )
     return ()
 
 
@@ -83,17 +89,25 @@ def discovered_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     )
 
 
-def _describe_node(number: int, device_type: int | None, nmt: int | None, twins: bool, channels: int) -> DiscoveredNode:
+def _describe_node(
+    number: int, device_type: int | None, nmt: int | None, twins: bool, channels: int
+) -> DiscoveredNode:
     """Return a discovered node, with the data reported by the node."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
-        return DiscoveredNode("canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",))
+        return DiscoveredNode(
+            "canopen", number, state=state, notes=("sends heartbeats, but does not answer an SDO",)
+        )
     profile = device_type & 0xFFFF
     notes = (TWO_DRIVES_WARNING,) * twins
     if profile == CIA404_PROFILE:
         text = f"a measuring amplifier of CiA 404{f' with {channels} channels' if channels else ''}: not a drive"
-        options: dict[str, bool | int | float | str] = {"channels_per_node": channels} if channels else {}
-        return DiscoveredNode(CIA404, number, state=state, options=options, notes=(*notes, text), twins=twins)
+        options: dict[str, bool | int | float | str] = (
+            {"channels_per_node": channels} if channels else {}
+        )
+        return DiscoveredNode(
+            CIA404, number, state=state, options=options, notes=(*notes, text), twins=twins
+        )
     if profile != CIA402_PROFILE:
         notes = (*notes, f"a CANopen device of profile {profile}, not a drive of CiA 402")
     protocol = "cia402" if profile == CIA402_PROFILE else "canopen"

@@ -33,7 +33,12 @@ from handctl.drives.cia402.progress import (
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import checked_boolean, checked_positive, checked_whole_number, refuse_unknown_options
+from handctl.drives.option_checks import (
+    checked_boolean,
+    checked_positive,
+    checked_whole_number,
+    refuse_unknown_options,
+)
 from handctl.drives.signals import CyclicMessages, Message, SignalTable
 from handctl.errors import ConfigError
 
@@ -86,13 +91,18 @@ class Cia402Drive:
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         sent = codec.command_message(self.node_id, self.ratio, self.rated, self.torque_limit)
-        feedback = codec.feedback_message(self.node_id, self.counts, self.ratio, self.rated, self.zero)
+        feedback = codec.feedback_message(
+            self.node_id, self.counts, self.ratio, self.rated, self.zero
+        )
         object.__setattr__(self, "command", SignalTable(sent))
         object.__setattr__(self, "feedback", SignalTable(feedback))
 
     @staticmethod
     def of(
-        motor: MotorDescription, bus: int, given: Mapping[str, Any] | None = None, mode: int = setup.TORQUE_MODE
+        motor: MotorDescription,
+        bus: int,
+        given: Mapping[str, Any] | None = None,
+        mode: int = setup.TORQUE_MODE,
     ) -> "Cia402Drive":
         """Return the drive for a motor description.
 
@@ -109,20 +119,34 @@ class Cia402Drive:
         options = dict(motor.options if given is None else given)
         where = f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.HOST_NODE:
-            raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.HOST_NODE - 1}")
+            raise ConfigError(
+                str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.HOST_NODE - 1}"
+            )
         ratio = checked_positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
-        rated = checked_positive(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
-        counts = checked_whole_number(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
-        heartbeat = checked_whole_number(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
+        rated = checked_positive(
+            options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000
+        )
+        counts = checked_whole_number(
+            options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24
+        )
+        heartbeat = checked_whole_number(
+            options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000
+        )
         unit = options.pop("rated_torque_unit", "mN_m")
         sync = checked_boolean(options.pop("sync", False), f"{where}.sync")
         if unit not in TORQUE_UNITS:
             raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(TORQUE_UNITS))
-        right = "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
+        right = (
+            "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
+        )
         refuse_unknown_options(options, where, right)
         max_torque = math.ceil(motor.torque_max_N_m / ratio / rated * 1000)
         if max_torque > codec.MAX_TORQUE_COUNT:
-            raise ConfigError(f"{motor.torque_max_N_m:g}", f"motor[{motor.name}].torque_max_N_m", "32 x rated at most")
+            raise ConfigError(
+                f"{motor.torque_max_N_m:g}",
+                f"motor[{motor.name}].torque_max_N_m",
+                "32 x rated at most",
+            )
         if round(rated * TORQUE_UNITS[unit]) < 1:
             raise ConfigError(f"{rated:g}", f"{where}.rated_torque_N_m", f"at least one {unit}")
         watchdog = round(motor.watchdog_ms)
@@ -136,7 +160,12 @@ class Cia402Drive:
             rated=rated,
             counts=counts,
             steps=setup.required_steps(
-                motor.node_id, round(rated * TORQUE_UNITS[unit]), max_torque, watchdog, heartbeat, mode
+                motor.node_id,
+                round(rated * TORQUE_UNITS[unit]),
+                max_torque,
+                watchdog,
+                heartbeat,
+                mode,
             ),
             sync=sync,
             # The host sends three heartbeats per watchdog timeout, so that two may be lost.
@@ -166,7 +195,14 @@ class Cia402Drive:
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of the frames of the host: NMT, RPDO, SDO requests, and heartbeat."""
-        return frozenset((codec.NMT, codec.RPDO + self.node_id, codec.SDO_REQUEST + self.node_id, _HOST_HEARTBEAT))
+        return frozenset(
+            (
+                codec.NMT,
+                codec.RPDO + self.node_id,
+                codec.SDO_REQUEST + self.node_id,
+                _HOST_HEARTBEAT,
+            )
+        )
 
     @property
     def node_ids(self) -> frozenset[int]:
@@ -198,7 +234,9 @@ class Cia402Drive:
     def cyclic(self) -> CyclicMessages:
         """Return the signal tables of RPDO and TPDO, and also of SYNC if the option ``sync`` is set."""
         sync = (Message("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
-        return CyclicMessages((self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns)
+        return CyclicMessages(
+            (self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns
+        )
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status in feedback of a drive that this host has enabled, otherwise NO_STEADY_STATUS."""
@@ -214,7 +252,9 @@ class Cia402Drive:
     @property
     def rechecked_settings(self) -> tuple[setup.SetupStep, ...]:
         """Return the objects read again while the drive is enabled."""
-        return tuple(step for step in self.steps if (step.number, step.sub) in setup.PROTECTION_OBJECTS)
+        return tuple(
+            step for step in self.steps if (step.number, step.sub) in setup.PROTECTION_OBJECTS
+        )
 
     def initial(self) -> DriveState:
         """Return the state of the drive before the first frame."""
@@ -243,23 +283,36 @@ class Cia402Drive:
         reply = codec.decode_sdo_reply(data)
         if reply is not None and state.phase == ENABLED and progress.check.waiting:
             return self._on_recheck_reply(state, progress, reply)
-        if reply is None or progress.cursor.step >= len(self.steps) or state.phase not in (SILENT, CONFIGURING):
+        if (
+            reply is None
+            or progress.cursor.step >= len(self.steps)
+            or state.phase not in (SILENT, CONFIGURING)
+        ):
             return state
         cursor, serial, problem = setup.on_reply(progress.cursor, self.steps, reply)
         progress = progress._replace(cursor=cursor, serial=serial or progress.serial)
         updated = state._replace(phase=CONFIGURING, private=progress)
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
-    def _on_recheck_reply(self, state: DriveState, progress: Cia402Progress, reply: codec.SdoReply) -> DriveState:
+    def _on_recheck_reply(
+        self, state: DriveState, progress: Cia402Progress, reply: codec.SdoReply
+    ) -> DriveState:
         """Compare an object, read again from the enabled drive, with the required value."""
         step = self.rechecked_settings[progress.check.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
         value = int.from_bytes(reply.raw, "little")
         same = reply.raw == step.raw
-        answer = f"answers {codec.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
+        answer = (
+            f"answers {codec.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
+        )
         check, problem = readback.on_recheck_reply(
-            progress.check, len(self.rechecked_settings), same, step.name, answer, f"{step.value:#x}"
+            progress.check,
+            len(self.rechecked_settings),
+            same,
+            step.name,
+            answer,
+            f"{step.value:#x}",
         )
         updated = state._replace(private=progress._replace(check=check))
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
@@ -281,7 +334,9 @@ class Cia402Drive:
             feedback_count=state.feedback_count + 1,
         )
         power = codec.power_state(int.from_bytes(frame.data[:2], "little"))
-        return apply_power_state(updated, progress._replace(power=power or "unknown", life_sign_ns=frame.t_ns))
+        return apply_power_state(
+            updated, progress._replace(power=power or "unknown", life_sign_ns=frame.t_ns)
+        )
 
     def advance(
         self, state: DriveState, t_ns: int, target: DriveTarget, torque: float
@@ -291,7 +346,11 @@ class Cia402Drive:
             return state, ()
         # A status word is a sign of life, too. Compiled code may have received the latest status
         # word.
-        if 0 <= max(progress_of(state).life_sign_ns, state.feedback_t_ns) < t_ns - self.life_sign_timeout_ns:
+        if (
+            0
+            <= max(progress_of(state).life_sign_ns, state.feedback_t_ns)
+            < t_ns - self.life_sign_timeout_ns
+        ):
             state = state_after_timeout(state)
         state, frames = self._command(state, t_ns, target, torque)
         progress = progress_of(state)
@@ -308,7 +367,9 @@ class Cia402Drive:
         Heartbeat and SYNC are not included.
         """
         progress = progress_of(state)
-        if target == DISABLE or (state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)):
+        if target == DISABLE or (
+            state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)
+        ):
             return self._disable(state, progress, t_ns)
         if state.phase == ENABLED:
             state, recheck = self._next_recheck(state, progress, t_ns)
@@ -322,7 +383,11 @@ class Cia402Drive:
             return self._start(state, progress, t_ns)
         if target == ENABLE:
             control_word = codec.NEXT_CONTROLWORD.get(progress.power, codec.DISABLE_VOLTAGE)
-            check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
+            check = (
+                progress.check
+                if progress.enable_sent
+                else readback.first_recheck(self.node_id, t_ns)
+            )
             return state._replace(private=progress._replace(enable_sent=True, check=check)), (
                 self._rpdo(control_word, self._rest(state)),
             )
@@ -340,10 +405,17 @@ class Cia402Drive:
         if problem:
             state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state, (
-            Frame(codec.SDO_REQUEST + self.node_id, codec.upload_request(step.number, step.sub), 0, self.bus),
+            Frame(
+                codec.SDO_REQUEST + self.node_id,
+                codec.upload_request(step.number, step.sub),
+                0,
+                self.bus,
+            ),
         )
 
-    def _disable(self, state: DriveState, progress: Cia402Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _disable(
+        self, state: DriveState, progress: Cia402Progress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames that disable the drive.
 
         A drive that may be enabled counts as enabled until a status word reports the state
@@ -359,7 +431,10 @@ class Cia402Drive:
         if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_PERIOD_NS:
             progress = progress._replace(started_ns=t_ns)
             start = (self._nmt(codec.START_NODE),)
-        return state._replace(phase=phase, private=progress), (*start, self._rpdo(codec.DISABLE_VOLTAGE, 0.0))
+        return state._replace(phase=phase, private=progress), (
+            *start,
+            self._rpdo(codec.DISABLE_VOLTAGE, 0.0),
+        )
 
     def _configure(
         self, state: DriveState, progress: Cia402Progress, t_ns: int
@@ -373,9 +448,14 @@ class Cia402Drive:
         if problem:
             return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
         frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
-        return updated, (self._nmt(codec.PRE_OPERATIONAL), *frames) if cursor.step == 0 and data else frames
+        return updated, (
+            self._nmt(codec.PRE_OPERATIONAL),
+            *frames,
+        ) if cursor.step == 0 and data else frames
 
-    def _start(self, state: DriveState, progress: Cia402Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _start(
+        self, state: DriveState, progress: Cia402Progress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state, and the frames to set the node to the NMT state operational.
 
         They are repeated until a status word arrives. If the operator has cleared a fault, the

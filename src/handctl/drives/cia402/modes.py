@@ -22,7 +22,10 @@ from handctl.drives.motor_description import MotorDescription
 from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
 
-_OPERATION_MODES = {DriveMode.POSITION: setup.POSITION_MODE, DriveMode.VELOCITY: setup.VELOCITY_MODE}
+_OPERATION_MODES = {
+    DriveMode.POSITION: setup.POSITION_MODE,
+    DriveMode.VELOCITY: setup.VELOCITY_MODE,
+}
 """Value of the object with the mode of operation (0x6060), for each mode."""
 VELOCITY_UNITS = ("rev_min", "count_s")
 """Values of the option ``velocity_unit`` in the hand file, the default first."""
@@ -57,7 +60,9 @@ class Cia402ModeDrive(Cia402Drive):
         if self.mode == DriveMode.VELOCITY:
             message = codec.velocity_message(self.node_id, self.velocity_unit, self.torque_limit)
         else:
-            message = codec.position_message(self.node_id, self.counts, self.ratio, self.zero, self.torque_limit)
+            message = codec.position_message(
+                self.node_id, self.counts, self.ratio, self.zero, self.torque_limit
+            )
         object.__setattr__(self, "command", SignalTable(message))
 
     @property
@@ -74,7 +79,9 @@ class Cia402ModeDrive(Cia402Drive):
         return ()
 
 
-def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> Cia402ModeDrive:
+def make_mode_drive(
+    motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
+) -> Cia402ModeDrive:
     """Return the drive for a motor description, in the given mode.
 
     Raises:
@@ -93,7 +100,9 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
     speed = math.ceil(limits.speed * ratio / RAD_S_PER_RPM)
     window = math.ceil(FOLLOWING_ERROR_RAD * ratio / math.tau * fields["counts"])
     fields["steps"] = (*_motion_steps(mode, speed, window), *fields["steps"])
-    fields["torque_limit"] = limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
+    fields["torque_limit"] = (
+        limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
+    )
     one = (RAD_S_PER_RPM if unit == "rev_min" else math.tau / fields["counts"]) / fields["ratio"]
     try:
         return Cia402ModeDrive(**fields, mode=mode, velocity_unit=one)

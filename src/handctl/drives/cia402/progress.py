@@ -66,7 +66,9 @@ class Cia402Progress(NamedTuple):
     @property
     def may_be_enabled(self) -> bool:
         """Return True if an enable command was sent, or the drive reports that its power stage may be on."""
-        return self.enable_sent or (self.power != "" and self.power not in codec.STATES_WITHOUT_TORQUE)
+        return self.enable_sent or (
+            self.power != "" and self.power not in codec.STATES_WITHOUT_TORQUE
+        )
 
 
 def progress_of(state: DriveState) -> Cia402Progress:
@@ -115,7 +117,11 @@ def _state_when_fault(state: DriveState, progress: Cia402Progress) -> DriveState
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(enable_sent=False, disabling_ns=-1))
-    text = codec.error_text(progress.code) if progress.code else "fault, and its emergency message was not heard"
+    text = (
+        codec.error_text(progress.code)
+        if progress.code
+        else "fault, and its emergency message was not heard"
+    )
     return enter_fault(off, progress.code or DROPPED_OUT_ERROR, text)
 
 
@@ -126,7 +132,11 @@ def on_heartbeat(state: DriveState, frame: Frame) -> DriveState:
     its settings.
     """
     progress = progress_of(state)._replace(life_sign_ns=frame.t_ns)
-    if frame.data[0] == codec.OPERATIONAL or state.phase not in (READY, ENABLED) or progress.disabling_ns >= 0:
+    if (
+        frame.data[0] == codec.OPERATIONAL
+        or state.phase not in (READY, ENABLED)
+        or progress.disabling_ns >= 0
+    ):
         return state._replace(private=progress)
     if state.phase == ENABLED or progress.enable_sent:
         problem = "restarted" if frame.data[0] == codec.BOOT_UP else "left the state operational"

@@ -58,7 +58,11 @@ class ObjectCheck(enum.IntEnum):
     """Read the object. If the value differs from the required value, write it and read it again."""
 
 
-OPTIONAL_OBJECT_CHECKS = (ObjectCheck.WRITE_IF_PRESENT, ObjectCheck.READ_IF_PRESENT, ObjectCheck.SAME_IF_PRESENT)
+OPTIONAL_OBJECT_CHECKS = (
+    ObjectCheck.WRITE_IF_PRESENT,
+    ObjectCheck.READ_IF_PRESENT,
+    ObjectCheck.SAME_IF_PRESENT,
+)
 """Rules that accept a device without the object."""
 
 
@@ -95,7 +99,12 @@ The maximum speed is required only in the position and velocity modes.
 
 
 def required_steps(
-    node_id: int, rated: int, max_torque: int, watchdog_ms: int, heartbeat_ms: int, mode: int = TORQUE_MODE
+    node_id: int,
+    rated: int,
+    max_torque: int,
+    watchdog_ms: int,
+    heartbeat_ms: int,
+    mode: int = TORQUE_MODE,
 ) -> tuple[SetupStep, ...]:
     """Return all objects written and read back before arming, in the order of the requests.
 
@@ -136,8 +145,12 @@ def required_steps(
         SetupStep(write, 0x6060, 0, mode, 1),
         SetupStep(same, 0x6061, 0, mode, 1),
         *others,
-        *pdo_steps(0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)),
-        *pdo_steps(0x1800, 0x1A00, codec.TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)),
+        *pdo_steps(
+            0x1400, 0x1600, codec.RPDO + node_id, 255, (0x6040_00_10, target << 16 | 8 * size)
+        ),
+        *pdo_steps(
+            0x1800, 0x1A00, codec.TPDO + node_id, 1, (0x6041_00_10, 0x6064_00_20, 0x6077_00_10)
+        ),
     )
 
 
@@ -183,7 +196,10 @@ def on_reply(
     if not cursor.waiting or reply[:2] != (step.number, step.sub):
         return cursor, 0, ""
     if reply.abort:
-        if reply.abort in (codec.OBJECT_MISSING, 0x06090011) and step.check in OPTIONAL_OBJECT_CHECKS:
+        if (
+            reply.abort in (codec.OBJECT_MISSING, 0x06090011)
+            and step.check in OPTIONAL_OBJECT_CHECKS
+        ):
             return cursor.next_setting(), 0, ""
         return cursor, 0, f"{step.name}: {codec.abort_text(reply.abort)}"
     if is_write_next(cursor, step):
@@ -196,7 +212,9 @@ def on_reply(
     if _has_required_value(step, value):
         return cursor.next_setting(), 0, ""
     writes = 1 if step.check == ObjectCheck.ADJUST else 0
-    cursor, problem = readback.on_wrong_value(cursor, step.name, f"{value:#x}", f"{step.value:#x}", writes)
+    cursor, problem = readback.on_wrong_value(
+        cursor, step.name, f"{value:#x}", f"{step.value:#x}", writes
+    )
     return cursor, 0, problem
 
 
@@ -215,4 +233,8 @@ def next_request(
     if not send:
         return cursor, b"", problem
     download = codec.download_request(step.number, step.sub, step.raw)
-    return cursor, download if is_write_next(cursor, step) else codec.upload_request(step.number, step.sub), ""
+    return (
+        cursor,
+        download if is_write_next(cursor, step) else codec.upload_request(step.number, step.sub),
+        "",
+    )

@@ -65,7 +65,9 @@ class LoadCellAmplifier:
     @property
     def service_ids(self) -> frozenset[int]:
         """Return the identifiers of the amplifier's SDO replies, emergencies, and heartbeats."""
-        return frozenset(base + self.node_id for base in (codec.SDO_REPLY, codec.EMERGENCY, codec.HEARTBEAT))
+        return frozenset(
+            base + self.node_id for base in (codec.SDO_REPLY, codec.EMERGENCY, codec.HEARTBEAT)
+        )
 
     def receive(self, state: AmplifierState, frame: Frame) -> AmplifierState:
         """Return the state after a received frame.
@@ -127,7 +129,9 @@ class LoadCellAmplifier:
         text = "does not become operational" if state.started_ns >= 0 else ""
         return state._replace(started_ns=t_ns, error_text=text), (self._nmt(codec.START_NODE),)
 
-    def _configure(self, state: AmplifierState, t_ns: int) -> tuple[AmplifierState, tuple[Frame, ...]]:
+    def _configure(
+        self, state: AmplifierState, t_ns: int
+    ) -> tuple[AmplifierState, tuple[Frame, ...]]:
         """Return the next state and the next SDO request.
 
         NMT pre-operational precedes the first request.
@@ -137,7 +141,10 @@ class LoadCellAmplifier:
         if problem:
             return updated._replace(phase=DrivePhase.FAULT, error_text=problem), ()
         frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
-        return updated, (self._nmt(codec.PRE_OPERATIONAL), *frames) if cursor.step == 0 and data else frames
+        return updated, (
+            self._nmt(codec.PRE_OPERATIONAL),
+            *frames,
+        ) if cursor.step == 0 and data else frames
 
     def _nmt(self, order: int) -> Frame:
         """Return the frame of an NMT command to the amplifier."""

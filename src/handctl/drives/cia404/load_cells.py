@@ -132,7 +132,9 @@ class Cia404LoadCells:
         cells = [tendons.index(name) for name in node.tendons]
         for node_id, count in zip(node.node_ids, node.amplifier_channels, strict=True):
             own, cells = cells[:count], cells[count:]
-            frames = [tuple(own[i : i + CHANNELS_PER_TPDO]) for i in range(0, count, CHANNELS_PER_TPDO)]
+            frames = [
+                tuple(own[i : i + CHANNELS_PER_TPDO]) for i in range(0, count, CHANNELS_PER_TPDO)
+            ]
             tpdo_ids = tuple(base + node_id for base in TPDO_BASES[: len(frames)])
             steps = required_steps(node_id, count, node.process_value, node.decimal_digits)
             amplifiers.append(LoadCellAmplifier(bus, node_id, tpdo_ids, steps))

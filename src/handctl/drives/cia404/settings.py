@@ -30,7 +30,9 @@ PROCESS_VALUES = {"int32": (0x9130, SignalCoding.SIGNED), "real32": (0x6130, Sig
 """Object with the process value, and coding of this value, by the value of ``process_value`` in the hand file."""
 
 
-def required_steps(node_id: int, channels: int, process_value: str, digits: int) -> tuple[SetupStep, ...]:
+def required_steps(
+    node_id: int, channels: int, process_value: str, digits: int
+) -> tuple[SetupStep, ...]:
     """Return all objects checked or written before arming, in the order of the requests.
 
     Args:
@@ -63,5 +65,13 @@ def required_steps(node_id: int, channels: int, process_value: str, digits: int)
             off, *rest = pdo_steps(0x1800 + i, 0x1A00 + i, base + node_id, 1, entries)
             steps += [off, inhibit, *rest]
         else:
-            steps.append(SetupStep(ObjectCheck.WRITE_IF_PRESENT, 0x1800 + i, 1, PDO_DISABLED_BIT | base + node_id, 4))
+            steps.append(
+                SetupStep(
+                    ObjectCheck.WRITE_IF_PRESENT,
+                    0x1800 + i,
+                    1,
+                    PDO_DISABLED_BIT | base + node_id,
+                    4,
+                )
+            )
     return tuple(steps)

@@ -76,7 +76,11 @@ REGISTER_NAMES = {
 """Names of the registers in messages to the operator."""
 _INTEGER_STRUCT = struct.Struct("<I")
 _FLOAT_STRUCT = struct.Struct("<f")
-_REGISTER_STRUCTS = {TIMEOUT: _INTEGER_STRUCT, CTRL_MODE: _INTEGER_STRUCT, SERIAL_NUMBER: _INTEGER_STRUCT}
+_REGISTER_STRUCTS = {
+    TIMEOUT: _INTEGER_STRUCT,
+    CTRL_MODE: _INTEGER_STRUCT,
+    SERIAL_NUMBER: _INTEGER_STRUCT,
+}
 """Registers with an unsigned integer. All other registers contain a float32."""
 MIT_MODE = 1
 """Value of register CTRL_MODE for MIT mode."""
@@ -162,7 +166,9 @@ def command_message(can_id: int, ranges: MotorRanges, sign: int = 1, flags: int 
         Signal("kd", unused, 47, 12, True, scale=KD_MAX / MAX_COUNT, unit="N m s/rad"),
         _signal_over_range("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
     )
-    return Message("command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque)
+    return Message(
+        "command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque
+    )
 
 
 def impedance_message(
@@ -198,7 +204,9 @@ def impedance_message(
     return Message("position_command", can_id, 8, signals, flags, bytes(8), False, ranges.torque)
 
 
-def position_message(can_id: int, ranges: MotorRanges, speed: float, sign: int, zero: float, flags: int) -> Message:
+def position_message(
+    can_id: int, ranges: MotorRanges, speed: float, sign: int, zero: float, flags: int
+) -> Message:
     """Return the signal table of the command in position-velocity mode, which has a constant speed limit.
 
     Args:
@@ -214,7 +222,9 @@ def position_message(can_id: int, ranges: MotorRanges, speed: float, sign: int, 
         _float_signal("speed", Quantity.UNUSED, 4, "rad/s"),
     )
     base = struct.pack("<ff", 0.0, speed)
-    return Message("position_velocity", 0x100 + can_id, 8, signals, flags, base, limit=ranges.position)
+    return Message(
+        "position_velocity", 0x100 + can_id, 8, signals, flags, base, limit=ranges.position
+    )
 
 
 def velocity_message(can_id: int, limit: float, sign: int, flags: int) -> Message:
@@ -231,7 +241,12 @@ def velocity_message(can_id: int, limit: float, sign: int, flags: int) -> Messag
 
 
 def force_position_message(
-    can_id: int, ranges: MotorRanges, limits: tuple[float, float], sign: int, zero: float, flags: int
+    can_id: int,
+    ranges: MotorRanges,
+    limits: tuple[float, float],
+    sign: int,
+    zero: float,
+    flags: int,
 ) -> Message:
     """Return the signal table of the command in force-position mode, which has constant limits.
 
@@ -250,7 +265,9 @@ def force_position_message(
     speed, fraction = limits
     codes = math.floor(speed * SPEED_CODES), math.floor(fraction * FULL_SCALE_COUNT)
     if not all(0 < code <= FULL_SCALE_COUNT for code in codes):
-        raise ValueError(f"no code for speed {speed:g} rad/s and current {fraction:g}, expected at most 100 and 1")
+        raise ValueError(
+            f"no code for speed {speed:g} rad/s and current {fraction:g}, expected at most 100 and 1"
+        )
     signals = (
         _float_signal("position", Quantity.POSITION, 0, "rad", sign, -sign * zero),
         Signal("speed", Quantity.UNUSED, 32, 16, scale=1.0 / SPEED_CODES, unit="rad/s"),
@@ -277,7 +294,9 @@ def feedback_message(can_id: int, ranges: MotorRanges, sign: int = 1, zero: floa
             have the same sign.
         zero: motor angle at spool angle zero [rad].
     """
-    position = _signal_over_range("position", Quantity.POSITION, 15, 16, ranges.position, "rad", sign)
+    position = _signal_over_range(
+        "position", Quantity.POSITION, 15, 16, ranges.position, "rad", sign
+    )
     return Message("feedback", can_id, 8, (
         # The nibbles of state and node form one status byte, so that one comparison checks both.
         Signal("state", Quantity.STATUS, 7, 8, True),
@@ -297,7 +316,9 @@ def _signal_over_range(
     # The highest code is +largest, so there are 2^n - 1 steps. A negative sign reverses scale and
     # offset.
     scale = sign * 2 * largest / ((1 << length) - 1)
-    return Signal(name, quantity, start, length, True, SignalCoding.UNSIGNED, scale, -sign * largest, unit)
+    return Signal(
+        name, quantity, start, length, True, SignalCoding.UNSIGNED, scale, -sign * largest, unit
+    )
 
 
 def decode_feedback(data: bytes, table: SignalTable) -> FeedbackValues:

@@ -20,7 +20,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from handctl.drives.causes import DriveFaultCause
-from handctl.drives.contract import END_OF_TIME_NS, NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
+from handctl.drives.contract import (
+    END_OF_TIME_NS,
+    NO_STEADY_STATUS,
+    DrivePhase,
+    DriveState,
+    DriveTarget,
+)
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.motor_description import MotorDescription
@@ -50,9 +56,11 @@ ERROR_TEXTS = {
     6: "phase current imbalance",
 }
 """Text of each error, by byte 7 of the feedback. This byte is 0 if there is no error."""
-CAUSE_BY_ERROR = {1: DriveFaultCause.HOT, 3: DriveFaultCause.VOLTAGE, 4: DriveFaultCause.VOLTAGE} | dict.fromkeys(
-    (2, 5, 6), DriveFaultCause.OTHER
-)
+CAUSE_BY_ERROR = {
+    1: DriveFaultCause.HOT,
+    3: DriveFaultCause.VOLTAGE,
+    4: DriveFaultCause.VOLTAGE,
+} | dict.fromkeys((2, 5, 6), DriveFaultCause.OTHER)
 """Cause of each error, by byte 7 of the feedback."""
 FEEDBACK_SIZES = (6, 8)
 """Possible payload lengths of feedback [bytes].
@@ -150,7 +158,15 @@ class CubemarsDrive:
             position,
             velocity,
             torque,
-            Signal("temperature", Quantity.TEMPERATURE, 55, 8, True, offset=self.temperature_offset, unit="degC"),
+            Signal(
+                "temperature",
+                Quantity.TEMPERATURE,
+                55,
+                8,
+                True,
+                offset=self.temperature_offset,
+                unit="degC",
+            ),
             Signal("error", Quantity.STATUS, 63, 8, True),
         )
         object.__setattr__(self, "command", SignalTable(command._replace(limit=self.torque_limit)))
@@ -171,16 +187,28 @@ class CubemarsDrive:
         where = f"motor[{motor.name}]"
         ranges = pop_motor_model(options, where, MOTOR_MODEL_RANGES)
         temperature_offset = options.pop("temperature_offset_C", ZERO_COUNT_TEMPERATURE_C)
-        if isinstance(temperature_offset, bool) or temperature_offset not in (ZERO_COUNT_TEMPERATURE_C, 0.0):
+        if isinstance(temperature_offset, bool) or temperature_offset not in (
+            ZERO_COUNT_TEMPERATURE_C,
+            0.0,
+        ):
             raise ConfigError(
-                repr(temperature_offset), f"{where}.options.temperature_offset_C", f"{ZERO_COUNT_TEMPERATURE_C:g} or 0"
+                repr(temperature_offset),
+                f"{where}.options.temperature_offset_C",
+                f"{ZERO_COUNT_TEMPERATURE_C:g} or 0",
             )
         refuse_unknown_options(options, f"{where}.options", "motor_type or temperature_offset_C")
         check_full_scale(motor, ranges)
         torque_limit = motor.torque_max_N_m
         zero = motor.zero_rad
         return CubemarsDrive(
-            motor.name, bus, motor.node_id, ranges, torque_limit, motor.direction, zero, float(temperature_offset)
+            motor.name,
+            bus,
+            motor.node_id,
+            ranges,
+            torque_limit,
+            motor.direction,
+            zero,
+            float(temperature_offset),
         )
 
     @property
@@ -244,7 +272,11 @@ class CubemarsDrive:
     def steady_status(self, state: DriveState) -> int:
         """Return the status in feedback of an enabled motor: the bytes of node number and error 0, joined."""
         progress: CubemarsProgress = state.private
-        enabled = state.phase == ENABLED and progress.command_sent == ENABLE and progress.answers >= ANSWERS_REQUIRED
+        enabled = (
+            state.phase == ENABLED
+            and progress.command_sent == ENABLE
+            and progress.answers >= ANSWERS_REQUIRED
+        )
         return (self.node_id & 0xFF) << 8 if enabled else NO_STEADY_STATUS
 
     def due_ns(self, state: DriveState) -> int:
@@ -279,7 +311,9 @@ class CubemarsDrive:
         if not error:
             return updated
         disabling = updated.phase == ENABLED and progress_of(updated).command_sent == DISABLE
-        updated = updated._replace(error=error, error_text=ERROR_TEXTS.get(error, f"unknown error {error}"))
+        updated = updated._replace(
+            error=error, error_text=ERROR_TEXTS.get(error, f"unknown error {error}")
+        )
         return updated if disabling else updated._replace(phase=FAULT)
 
     def _on_answer(self, state: DriveState, progress: CubemarsProgress) -> DriveState:
@@ -292,7 +326,8 @@ class CubemarsDrive:
                 return state  # the command counts as obeyed, and further answers change nothing
             done = state.phase != FAULT and progress.answers + 1 >= ANSWERS_REQUIRED
             return state._replace(
-                phase=ENABLED if done else state.phase, private=progress._replace(answers=progress.answers + 1)
+                phase=ENABLED if done else state.phase,
+                private=progress._replace(answers=progress.answers + 1),
             )
         quiet = abs(state.torque) <= MAX_RESTING_TORQUE_FRACTION * self.ranges.torque
         progress = progress._replace(answers=progress.answers + 1 if quiet else 0)
@@ -311,13 +346,21 @@ class CubemarsDrive:
             return state, (self._frame_to_motor(self._torque_payload(torque)),)
         if target == LISTEN:
             return state, ()
-        if state.phase == READY and t_ns - state.feedback_t_ns > SILENCE_TIMEOUT_NS and not progress.enable_sent:
+        if (
+            state.phase == READY
+            and t_ns - state.feedback_t_ns > SILENCE_TIMEOUT_NS
+            and not progress.enable_sent
+        ):
             state = state._replace(phase=SILENT)
         if target == ENABLE and state.phase == READY:
             return self._after_command(state, ENABLE, t_ns), (
                 self._frame_to_motor(codec.special_command(codec.ENABLE)),
             )
-        phase = ENABLED if progress.enable_sent and (target == DISABLE or state.phase != FAULT) else state.phase
+        phase = (
+            ENABLED
+            if progress.enable_sent and (target == DISABLE or state.phase != FAULT)
+            else state.phase
+        )
         return self._after_command(state._replace(phase=phase), DISABLE, t_ns), self.cut()
 
     def _after_command(self, state: DriveState, command_sent: DriveTarget, t_ns: int) -> DriveState:
@@ -364,7 +407,10 @@ class CubemarsDrive:
         """
         progress: CubemarsProgress = state.private
         fresh = state._replace(
-            phase=SILENT, error=0, error_text="", private=CubemarsProgress(enable_sent=progress.enable_sent)
+            phase=SILENT,
+            error=0,
+            error_text="",
+            private=CubemarsProgress(enable_sent=progress.enable_sent),
         )
         return fresh, self.cut()
 

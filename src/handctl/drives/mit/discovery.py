@@ -27,7 +27,15 @@ HARDWARE_VERSION = 13
 SOFTWARE_VERSION = 14
 SERIAL_NUMBER = 15
 CAN_BR = 35
-_INTEGER_REGISTERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE_VERSION, SOFTWARE_VERSION, SERIAL_NUMBER, CAN_BR}
+_INTEGER_REGISTERS = {
+    MST_ID,
+    codec.TIMEOUT,
+    codec.CTRL_MODE,
+    HARDWARE_VERSION,
+    SOFTWARE_VERSION,
+    SERIAL_NUMBER,
+    CAN_BR,
+}
 _DETAIL_REGISTERS = (
     SOFTWARE_VERSION,
     SERIAL_NUMBER,
@@ -62,7 +70,9 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     frames = []
     for motor in discovered_motors(received):
         frames += [_read_request(motor.node_id, register) for register in _DETAIL_REGISTERS]
-        frames.append(Frame(codec.BROADCAST_ID, codec.register_request(motor.node_id, codec.REFRESH)))
+        frames.append(
+            Frame(codec.BROADCAST_ID, codec.register_request(motor.node_id, codec.REFRESH))
+        )
     return tuple(frames)
 
 
@@ -77,28 +87,49 @@ def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
         ):
             answers = replies.setdefault(int.from_bytes(frame.data[:2], "little"), {})
             answers.setdefault(frame.data[3], []).append(frame.data[4:])
-    reply_ids = {number: _decode_integer(raw[MST_ID][-1]) for number, raw in replies.items() if MST_ID in raw}
+    reply_ids = {
+        number: _decode_integer(raw[MST_ID][-1]) for number, raw in replies.items() if MST_ID in raw
+    }
     identifiers = {frame.can_id for frame in received}
     present = sorted(number for number, reply_id in reply_ids.items() if reply_id in identifiers)
-    return tuple(_describe_motor(number, reply_ids, replies[number], received) for number in present)
+    return tuple(
+        _describe_motor(number, reply_ids, replies[number], received) for number in present
+    )
 
 
 def _describe_motor(
-    number: int, reply_ids: dict[int, int], answers: dict[int, list[bytes]], received: ReceivedFrames
+    number: int,
+    reply_ids: dict[int, int],
+    answers: dict[int, list[bytes]],
+    received: ReceivedFrames,
 ) -> DiscoveredNode:
     """Return a discovered motor, with the data in its registers."""
     reply_id = reply_ids[number]
     raw = {register: payloads[-1] for register, payloads in answers.items()}
-    values = {register: _decode_integer(data) for register, data in raw.items() if register in _INTEGER_REGISTERS}
-    settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGE_REGISTERS if register in raw}
+    values = {
+        register: _decode_integer(data)
+        for register, data in raw.items()
+        if register in _INTEGER_REGISTERS
+    }
+    settings = {
+        key: struct.unpack("<f", raw[register])[0]
+        for key, register in _RANGE_REGISTERS
+        if register in raw
+    }
     # A hand file without the option reply_id means MST_ID = ESC_ID + 0x10.
-    options: dict[str, bool | int | float | str] = {} if reply_id == number + 0x10 else {"reply_id": reply_id}
+    options: dict[str, bool | int | float | str] = (
+        {} if reply_id == number + 0x10 else {"reply_id": reply_id}
+    )
     if values.get(CAN_BR, 0) >= FIRST_FD_BIT_RATE:
         options["fd"] = True
     twins = have_two_drives_answered(answers, SERIAL_NUMBER)
     notes = [TWO_DRIVES_WARNING] if twins else []
-    if others := [other for other, used in reply_ids.items() if used == reply_id and other != number]:
-        notes.append(f"answers on {reply_id:#x} as motor {others[0]} does: give each an MST_ID of its own (register 7)")
+    if others := [
+        other for other, used in reply_ids.items() if used == reply_id and other != number
+    ]:
+        notes.append(
+            f"answers on {reply_id:#x} as motor {others[0]} does: give each an MST_ID of its own (register 7)"
+        )
     if values.get(codec.TIMEOUT) == 0:
         notes.append("its watchdog is off; handctl sets it before arming")
     if values.get(codec.CTRL_MODE, codec.MIT_MODE) != codec.MIT_MODE:
@@ -106,7 +137,9 @@ def _describe_motor(
     state, error = _state_and_error(number, reply_id, received)
     firmware = f"{values[SOFTWARE_VERSION]:#x}" if SOFTWARE_VERSION in values else ""
     serial = f"{values[SERIAL_NUMBER]:#x}" if SERIAL_NUMBER in values else ""
-    return DiscoveredNode("mit", number, firmware, serial, state, error, settings, options, tuple(notes), {}, twins)
+    return DiscoveredNode(
+        "mit", number, firmware, serial, state, error, settings, options, tuple(notes), {}, twins
+    )
 
 
 def _state_and_error(number: int, reply_id: int, received: ReceivedFrames) -> tuple[str, str]:
@@ -115,11 +148,19 @@ def _state_and_error(number: int, reply_id: int, received: ReceivedFrames) -> tu
     Both are empty without feedback.
     """
     for frame in reversed(received):
-        matches = frame.can_id == reply_id and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
+        matches = (
+            frame.can_id == reply_id
+            and len(frame.data) == 8
+            and frame.data[0] & 0xF == number & 0xF
+        )
         if matches and codec.decode_register_reply(frame.data, number) is None:
             nibble = frame.data[0] >> 4
             values = _STATE_TEXTS.get(nibble)
-            return (values, "") if values else ("in error", codec.ERROR_TEXTS.get(nibble, f"unknown state {nibble:#x}"))
+            return (
+                (values, "")
+                if values
+                else ("in error", codec.ERROR_TEXTS.get(nibble, f"unknown state {nibble:#x}"))
+            )
     return "", ""
 
 
@@ -159,7 +200,9 @@ def ping_request(motor: DiscoveredNode) -> Frame:
 def is_ping_reply(motor: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame is a reply of the motor with register MST_ID."""
     answer = frame.can_id != codec.BROADCAST_ID and len(frame.data) == 8
-    return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
+    return (
+        answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
+    )
 
 
 DISCOVERY = ProtocolDiscovery(

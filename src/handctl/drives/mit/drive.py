@@ -103,7 +103,9 @@ class MitDrive:
             bus=bus,
             node_id=motor.node_id,
             reply_id=reply,
-            ranges=codec.MotorRanges(motor.position_range_rad, motor.velocity_range_rad_s, motor.torque_max_N_m),
+            ranges=codec.MotorRanges(
+                motor.position_range_rad, motor.velocity_range_rad_s, motor.torque_max_N_m
+            ),
             direction=motor.direction,
             zero=motor.zero_rad,
             timeout=round(motor.watchdog_ms * codec.TIMEOUT_UNITS_PER_MS),
@@ -133,7 +135,9 @@ class MitDrive:
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of commands in all control modes, and the identifier of register requests."""
-        return frozenset(mode + self.node_id for mode in (0x000, 0x100, 0x200, 0x300)) | {codec.BROADCAST_ID}
+        return frozenset(mode + self.node_id for mode in (0x000, 0x100, 0x200, 0x300)) | {
+            codec.BROADCAST_ID
+        }
 
     @property
     def node_ids(self) -> frozenset[int]:
@@ -190,7 +194,12 @@ class MitDrive:
     def steady_status(self, state: DriveState) -> int:
         """Return byte 0 of feedback from an enabled motor without an error: state and node number."""
         progress = progress_of(state)
-        if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
+        if (
+            state.phase != ENABLED
+            or not progress.enable_sent
+            or progress.disabling
+            or progress.check.waiting
+        ):
             return NO_STEADY_STATUS
         return codec.ENABLED << 4 | self.node_id & 0xF
 
@@ -212,7 +221,10 @@ class MitDrive:
         progress = progress_of(state)
         if state.phase == ENABLED and progress.check.waiting:
             reply = codec.decode_register_reply(data, self.node_id)
-            if reply is not None and reply[:2] == (codec.READ, self.rechecked_settings[progress.check.step][0]):
+            if reply is not None and reply[:2] == (
+                codec.READ,
+                self.rechecked_settings[progress.check.step][0],
+            ):
                 return self._on_guard(state, progress, reply)
         # Byte 0 of feedback from an enabled motor is 0x10 | node nibble. If the node number is from
         # 0x10 to 0x1f, byte 0 of a register reply is the same. The frame then counts as feedback.
@@ -233,19 +245,30 @@ class MitDrive:
         progress = progress_of(state)
         if progress.cursor.step >= len(self.required):
             updated = reply[:2] == (codec.READ, codec.SERIAL_NUMBER)
-            return _ready_state(state, progress, t_ns, int.from_bytes(reply.raw, "little")) if updated else state
+            return (
+                _ready_state(state, progress, t_ns, int.from_bytes(reply.raw, "little"))
+                if updated
+                else state
+            )
         cursor, problem = registers.on_reply(progress.cursor, self.required, reply)
         if problem:
             return enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state._replace(private=progress._replace(cursor=cursor))
 
-    def _on_guard(self, state: DriveState, progress: MitProgress, reply: codec.RegisterReply) -> DriveState:
+    def _on_guard(
+        self, state: DriveState, progress: MitProgress, reply: codec.RegisterReply
+    ) -> DriveState:
         """Compare a register, read again from the enabled motor, with the required value."""
         register, value = self.rechecked_settings[progress.check.step]
         same = reply.raw == codec.register_bytes(register, value)
         answer = f"reads {reply.value:g}"
         check, problem = readback.on_recheck_reply(
-            progress.check, len(self.rechecked_settings), same, registers.register_name(register), answer, f"{value:g}"
+            progress.check,
+            len(self.rechecked_settings),
+            same,
+            registers.register_name(register),
+            answer,
+            f"{value:g}",
         )
         updated = state._replace(private=progress._replace(check=check))
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
@@ -297,7 +320,11 @@ class MitDrive:
             updated, requests = self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
             return updated, (*(clear or self.cut()), *requests) if fed else requests
         if state.phase == READY and target == ENABLE and not (fed and progress.clearing):
-            check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
+            check = (
+                progress.check
+                if progress.enable_sent
+                else readback.first_recheck(self.node_id, t_ns)
+            )
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
             return enabling, (self._frame(codec.special_command(codec.ENABLE)),)
         if fed and not clear:
@@ -312,18 +339,26 @@ class MitDrive:
         """
         phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
-        return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
+        return state._replace(
+            phase=phase, private=progress._replace(disabling=True, disabling_ns=since)
+        )
 
-    def _ask_guard(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, Frame]:
+    def _ask_guard(
+        self, state: DriveState, progress: MitProgress, t_ns: int
+    ) -> tuple[DriveState, Frame]:
         """Return the next state and the request to read a protection register of the enabled motor."""
         register, _ = self.rechecked_settings[progress.check.step]
-        check, problem = readback.next_recheck(progress.check, registers.register_name(register), self.node_id, t_ns)
+        check, problem = readback.next_recheck(
+            progress.check, registers.register_name(register), self.node_id, t_ns
+        )
         state = state._replace(private=progress._replace(check=check))
         if problem:
             state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
         return state, self._broadcast(codec.register_request(self.node_id, codec.READ, register))
 
-    def _configure(self, state: DriveState, progress: MitProgress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _configure(
+        self, state: DriveState, progress: MitProgress, t_ns: int
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the next register request.
 
         An enabled motor is disabled first.
@@ -332,14 +367,20 @@ class MitDrive:
             updated = state._replace(error_text="enabled, and does not disable", private=progress)
             return updated, self.cut()
         if progress.cursor.step >= len(self.required):
-            cursor, data, unanswered = registers.next_serial_request(progress.cursor, self.node_id, t_ns)
+            cursor, data, unanswered = registers.next_serial_request(
+                progress.cursor, self.node_id, t_ns
+            )
             updated = state._replace(private=progress._replace(cursor=cursor))
             return _ready_state(updated, progress, t_ns, 0) if unanswered else updated, (
                 self._broadcast(data),
             ) if data else ()
-        cursor, data, problem = registers.next_request(progress.cursor, self.required, self.node_id, t_ns)
+        cursor, data, problem = registers.next_request(
+            progress.cursor, self.required, self.node_id, t_ns
+        )
         if problem:
-            return enter_fault(state._replace(private=progress), SETTING_MISMATCH_ERROR, problem), ()
+            return enter_fault(
+                state._replace(private=progress), SETTING_MISMATCH_ERROR, problem
+            ), ()
         text = FIRES_WHILE_DISABLED_TEXT if state.error_text == FIRES_WHILE_DISABLED_TEXT else ""
         updated = state._replace(error_text=text, private=progress._replace(cursor=cursor))
         return updated, (self._broadcast(data),) if data else ()
@@ -378,7 +419,9 @@ class MitDrive:
 
         The registers are then verified again.
         """
-        fresh = state._replace(phase=SILENT, error=0, error_text="", private=MitProgress(clearing=CLEAR_TRIES))
+        fresh = state._replace(
+            phase=SILENT, error=0, error_text="", private=MitProgress(clearing=CLEAR_TRIES)
+        )
         return fresh, (self._frame(codec.special_command(codec.CLEAR)),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
@@ -411,5 +454,7 @@ def _ready_state(state: DriveState, progress: MitProgress, t_ns: int, serial: in
 
     With serial number 0, the serial number is unknown.
     """
-    ready = progress._replace(cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial)
+    ready = progress._replace(
+        cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial
+    )
     return state._replace(phase=READY, private=ready)

@@ -50,7 +50,9 @@ class MitModeDrive(MitDrive):
     def _message(self) -> Message:
         """Return the signal table of the command in this mode."""
         if self.mode == DriveMode.VELOCITY:
-            return codec.velocity_message(self.node_id, self.limits.speed, self.direction, self.flags)
+            return codec.velocity_message(
+                self.node_id, self.limits.speed, self.direction, self.flags
+            )
         last = self.direction, self.zero, self.flags
         if self.mode == DriveMode.POSITION:
             return codec.position_message(self.node_id, self.ranges, self.limits.speed, *last)
@@ -66,7 +68,11 @@ class MitModeDrive(MitDrive):
     def _mode_registers(self) -> tuple[tuple[int, float], ...]:
         """Return the registers for the control mode, as pairs (register, required value)."""
         slope = self.limits.acceleration
-        ramps = ((codec.ACCELERATION, slope), (codec.DECELERATION, -slope), (codec.MAX_SPEED, self.limits.speed))
+        ramps = (
+            (codec.ACCELERATION, slope),
+            (codec.DECELERATION, -slope),
+            (codec.MAX_SPEED, self.limits.speed),
+        )
         return ((codec.CTRL_MODE, _CONTROL_MODES[self.mode]), *ramps)
 
     @property
@@ -91,7 +97,9 @@ class MitModeDrive(MitDrive):
         return Frame(message.can_id, self._torque(torque), self.flags, self.bus)
 
 
-def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> MitModeDrive:
+def make_mode_drive(
+    motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
+) -> MitModeDrive:
     """Return the drive for a motor description, in the given mode.
 
     Raises:
@@ -104,4 +112,6 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
     try:
         return MitModeDrive(**init_fields(base), mode=mode, limits=limits, fraction=fraction)
     except ValueError as error:
-        raise ConfigError(str(error), f"motor[{motor.name}]", "a limit that the command can carry") from None
+        raise ConfigError(
+            str(error), f"motor[{motor.name}]", "a limit that the command can carry"
+        ) from None

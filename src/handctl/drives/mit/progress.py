@@ -133,7 +133,9 @@ def _state_after_error(state: DriveState, progress: MitProgress, nibble: int) ->
     if nibble == WATCHDOG_FIRED and idle and state.phase in (CONFIGURING, READY):
         # The watchdog has fired, because register requests do not restart it. The motor makes no
         # torque, so no operator has to clear the error.
-        return state._replace(error_text=FIRES_WHILE_DISABLED_TEXT, private=progress._replace(clearing=CLEAR_TRIES))
+        return state._replace(
+            error_text=FIRES_WHILE_DISABLED_TEXT, private=progress._replace(clearing=CLEAR_TRIES)
+        )
     if nibble in codec.ERROR_TEXTS:
         off = state._replace(private=progress._replace(enable_sent=False, enabled_by_other=False))
         return enter_fault(off, nibble, codec.ERROR_TEXTS[nibble])

@@ -36,7 +36,9 @@ def on_reply(
         return cursor.after_write(), ""
     if reply.raw == codec.register_bytes(register, value):
         return cursor.next_setting(), ""
-    return readback.on_wrong_value(cursor, register_name(register), f"{reply.value:g}", f"{value:g}", WRITE_TRIES)
+    return readback.on_wrong_value(
+        cursor, register_name(register), f"{reply.value:g}", f"{value:g}", WRITE_TRIES
+    )
 
 
 def next_request(
@@ -57,18 +59,30 @@ def next_request(
     register, value = required[cursor.step]
     cursor, send, problem = readback.request_setting(cursor, register_name(register), t_ns)
     operation = codec.WRITE if cursor.writing else codec.READ
-    return cursor, codec.register_request(node_id, operation, register, value) if send else b"", problem
+    return (
+        cursor,
+        codec.register_request(node_id, operation, register, value) if send else b"",
+        problem,
+    )
 
 
-def next_serial_request(cursor: ReadbackCursor, node_id: int, t_ns: int) -> tuple[ReadbackCursor, bytes, bool]:
+def next_serial_request(
+    cursor: ReadbackCursor, node_id: int, t_ns: int
+) -> tuple[ReadbackCursor, bytes, bool]:
     """Return the request for the serial number, which follows the read-back of all registers.
 
     Returns:
         the new cursor, the payload for a frame with BROADCAST_ID (empty while an answer is
         awaited), and True if the motor does not answer.
     """
-    cursor, send, unanswered = readback.request_setting(cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES)
-    return cursor, codec.register_request(node_id, codec.READ, codec.SERIAL_NUMBER) if send else b"", bool(unanswered)
+    cursor, send, unanswered = readback.request_setting(
+        cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES
+    )
+    return (
+        cursor,
+        codec.register_request(node_id, codec.READ, codec.SERIAL_NUMBER) if send else b"",
+        bool(unanswered),
+    )
 
 
 def register_name(register: int) -> str:

@@ -140,7 +140,16 @@ _VALUE_STRUCTS = tuple(struct.Struct(f"<{letter}") for letter in "bhif")
 """``struct`` code of each type of register value."""
 
 QUERY_SUBFRAMES = bytes(
-    (READ | 1, MODE, READ | 2, TEMPERATURE, READ | FLOAT << 2 | 3, 0x01, READ | 1, MOTOR_TEMPERATURE)
+    (
+        READ | 1,
+        MODE,
+        READ | 2,
+        TEMPERATURE,
+        READ | FLOAT << 2 | 3,
+        0x01,
+        READ | 1,
+        MOTOR_TEMPERATURE,
+    )
 )
 """Subframes that request feedback."""
 FEEDBACK_LENGTH = 24
@@ -206,7 +215,9 @@ def limits_request(torque: float, timeout_s: float) -> bytes:
     of the integrator refuses this write, before any torque command.
     """
     return padded_payload(
-        limits_subframes(torque, timeout_s) + write_bytes_subframe(INTEGRATOR_SCALE, 0) + QUERY_SUBFRAMES
+        limits_subframes(torque, timeout_s)
+        + write_bytes_subframe(INTEGRATOR_SCALE, 0)
+        + QUERY_SUBFRAMES
     )
 
 
@@ -246,7 +257,9 @@ def command_message(node_id: int, torque: float, timeout_s: float, sign: int = 1
         _float_signal("watchdog", Quantity.UNUSED, 28, 1.0, "s"),
     )
     base = padded_payload(base)
-    return Message("command", request_id(node_id), len(base), signals, FD_FRAME_FLAGS, base, False, torque)
+    return Message(
+        "command", request_id(node_id), len(base), signals, FD_FRAME_FLAGS, base, False, torque
+    )
 
 
 class PositionGains(NamedTuple):
@@ -262,7 +275,12 @@ class PositionGains(NamedTuple):
 
 
 def position_message(
-    torque: Message, gains: PositionGains, timeout_s: float, top_speed: float, sign: int = 1, zero: float = 0.0
+    torque: Message,
+    gains: PositionGains,
+    timeout_s: float,
+    top_speed: float,
+    sign: int = 1,
+    zero: float = 0.0,
 ) -> Message:
     """Return the command with position, velocity, kp, kd, torque and limit, see ``signals.POSITION_COMMAND``.
 
@@ -341,7 +359,9 @@ def _float_signal(name: str, quantity: Quantity, byte: int, scale: float, unit: 
 def joined_status(mode: int, fault: int) -> int:
     """Return the status of feedback with a mode and a fault code, as compiled code joins its signals."""
     heads = [int.from_bytes(content, "little") for _, content in STATUS_HEADERS]
-    return ((((heads[0] << 8 | mode) << 8 | heads[1]) << 8 | fault) << 16 | heads[2]) << 16 | heads[3]
+    return ((((heads[0] << 8 | mode) << 8 | heads[1]) << 8 | fault) << 16 | heads[2]) << 16 | heads[
+        3
+    ]
 
 
 def is_feedback(data: bytes) -> bool:

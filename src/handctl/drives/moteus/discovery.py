@@ -27,7 +27,10 @@ DETAIL_REQUESTS = (
     codec.read_subframe(codec.INT8, codec.FAULT),
     *(
         codec.read_subframe(codec.INT32, register)
-        for register in (codec.FIRMWARE_VERSION, *range(codec.SERIAL_NUMBER, codec.SERIAL_NUMBER + 3))
+        for register in (
+            codec.FIRMWARE_VERSION,
+            *range(codec.SERIAL_NUMBER, codec.SERIAL_NUMBER + 3),
+        )
     ),
 )
 """Payloads that read fault code, firmware version, and serial number."""
@@ -66,9 +69,13 @@ def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
         # Each request of a scan reads one register. A reply with more registers answers another
         # host.
         if number is not None and reply is not None and len(reply.values) == 1:
-            answers.setdefault(number, {}).setdefault(next(iter(reply.values)), []).append(frame.data)
+            answers.setdefault(number, {}).setdefault(next(iter(reply.values)), []).append(
+                frame.data
+            )
     return tuple(
-        _describe_drive(number, answers[number]) for number in sorted(answers) if codec.MODE in answers[number]
+        _describe_drive(number, answers[number])
+        for number in sorted(answers)
+        if codec.MODE in answers[number]
     )
 
 
@@ -93,13 +100,17 @@ def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredN
     twins = have_two_drives_answered(answers, codec.SERIAL_NUMBER)
     notes = (TWO_DRIVES_WARNING,) * twins + ("needs a bus with CAN FD: data_bitrate = 5_000_000",)
     state = _MODE_TEXTS.get(mode, f"mode {mode}")
-    return DiscoveredNode("moteus", number, firmware, serial, state, error, notes=notes, twins=twins)
+    return DiscoveredNode(
+        "moteus", number, firmware, serial, state, error, notes=notes, twins=twins
+    )
 
 
 def command_ids(drive: DiscoveredNode) -> frozenset[int]:
     """Return the identifiers of requests from any host to this drive and to all drives."""
     return frozenset(
-        codec.request_id(node, source) for node in (drive.node_id, codec.BROADCAST) for source in codec.SOURCE_NODES
+        codec.request_id(node, source)
+        for node in (drive.node_id, codec.BROADCAST)
+        for source in codec.SOURCE_NODES
     )
 
 

@@ -83,12 +83,20 @@ class MoteusDrive:
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
-        command = codec.command_message(self.node_id, self.torque_limit, self.timeout_s, self.direction)
+        command = codec.command_message(
+            self.node_id, self.torque_limit, self.timeout_s, self.direction
+        )
         object.__setattr__(self, "command", SignalTable(command))
         object.__setattr__(
-            self, "feedback", SignalTable(codec.feedback_message(self.node_id, self.direction, self.zero))
+            self,
+            "feedback",
+            SignalTable(codec.feedback_message(self.node_id, self.direction, self.zero)),
         )
-        configuration = items.REQUIRED_CONFIGURATION if self.gains is None else items.position_configuration(self.gains)
+        configuration = (
+            items.REQUIRED_CONFIGURATION
+            if self.gains is None
+            else items.position_configuration(self.gains)
+        )
         required = items.required_settings(self.torque_limit, self.timeout_s, configuration)
         object.__setattr__(self, "configuration", configuration)
         object.__setattr__(self, "required", required)
@@ -101,8 +109,12 @@ class MoteusDrive:
             ConfigError: an option, a node number beyond 0x7e, or a position loop without gains.
         """
         if not 0 < motor.node_id <= codec.LAST_NODE:
-            raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
-        refuse_unknown_options(motor.options, f"motor[{motor.name}].options", "no such key: moteus has no options")
+            raise ConfigError(
+                str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}"
+            )
+        refuse_unknown_options(
+            motor.options, f"motor[{motor.name}].options", "no such key: moteus has no options"
+        )
         return MoteusDrive(
             name=motor.name,
             bus=bus,
@@ -135,7 +147,9 @@ class MoteusDrive:
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of requests from any host to this drive and to all drives."""
         return frozenset(
-            codec.request_id(node, source) for node in (self.node_id, codec.BROADCAST) for source in codec.SOURCE_NODES
+            codec.request_id(node, source)
+            for node in (self.node_id, codec.BROADCAST)
+            for source in codec.SOURCE_NODES
         )
 
     @property
@@ -172,12 +186,22 @@ class MoteusDrive:
             position = codec.position_message(
                 torque, self.gains, self.timeout_s, self.top_speed, self.direction, self.zero
             )
-        return CyclicMessages((self.feedback.message,), (torque,), position=position, moves_target=position is not None)
+        return CyclicMessages(
+            (self.feedback.message,),
+            (torque,),
+            position=position,
+            moves_target=position is not None,
+        )
 
     def steady_status(self, state: DriveState) -> int:
         """Return the status of feedback in position mode without a fault code, or NO_STEADY_STATUS."""
         progress = progress_of(state)
-        if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
+        if (
+            state.phase != ENABLED
+            or not progress.enable_sent
+            or progress.disabling
+            or progress.check.waiting
+        ):
             return NO_STEADY_STATUS
         return codec.joined_status(codec.POSITION, 0)
 
@@ -203,7 +227,9 @@ class MoteusDrive:
         if reply.refused and state.phase == CONFIGURING:
             register, error = next(iter(reply.refused.items()))
             return enter_fault(
-                state, SETTING_MISMATCH_ERROR, f"refuses register {register:#x} with error {error}: firmware too old?"
+                state,
+                SETTING_MISMATCH_ERROR,
+                f"refuses register {register:#x} with error {error}: firmware too old?",
             )
         if reply.text is not None:
             return self._on_text(state, progress, reply.text)
@@ -229,9 +255,15 @@ class MoteusDrive:
         )
         return apply_mode(updated, int(status[1]), int(status[3]))
 
-    def _open_setting(self, state: DriveState, progress: MoteusProgress) -> items.MoteusSetting | None:
+    def _open_setting(
+        self, state: DriveState, progress: MoteusProgress
+    ) -> items.MoteusSetting | None:
         """Return the setting whose value the host has requested, or None if no request is open."""
-        if state.phase == CONFIGURING and progress.cursor.waiting and progress.cursor.step < len(self.required):
+        if (
+            state.phase == CONFIGURING
+            and progress.cursor.waiting
+            and progress.cursor.step < len(self.required)
+        ):
             return self.required[progress.cursor.step]
         if state.phase == ENABLED and progress.check.waiting:
             return self.configuration[progress.check.step]
@@ -245,17 +277,26 @@ class MoteusDrive:
         if emptied:
             # This answers a read that empties the channel. The next request may follow at once.
             cursor = progress.cursor
-            progress = progress._replace(cursor=cursor._replace(sent_ns=-1, tries=max(0, cursor.tries - 1)))
+            progress = progress._replace(
+                cursor=cursor._replace(sent_ns=-1, tries=max(0, cursor.tries - 1))
+            )
         state = state._replace(private=progress)
         setting = self._open_setting(state, progress) if line else None
         if setting is None or setting.register:
             return state
         if state.phase == CONFIGURING and progress.cursor.writing:
             return state._replace(private=progress._replace(cursor=progress.cursor.after_write()))
-        return self._on_value(state, progress, setting, items.value_in_answer(line), line.decode(errors="replace"))
+        return self._on_value(
+            state, progress, setting, items.value_in_answer(line), line.decode(errors="replace")
+        )
 
     def _on_value(
-        self, state: DriveState, progress: MoteusProgress, setting: items.MoteusSetting, value: float | None, text: str
+        self,
+        state: DriveState,
+        progress: MoteusProgress,
+        setting: items.MoteusSetting,
+        value: float | None,
+        text: str,
     ) -> DriveState:
         """Return the state after the value of a setting.
 
@@ -266,7 +307,12 @@ class MoteusDrive:
         expected = f"{setting.value:g}"
         if state.phase == ENABLED:
             check, problem = readback.on_recheck_reply(
-                progress.check, len(self.configuration), same, setting.name, f"reads {shown}", expected
+                progress.check,
+                len(self.configuration),
+                same,
+                setting.name,
+                f"reads {shown}",
+                expected,
             )
             updated = state._replace(private=progress._replace(check=check))
             return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
@@ -275,7 +321,9 @@ class MoteusDrive:
         if same:
             return state._replace(private=progress._replace(cursor=progress.cursor.next_setting()))
         writes = items.WRITE_TRIES if value is not None else 0
-        cursor, problem = readback.on_wrong_value(progress.cursor, setting.name, shown, expected, writes)
+        cursor, problem = readback.on_wrong_value(
+            progress.cursor, setting.name, shown, expected, writes
+        )
         updated = state._replace(private=progress._replace(cursor=cursor))
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
@@ -318,10 +366,16 @@ class MoteusDrive:
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
+            check = (
+                progress.check
+                if progress.enable_sent
+                else readback.first_recheck(self.node_id, t_ns)
+            )
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
             return enabling, (self._frame_to_drive(self._torque_payload(0.0)),)
-        question = self.cut()[0] if progress.clearing else self._frame_to_drive(codec.QUERY_SUBFRAMES)
+        question = (
+            self.cut()[0] if progress.clearing else self._frame_to_drive(codec.QUERY_SUBFRAMES)
+        )
         return state._replace(private=progress), (question,)
 
     def _disable(self, state: DriveState, progress: MoteusProgress, t_ns: int) -> DriveState:
@@ -331,7 +385,9 @@ class MoteusDrive:
         """
         phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
-        return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
+        return state._replace(
+            phase=phase, private=progress._replace(disabling=True, disabling_ns=since)
+        )
 
     def _next_recheck(
         self, state: DriveState, progress: MoteusProgress, t_ns: int
@@ -370,15 +426,23 @@ class MoteusDrive:
         if progress.cursor.step >= len(self.required):
             return self._request_serial(state, progress, t_ns)
         setting = self.required[progress.cursor.step]
-        if setting.register and progress.cursor.writing:  # the drive answers this write only with feedback
+        if (
+            setting.register and progress.cursor.writing
+        ):  # the drive answers this write only with feedback
             limits = self._frame_to_drive(codec.limits_request(self.torque_limit, self.timeout_s))
-            return state._replace(private=progress._replace(cursor=progress.cursor.after_write())), (limits,)
+            return state._replace(
+                private=progress._replace(cursor=progress.cursor.after_write())
+            ), (limits,)
         if progress.channel.is_awaiting_answer(t_ns):
             channel, data = progress.channel.poll()
-            return state._replace(private=progress._replace(channel=channel)), (self._frame_to_drive(data),)
+            return state._replace(private=progress._replace(channel=channel)), (
+                self._frame_to_drive(data),
+            )
         cursor, send, problem = readback.request_setting(progress.cursor, setting.name, t_ns)
         if problem:
-            return enter_fault(state._replace(private=progress), SETTING_MISMATCH_ERROR, problem), ()
+            return enter_fault(
+                state._replace(private=progress), SETTING_MISMATCH_ERROR, problem
+            ), ()
         channel = progress.channel
         data = b""
         if send:
@@ -386,11 +450,17 @@ class MoteusDrive:
             # first.
             channel = items.DiagnosticChannel() if progress.cursor.waiting else channel
             channel, data = self._setting_request(channel, setting, cursor.writing, t_ns)
-        updated = state._replace(error_text="", private=progress._replace(cursor=cursor, channel=channel))
+        updated = state._replace(
+            error_text="", private=progress._replace(cursor=cursor, channel=channel)
+        )
         return updated, (self._frame_to_drive(data),) if data else ()
 
     def _setting_request(
-        self, channel: items.DiagnosticChannel, setting: items.MoteusSetting, writing: bool, t_ns: int
+        self,
+        channel: items.DiagnosticChannel,
+        setting: items.MoteusSetting,
+        writing: bool,
+        t_ns: int,
     ) -> tuple[items.DiagnosticChannel, bytes]:
         """Return the next state of the text channel, and the payload that reads or writes a setting."""
         if setting.register:
@@ -402,7 +472,9 @@ class MoteusDrive:
         self, state: DriveState, progress: MoteusProgress, t_ns: int
     ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Request the serial number at most a few times, then continue without a serial number."""
-        cursor, send, unanswered = readback.request_setting(progress.cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES)
+        cursor, send, unanswered = readback.request_setting(
+            progress.cursor, "serial number", t_ns, SERIAL_NUMBER_TRIES
+        )
         updated = state._replace(private=progress._replace(cursor=cursor))
         if unanswered:
             return _ready_state(updated, progress, t_ns, 0), ()
@@ -435,7 +507,9 @@ class MoteusDrive:
 
         Settings are then read back again.
         """
-        fresh = state._replace(phase=SILENT, error=0, error_text="", private=MoteusProgress(clearing=CLEAR_TRIES))
+        fresh = state._replace(
+            phase=SILENT, error=0, error_text="", private=MoteusProgress(clearing=CLEAR_TRIES)
+        )
         return fresh, self.cut()
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:
@@ -470,7 +544,9 @@ def _position_gains(motor: MotorDescription) -> codec.PositionGains | None:
         if value is None:
             right = 'a number, because control = "position" writes this gain into a moteus'
             raise ConfigError("missing", f"motor[{motor.name}].{key}", right)
-    return codec.PositionGains(*(items.gain_of_drive(value) for value in given.values() if value is not None))
+    return codec.PositionGains(
+        *(items.gain_of_drive(value) for value in given.values() if value is not None)
+    )
 
 
 def _ready_state(state: DriveState, progress: MoteusProgress, t_ns: int, serial: int) -> DriveState:
@@ -478,5 +554,7 @@ def _ready_state(state: DriveState, progress: MoteusProgress, t_ns: int, serial:
 
     With serial number 0, the serial number is unknown.
     """
-    ready = progress._replace(cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial)
+    ready = progress._replace(
+        cursor=ReadbackCursor(), configured=True, ready_ns=t_ns, serial=serial
+    )
     return state._replace(phase=READY, private=ready)

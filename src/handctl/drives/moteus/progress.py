@@ -86,7 +86,9 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     if mode == codec.STOPPED:
         return _state_when_stopped(state, progress, was_preparing)
     if mode in (codec.FAULT_MODE, codec.TIMED_OUT):
-        return _state_after_error(state, progress, fault if mode == codec.FAULT_MODE and fault else mode)
+        return _state_after_error(
+            state, progress, fault if mode == codec.FAULT_MODE and fault else mode
+        )
     if mode == codec.POSITION:
         return _state_when_enabled(state, progress)
     if mode in codec.PREPARING_MODES and progress.enable_sent and state.phase == READY:
@@ -94,7 +96,9 @@ def apply_mode(state: DriveState, mode: int, fault: int) -> DriveState:
     return _state_when_in_other_mode(state, progress)
 
 
-def _state_when_stopped(state: DriveState, progress: MoteusProgress, was_preparing: bool) -> DriveState:
+def _state_when_stopped(
+    state: DriveState, progress: MoteusProgress, was_preparing: bool
+) -> DriveState:
     """Return the state after the drive has reported the state stopped.
 
     If this host had enabled the drive, or was enabling it, the drive has stopped by itself. That is
@@ -127,10 +131,14 @@ def _state_when_in_other_mode(state: DriveState, progress: MoteusProgress) -> Dr
     if state.phase == ENABLED and progress.enable_sent and not progress.disabling:
         enabled = state._replace(private=progress._replace(enabled_by_other=True))
         return enter_fault(enabled, DROPPED_OUT_ERROR, f"went to mode {progress.mode} by itself")
-    return _state_when_enabled_by_other(state, progress, f"in mode {progress.mode}, but not by this host")
+    return _state_when_enabled_by_other(
+        state, progress, f"in mode {progress.mode}, but not by this host"
+    )
 
 
-def _state_when_enabled_by_other(state: DriveState, progress: MoteusProgress, text: str) -> DriveState:
+def _state_when_enabled_by_other(
+    state: DriveState, progress: MoteusProgress, text: str
+) -> DriveState:
     """Return the state after a mode that another host or a restart has caused."""
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
     if progress.disabling:

@@ -51,7 +51,18 @@ TEMPERATURE = 0x15
 CLEAR_ERRORS = 0x18
 TORQUES = 0x1C
 HOST_COMMANDS = frozenset(
-    (ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, SET_POSITION, SET_VELOCITY, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS)
+    (
+        ESTOP,
+        RX_SDO,
+        SET_AXIS_STATE,
+        SET_MODE,
+        SET_POSITION,
+        SET_VELOCITY,
+        SET_TORQUE,
+        SET_LIMITS,
+        0x16,
+        CLEAR_ERRORS,
+    )
 )
 """Numbers of commands that only a host sends. 0x16 reboots the drive."""
 REQUESTABLE_MESSAGES = frozenset((GET_VERSION, ADDRESS, ENCODER_ESTIMATES, TEMPERATURE, TORQUES))
@@ -114,7 +125,9 @@ def message_id(node_id: int, command: int) -> int:
 
 def error_text(errors: int) -> str:
     """Return the texts of all set error bits. An undocumented bit appears with its number."""
-    return ", ".join(ERROR_TEXTS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)
+    return ", ".join(
+        ERROR_TEXTS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1
+    )
 
 
 def result_text(result: int) -> str:
@@ -191,8 +204,20 @@ def position_message(node_id: int, ratio: float, zero: float, limit: float) -> M
     """
     signals = (
         _float_signal("position", Quantity.POSITION, 0, math.tau / ratio, -zero / ratio, "rad"),
-        Signal("velocity", Quantity.UNUSED, 32, 16, False, SignalCoding.SIGNED, 1e-3 * math.tau / ratio, 0.0, "rad/s"),
-        Signal("torque", Quantity.UNUSED, 48, 16, False, SignalCoding.SIGNED, 1e-3 * ratio, 0.0, "N m"),
+        Signal(
+            "velocity",
+            Quantity.UNUSED,
+            32,
+            16,
+            False,
+            SignalCoding.SIGNED,
+            1e-3 * math.tau / ratio,
+            0.0,
+            "rad/s",
+        ),
+        Signal(
+            "torque", Quantity.UNUSED, 48, 16, False, SignalCoding.SIGNED, 1e-3 * ratio, 0.0, "N m"
+        ),
     )
     return Message("input_position", message_id(node_id, SET_POSITION), 8, signals, limit=limit)
 
@@ -234,7 +259,9 @@ def decode_hottest(data: bytes) -> float | None:
 
     A drive reports NaN for a sensor that is not connected.
     """
-    return max((value for value in struct.unpack("<ff", data) if math.isfinite(value)), default=None)
+    return max(
+        (value for value in struct.unpack("<ff", data) if math.isfinite(value)), default=None
+    )
 
 
 def encode_floats(*values: float) -> bytes:

@@ -55,11 +55,15 @@ def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     if turn == 1:
         return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE, b""),)
     if turn == 2:
-        return tuple(_remote_request(drive, codec.GET_VERSION) for drive in discovered_drives(received))
+        return tuple(
+            _remote_request(drive, codec.GET_VERSION) for drive in discovered_drives(received)
+        )
     if turn == 3:
         silent = [drive for drive in discovered_drives(received) if not drive.firmware]
         return tuple(
-            _remote_request(drive, command) for drive in silent for command in (codec.GET_VERSION, *_OLD_ANSWERS)
+            _remote_request(drive, command)
+            for drive in silent
+            for command in (codec.GET_VERSION, *_OLD_ANSWERS)
         )
     return ()
 
@@ -71,7 +75,10 @@ def _remote_request(drive: DiscoveredNode, command: int) -> Frame:
 
 def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the discovered drives: nodes that have sent ODrive heartbeats, or the message Address."""
-    messages = {command: _payloads_by_node(received, command) for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)}
+    messages = {
+        command: _payloads_by_node(received, command)
+        for command in (codec.HEARTBEAT, *_ANSWERS_ONCE)
+    }
     present = {
         node
         for node, data in messages[codec.HEARTBEAT].items()
@@ -79,7 +86,9 @@ def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     }
     present |= {node for node, data in messages[ADDRESS].items() if data[-1][0] == node}
     return tuple(
-        _describe_drive(node, {command: sent[node] for command, sent in messages.items() if node in sent})
+        _describe_drive(
+            node, {command: sent[node] for command, sent in messages.items() if node in sent}
+        )
         for node in sorted(present)
     )
 
@@ -93,7 +102,9 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
     beat = codec.decode_heartbeat(latest[codec.HEARTBEAT]) if codec.HEARTBEAT in latest else None
     serial = f"{int.from_bytes(latest[ADDRESS][1:7], 'little'):012X}" if ADDRESS in latest else ""
     version = latest.get(codec.GET_VERSION, b"")
-    twins = have_two_drives_answered({command: messages.get(command, []) for command in _ANSWERS_ONCE}, ADDRESS)
+    twins = have_two_drives_answered(
+        {command: messages.get(command, []) for command in _ANSWERS_ONCE}, ADDRESS
+    )
     notes = [TWO_DRIVES_WARNING] if twins else []
     options: dict[str, bool | int | float | str] = {}
     origins: dict[str, str] = {}
@@ -109,18 +120,30 @@ def _describe_drive(node: int, messages: dict[int, list[bytes]]) -> DiscoveredNo
         first, last = FREE_NUMBERS[0][0], FREE_NUMBERS[0][-1]
         notes.append(f"node 0 shares its identifiers with CANopen's NMT: give it {first} to {last}")
     firmware = ".".join(map(str, version[4:7])) if version else ""
-    state = _AXIS_STATE_TEXTS.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
-    error = (codec.error_text if version or serial else odrive_05.error_text)(beat.errors) if beat else ""
-    return DiscoveredNode("odrive", node, firmware, serial, state, error, {}, options, tuple(notes), origins, twins)
+    state = (
+        _AXIS_STATE_TEXTS.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
+    )
+    error = (
+        (codec.error_text if version or serial else odrive_05.error_text)(beat.errors)
+        if beat
+        else ""
+    )
+    return DiscoveredNode(
+        "odrive", node, firmware, serial, state, error, {}, options, tuple(notes), origins, twins
+    )
 
 
 def _warnings_06(serial: str, version: bytes) -> list[str]:
     """Return the warnings for the operator about a drive with firmware 0.6."""
-    notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
+    notes = [
+        "watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"
+    ]
     if not version:
         notes.append("does not report its version")
     elif version[0] != codec.PROTOCOL_VERSION:
-        notes.append(f"has CANSimple version {version[0]}, handctl supports {codec.PROTOCOL_VERSION}")
+        notes.append(
+            f"has CANSimple version {version[0]}, handctl supports {codec.PROTOCOL_VERSION}"
+        )
     if not serial:
         notes.append("does not report its serial number")
     return notes
@@ -131,7 +154,8 @@ def without_firmware(drive: DiscoveredNode) -> DiscoveredNode:
     if "firmware" not in drive.origins:
         return drive
     notes = tuple(
-        "firmware unknown, because nothing was asked" if note == OLD_FIRMWARE_NOTE else note for note in drive.notes
+        "firmware unknown, because nothing was asked" if note == OLD_FIRMWARE_NOTE else note
+        for note in drive.notes
     )
     return dataclasses.replace(drive, options={}, origins={}, error="", notes=notes)
 
@@ -168,7 +192,11 @@ def command_ids(drive: DiscoveredNode) -> frozenset[int]:
 
     They include 0x7ff, which is Enter_DFU_Mode.
     """
-    return frozenset(codec.message_id(node, command) for node in (drive.node_id, BROADCAST) for command in range(32))
+    return frozenset(
+        codec.message_id(node, command)
+        for node in (drive.node_id, BROADCAST)
+        for command in range(32)
+    )
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
@@ -178,7 +206,10 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
         frame
         for frame in received
         if (frame.can_id & ~REMOTE) >> 5 in numbers
-        and (frame.can_id & REMOTE or frame.can_id & 0x1F not in _CYCLIC_MESSAGES | {codec.TX_SDO, ADDRESS})
+        and (
+            frame.can_id & REMOTE
+            or frame.can_id & 0x1F not in _CYCLIC_MESSAGES | {codec.TX_SDO, ADDRESS}
+        )
     )
 
 
@@ -192,7 +223,10 @@ def ping_request(drive: DiscoveredNode) -> Frame:
 
 def is_ping_reply(drive: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame is the message that ``ping_request`` requests from this drive."""
-    return frame.can_id == codec.message_id(drive.node_id, _ping_command(drive)) and len(frame.data) == 8
+    return (
+        frame.can_id == codec.message_id(drive.node_id, _ping_command(drive))
+        and len(frame.data) == 8
+    )
 
 
 def _ping_command(drive: DiscoveredNode) -> int:
@@ -205,5 +239,11 @@ def _ping_command(drive: DiscoveredNode) -> int:
 
 
 DISCOVERY = ProtocolDiscovery(
-    probe_frames, discovered_drives, command_ids, other_host_frames, ping_request, is_ping_reply, without_firmware
+    probe_frames,
+    discovered_drives,
+    command_ids,
+    other_host_frames,
+    ping_request,
+    is_ping_reply,
+    without_firmware,
 )

@@ -12,7 +12,13 @@ from dataclasses import dataclass, field
 
 from handctl.drives import readback
 from handctl.drives.causes import DriveFaultCause
-from handctl.drives.contract import END_OF_TIME_NS, NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
+from handctl.drives.contract import (
+    END_OF_TIME_NS,
+    NO_STEADY_STATUS,
+    DrivePhase,
+    DriveState,
+    DriveTarget,
+)
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
@@ -86,11 +92,17 @@ class OdriveDrive:
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         object.__setattr__(
-            self, "command", SignalTable(codec.torque_message(self.node_id, self.ratio, self.torque_limit))
+            self,
+            "command",
+            SignalTable(codec.torque_message(self.node_id, self.ratio, self.torque_limit)),
         )
-        encoder = codec.encoder_message(self.node_id, self.ratio, self.zero, requested=not self.cyclic_s)
+        encoder = codec.encoder_message(
+            self.node_id, self.ratio, self.zero, requested=not self.cyclic_s
+        )
         object.__setattr__(self, "encoder", SignalTable(encoder))
-        object.__setattr__(self, "torques", SignalTable(codec.torques_message(self.node_id, self.ratio)))
+        object.__setattr__(
+            self, "torques", SignalTable(codec.torques_message(self.node_id, self.ratio))
+        )
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "OdriveDrive":
@@ -102,9 +114,13 @@ class OdriveDrive:
         options = dict(motor.options)
         where = f"motor[{motor.name}].options"
         if not 0 < motor.node_id <= codec.LAST_NODE:
-            raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
+            raise ConfigError(
+                str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}"
+            )
         parsed = pop_options(options, where)
-        settings = endpoints.pop_settings(options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / parsed.ratio)
+        settings = endpoints.pop_settings(
+            options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / parsed.ratio
+        )
         refuse_unknown_options(options, where, OPTION_NAMES)
         return OdriveDrive(
             name=motor.name,
@@ -113,7 +129,9 @@ class OdriveDrive:
             torque_limit=motor.torque_max_N_m,
             ratio=motor.direction * parsed.ratio,
             zero=motor.zero_rad,
-            limits=codec.encode_floats(motor.velocity_range_rad_s * parsed.ratio / math.tau, parsed.current),
+            limits=codec.encode_floats(
+                motor.velocity_range_rad_s * parsed.ratio / math.tau, parsed.current
+            ),
             settings=settings,
             cyclic_s=parsed.cyclic_s,
             torque_feedback=parsed.torque_feedback,
@@ -124,7 +142,10 @@ class OdriveDrive:
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
         """Return the frames of a tick: torque command, remote frames, and the messages that these request."""
-        return ((4, False), *(((0, False), (8, False)) * ((not self.cyclic_s) + self.torque_feedback)))
+        return (
+            (4, False),
+            *(((0, False), (8, False)) * ((not self.cyclic_s) + self.torque_feedback)),
+        )
 
     @property
     def background_frames(self) -> tuple[tuple[int, bool, float], ...]:
@@ -153,13 +174,20 @@ class OdriveDrive:
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers of frames from a host to the drive: commands and remote frames."""
-        commands = frozenset(codec.message_id(self.node_id, command) for command in codec.HOST_COMMANDS)
-        return commands | {codec.message_id(self.node_id, command) | REMOTE for command in codec.REQUESTABLE_MESSAGES}
+        commands = frozenset(
+            codec.message_id(self.node_id, command) for command in codec.HOST_COMMANDS
+        )
+        return commands | {
+            codec.message_id(self.node_id, command) | REMOTE
+            for command in codec.REQUESTABLE_MESSAGES
+        }
 
     @property
     def node_ids(self) -> frozenset[int]:
         """Return the identifiers of frames from the drive: answers, heartbeats, and cyclic messages."""
-        return frozenset(codec.message_id(self.node_id, command) for command in codec.DRIVE_MESSAGES)
+        return frozenset(
+            codec.message_id(self.node_id, command) for command in codec.DRIVE_MESSAGES
+        )
 
     @property
     def unverified_protections(self) -> tuple[str, ...]:
@@ -184,28 +212,40 @@ class OdriveDrive:
     @property
     def cyclic(self) -> CyclicMessages:
         """Return the signal tables of position and torque, the torque command, and the remote frames."""
-        requests = [codec.ENCODER_ESTIMATES] * (not self.cyclic_s) + [codec.TORQUES] * self.torque_feedback
+        requests = [codec.ENCODER_ESTIMATES] * (not self.cyclic_s) + [
+            codec.TORQUES
+        ] * self.torque_feedback
         questions = [codec.request_message(self.node_id, command) for command in requests]
-        return CyclicMessages((self.encoder.message, self.torques.message), (self.command.message, *questions))
+        return CyclicMessages(
+            (self.encoder.message, self.torques.message), (self.command.message, *questions)
+        )
 
     def steady_status(self, state: DriveState) -> int:
         """Return 0, because frames with values have no status.
 
         Only a heartbeat reports the state of the drive.
         """
-        return 0 if state.phase == ENABLED and progress_of(state).disabling_ns < 0 else NO_STEADY_STATUS
+        return (
+            0
+            if state.phase == ENABLED and progress_of(state).disabling_ns < 0
+            else NO_STEADY_STATUS
+        )
 
     def due_ns(self, state: DriveState) -> int:
         """Return the time of the next step that is due [ns]: heartbeat timeout, temperature request, or read-back."""
         progress = progress_of(state)
         temperature_rate = (
-            END_OF_TIME_NS if self.firmware_05 else progress.temperature_request_ns + TEMPERATURE_PERIOD_NS
+            END_OF_TIME_NS
+            if self.firmware_05
+            else progress.temperature_request_ns + TEMPERATURE_PERIOD_NS
         )
         recheck = progress.check.due_ns if self.settings else END_OF_TIME_NS
         return min(
             temperature_rate,
             recheck,
-            progress.heartbeat_ns + self.heartbeat_timeout_ns + 1 if progress.heartbeat_ns >= 0 else END_OF_TIME_NS,
+            progress.heartbeat_ns + self.heartbeat_timeout_ns + 1
+            if progress.heartbeat_ns >= 0
+            else END_OF_TIME_NS,
         )
 
     def initial(self) -> DriveState:
@@ -215,7 +255,11 @@ class OdriveDrive:
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state after a received frame, see ``contract.Drive``."""
         command = frame.can_id & 0x1F
-        if frame.bus != self.bus or frame.can_id >> 5 != self.node_id or command not in codec.DRIVE_MESSAGES:
+        if (
+            frame.bus != self.bus
+            or frame.can_id >> 5 != self.node_id
+            or command not in codec.DRIVE_MESSAGES
+        ):
             return state
         # A TxSdo contains at least one byte of the value. The message Address has 7 bytes before
         # firmware 0.6.11.
@@ -234,7 +278,10 @@ class OdriveDrive:
 
     def _on_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
         """Return the state with the values in a frame: position and velocity, torque, or temperatures."""
-        if command == codec.TEMPERATURE and (hottest := codec.decode_hottest(frame.data)) is not None:
+        if (
+            command == codec.TEMPERATURE
+            and (hottest := codec.decode_hottest(frame.data)) is not None
+        ):
             return state._replace(temperature=hottest)
         table = self.torques if command == codec.TORQUES else self.encoder
         values = table.unpack(frame.data)
@@ -255,10 +302,13 @@ class OdriveDrive:
             return state
         if data[0] != codec.PROTOCOL_VERSION:
             return enter_fault(
-                state, SETTING_MISMATCH_ERROR, f"has CANSimple version {data[0]}, expected {codec.PROTOCOL_VERSION}"
+                state,
+                SETTING_MISMATCH_ERROR,
+                f"has CANSimple version {data[0]}, expected {codec.PROTOCOL_VERSION}",
             )
         return state._replace(
-            phase=CONFIGURING, private=progress_of(state)._replace(version=True, tries=0, sent_ns=-REPEAT_PERIOD_NS)
+            phase=CONFIGURING,
+            private=progress_of(state)._replace(version=True, tries=0, sent_ns=-REPEAT_PERIOD_NS),
         )
 
     def _on_serial(self, state: DriveState, data: bytes) -> DriveState:
@@ -266,7 +316,9 @@ class OdriveDrive:
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")
-        return state._replace(private=progress_of(state)._replace(serial=serial, serial_requests=SERIAL_NUMBER_TRIES))
+        return state._replace(
+            private=progress_of(state)._replace(serial=serial, serial_requests=SERIAL_NUMBER_TRIES)
+        )
 
     def _on_setting(self, state: DriveState, data: bytes) -> DriveState:
         """Return the state after a TxSdo with the value of a setting."""
@@ -279,7 +331,9 @@ class OdriveDrive:
         updated = state._replace(private=progress._replace(cursor=cursor))
         return enter_fault(updated, SETTING_MISMATCH_ERROR, problem) if problem else updated
 
-    def _on_recheck_reply(self, state: DriveState, progress: OdriveProgress, data: bytes) -> DriveState:
+    def _on_recheck_reply(
+        self, state: DriveState, progress: OdriveProgress, data: bytes
+    ) -> DriveState:
         """Compare a setting, read again from the enabled drive, with the required value."""
         setting = self.settings[progress.check.step]
         endpoint, raw = codec.decode_sdo_reply(data)
@@ -308,7 +362,9 @@ class OdriveDrive:
         ):
             state = state_after_timeout(state, self.firmware_05)
             progress = progress_of(state)
-        if target == DISABLE or (state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)):
+        if target == DISABLE or (
+            state.phase == ENABLED and (target != ENABLE or progress.disabling_ns >= 0)
+        ):
             return start_disabling(state, progress, t_ns), (self._state(codec.IDLE),)
         if state.phase == ENABLED:
             state, requests = self._questions(state, t_ns)
@@ -319,9 +375,13 @@ class OdriveDrive:
         state = state._replace(private=progress._replace(disabling_ns=-1))
         if state.phase == READY and progress.configured:
             return self._ready(state, t_ns, target)
-        return self._configure(state._replace(phase=SILENT if progress.heartbeat_ns < 0 else CONFIGURING), t_ns)
+        return self._configure(
+            state._replace(phase=SILENT if progress.heartbeat_ns < 0 else CONFIGURING), t_ns
+        )
 
-    def _ready(self, state: DriveState, t_ns: int, target: DriveTarget) -> tuple[DriveState, tuple[Frame, ...]]:
+    def _ready(
+        self, state: DriveState, t_ns: int, target: DriveTarget
+    ) -> tuple[DriveState, tuple[Frame, ...]]:
         """Return the next state and the frames for a configured drive: request feedback, and enable it if requested.
 
         The enable command is sent once. Torque commands of 0 N m follow, until the drive reports
@@ -338,7 +398,9 @@ class OdriveDrive:
             return state._replace(phase=CONFIGURING, private=recheck), requests
         check = readback.first_recheck(self.node_id, t_ns)
         parsed = state._replace(
-            private=progress._replace(enable_sent_ns=t_ns, enable_commands=progress.enable_commands + 1, check=check)
+            private=progress._replace(
+                enable_sent_ns=t_ns, enable_commands=progress.enable_commands + 1, check=check
+            )
         )
         return parsed, (
             *self._setup(), self._torque(self._rest(state)), self._state(codec.CLOSED_LOOP), *requests,
@@ -377,7 +439,9 @@ class OdriveDrive:
         updated = state._replace(private=progress._replace(cursor=cursor))
         if problem:
             return enter_fault(updated, SETTING_MISMATCH_ERROR, problem), ()
-        updated, requests = self._questions(updated, t_ns) if state.feedback_count else (updated, ())
+        updated, requests = (
+            self._questions(updated, t_ns) if state.feedback_count else (updated, ())
+        )
         return updated, (*((self._frame(codec.RX_SDO, data),) if data else ()), *requests)
 
     def _setup(self) -> tuple[Frame, ...]:
@@ -385,7 +449,9 @@ class OdriveDrive:
 
         The drive does not confirm them, so both are sent before each enable command.
         """
-        mode = self._frame(codec.SET_MODE, codec.encode_integers(codec.TORQUE_MODE, codec.PASSTHROUGH_INPUT_MODE))
+        mode = self._frame(
+            codec.SET_MODE, codec.encode_integers(codec.TORQUE_MODE, codec.PASSTHROUGH_INPUT_MODE)
+        )
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
     def _ask_version(
@@ -398,9 +464,17 @@ class OdriveDrive:
         if t_ns - progress.sent_ns < REPEAT_PERIOD_NS:
             return state, ()
         if progress.heartbeat_ns >= 0 and progress.tries >= VERSION_TRIES:
-            return enter_fault(state, SETTING_MISMATCH_ERROR, "sends heartbeats, but does not report its version"), ()
-        requests = progress._replace(sent_ns=t_ns, tries=progress.tries + 1 if progress.heartbeat_ns >= 0 else 0)
-        frame = self._frame(codec.CLEAR_ERRORS, b"") if progress.clearing else self._ask(codec.GET_VERSION)
+            return enter_fault(
+                state, SETTING_MISMATCH_ERROR, "sends heartbeats, but does not report its version"
+            ), ()
+        requests = progress._replace(
+            sent_ns=t_ns, tries=progress.tries + 1 if progress.heartbeat_ns >= 0 else 0
+        )
+        frame = (
+            self._frame(codec.CLEAR_ERRORS, b"")
+            if progress.clearing
+            else self._ask(codec.GET_VERSION)
+        )
         return state._replace(private=requests), (frame,)
 
     def _ask_serial(
@@ -433,7 +507,9 @@ class OdriveDrive:
         state = state._replace(private=progress._replace(check=check))
         if problem:
             state = enter_fault(state, SETTING_MISMATCH_ERROR, problem)
-        return state, (self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),)
+        return state, (
+            self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),
+        )
 
     def _torque(self, torque: float) -> Frame:
         """Return the frame of a torque command [N m at the spool]."""
@@ -477,7 +553,9 @@ class OdriveDrive:
 
         The configuration then starts again.
         """
-        just_verified = OdriveProgress(version=self.firmware_05, axis=progress_of(state).axis, clearing=CLEAR_TRIES)
+        just_verified = OdriveProgress(
+            version=self.firmware_05, axis=progress_of(state).axis, clearing=CLEAR_TRIES
+        )
         cleared = state._replace(phase=SILENT, error=0, error_text="", private=just_verified)
         return cleared, (self._frame(codec.CLEAR_ERRORS, b""),)
 

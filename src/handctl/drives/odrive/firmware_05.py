@@ -31,10 +31,16 @@ def decode_heartbeat(data: bytes) -> Heartbeat:
 
     The error flags of motor, encoder, and controller become error bits of the axis.
     """
-    flags = (MOTOR_ERROR * (data[5] & 1)) | (ENCODER_ERROR * (data[6] & 1)) | (CONTROLLER_ERROR * (data[7] & 1))
+    flags = (
+        (MOTOR_ERROR * (data[5] & 1))
+        | (ENCODER_ERROR * (data[6] & 1))
+        | (CONTROLLER_ERROR * (data[7] & 1))
+    )
     return Heartbeat(int.from_bytes(data[:4], "little") | flags, data[4], PROCEDURE_SUCCESS)
 
 
 def error_text(errors: int) -> str:
     """Return the texts of all set error bits. An undocumented bit appears with its number."""
-    return ", ".join(ERROR_TEXTS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)
+    return ", ".join(
+        ERROR_TEXTS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1
+    )

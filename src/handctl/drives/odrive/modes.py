@@ -48,7 +48,8 @@ class OdriveModeDrive(OdriveDrive):
         The drive does not confirm these frames, as in torque control.
         """
         mode = self._frame(
-            codec.SET_MODE, codec.encode_integers(_CONTROL_MODES[self.mode], codec.PASSTHROUGH_INPUT_MODE)
+            codec.SET_MODE,
+            codec.encode_integers(_CONTROL_MODES[self.mode], codec.PASSTHROUGH_INPUT_MODE),
         )
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
@@ -68,7 +69,9 @@ class OdriveModeDrive(OdriveDrive):
         return ()
 
 
-def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits) -> OdriveModeDrive:
+def make_mode_drive(
+    motor: MotorDescription, bus: int, mode: DriveMode, limits: MotionLimits
+) -> OdriveModeDrive:
     """Return the drive for a motor description, in the given mode.
 
     Raises:
@@ -79,5 +82,7 @@ def make_mode_drive(motor: MotorDescription, bus: int, mode: DriveMode, limits: 
     fields = init_fields(OdriveDrive.of(motor, bus))
     _, current = codec.decode_float_pair(fields["limits"]) or (0.0, 0.0)
     fields["limits"] = codec.encode_floats(limits.speed * abs(fields["ratio"]) / math.tau, current)
-    fields["torque_limit"] = limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
+    fields["torque_limit"] = (
+        limits.speed if mode == DriveMode.VELOCITY else motor.position_range_rad
+    )
     return OdriveModeDrive(**fields, mode=mode)

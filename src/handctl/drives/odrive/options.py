@@ -48,7 +48,9 @@ def pop_options(options: MutableMapping[str, Any], where: str) -> OdriveOptions:
     firmware = options.pop("firmware", FIRMWARE_VERSIONS[0])
     feedback = options.pop("torque_feedback", False)
     if firmware not in FIRMWARE_VERSIONS:
-        raise ConfigError(repr(firmware), f"{where}.firmware", " or ".join(map(repr, FIRMWARE_VERSIONS)))
+        raise ConfigError(
+            repr(firmware), f"{where}.firmware", " or ".join(map(repr, FIRMWARE_VERSIONS))
+        )
     firmware_05 = firmware == "0.5"
     if type(feedback) is not bool or (feedback and firmware_05):
         hint = "false: firmware 0.5 does not report torque" if feedback is True else "true or false"
@@ -59,9 +61,15 @@ def pop_options(options: MutableMapping[str, Any], where: str) -> OdriveOptions:
     if cyclic is not None:
         cyclic = checked_whole_number(cyclic, f"{where}.encoder_period_ms", MAX_OPTION_VALUE)
     return OdriveOptions(
-        ratio=checked_positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", MAX_OPTION_VALUE),
-        current=checked_positive(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", MAX_OPTION_VALUE),
-        heartbeat=checked_whole_number(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", MAX_OPTION_VALUE),
+        ratio=checked_positive(
+            options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", MAX_OPTION_VALUE
+        ),
+        current=checked_positive(
+            options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", MAX_OPTION_VALUE
+        ),
+        heartbeat=checked_whole_number(
+            options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", MAX_OPTION_VALUE
+        ),
         torque_feedback=feedback,
         cyclic_s=(cyclic or 0) / 1e3,
         firmware_05=firmware_05,

@@ -13,9 +13,13 @@ from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = DrivePhase
-DROPPED_OUT_ERROR, SETTING_MISMATCH_ERROR, ENABLE_REFUSED_ERROR, ENABLED_BY_OTHER_HOST_ERROR, DRIVE_LOST_ERROR = (
-    1 << 32 | number for number in range(5)
-)
+(
+    DROPPED_OUT_ERROR,
+    SETTING_MISMATCH_ERROR,
+    ENABLE_REFUSED_ERROR,
+    ENABLED_BY_OTHER_HOST_ERROR,
+    DRIVE_LOST_ERROR,
+) = (1 << 32 | number for number in range(5))
 """Error codes added by handctl. All are larger than the 32 error bits of the drive."""
 CAUSE_BY_ERROR = {
     DROPPED_OUT_ERROR: DriveFaultCause.DROPPED_OUT, SETTING_MISMATCH_ERROR: DriveFaultCause.MISMATCH,
@@ -110,7 +114,11 @@ def on_heartbeat(state: DriveState, frame: Frame, firmware_05: bool) -> DriveSta
         frame: the heartbeat.
         firmware_05: True for firmware 0.5.
     """
-    beat = odrive_05.decode_heartbeat(frame.data) if firmware_05 else codec.decode_heartbeat(frame.data)
+    beat = (
+        odrive_05.decode_heartbeat(frame.data)
+        if firmware_05
+        else codec.decode_heartbeat(frame.data)
+    )
     progress = progress_of(state)._replace(axis=beat.state, heartbeat_ns=frame.t_ns)
     if beat.errors and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
@@ -135,16 +143,22 @@ def _state_after_error(
     error_text = odrive_05.error_text if firmware_05 else codec.error_text
     in_error = enter_fault(state, beat.errors, error_text(beat.errors))
     if beat.state == codec.IDLE:
-        return in_error._replace(private=progress._replace(enable_sent_ns=-1, disabling_ns=-1, clearing=0))
+        return in_error._replace(
+            private=progress._replace(enable_sent_ns=-1, disabling_ns=-1, clearing=0)
+        )
     return in_error._replace(phase=ENABLED) if progress.disabling_ns >= 0 else in_error
 
 
 def _state_when_enabled(state: DriveState, progress: OdriveProgress) -> DriveState:
     """Return the state after a heartbeat that reports closed loop control."""
     if progress.disabling_ns >= 0 or (progress.enable_sent_ns >= 0 and state.phase != FAULT):
-        return state._replace(phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0))
+        return state._replace(
+            phase=ENABLED, private=progress._replace(enable_commands=0, clearing=0)
+        )
     if state.phase == READY:
-        return enter_fault(state, ENABLED_BY_OTHER_HOST_ERROR, "in closed loop, but not by this host")
+        return enter_fault(
+            state, ENABLED_BY_OTHER_HOST_ERROR, "in closed loop, but not by this host"
+        )
     return state
 
 
@@ -154,13 +168,21 @@ def _state_when_in_other_axis_state(state: DriveState, progress: OdriveProgress)
     In such a state the drive may make torque that the host does not control.
     """
     if state.phase == ENABLED and progress.disabling_ns < 0:
-        return enter_fault(state, DROPPED_OUT_ERROR, f"went to axis state {progress.axis} by itself")
+        return enter_fault(
+            state, DROPPED_OUT_ERROR, f"went to axis state {progress.axis} by itself"
+        )
     if state.phase == READY and progress.enable_sent_ns < 0 and progress.axis > codec.IDLE:
-        return enter_fault(state, ENABLED_BY_OTHER_HOST_ERROR, f"in axis state {progress.axis}, but not by this host")
+        return enter_fault(
+            state,
+            ENABLED_BY_OTHER_HOST_ERROR,
+            f"in axis state {progress.axis}, but not by this host",
+        )
     return state
 
 
-def _state_when_disabled(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
+def _state_when_disabled(
+    state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat
+) -> DriveState:
     """Return the state after a heartbeat that reports the axis state idle.
 
     Shortly after a command, the heartbeat may be older than the command.
@@ -173,12 +195,17 @@ def _state_when_disabled(state: DriveState, progress: OdriveProgress, beat: code
     if state.phase == ENABLED:
         reason = f": {codec.result_text(beat.result)}" if beat.result else ""
         return enter_fault(off, DROPPED_OUT_ERROR, f"disabled by itself{reason}")
-    if 0 <= progress.enable_sent_ns < progress.heartbeat_ns - SETTLE_TIME_NS and beat.result != codec.PROCEDURE_BUSY:
+    if (
+        0 <= progress.enable_sent_ns < progress.heartbeat_ns - SETTLE_TIME_NS
+        and beat.result != codec.PROCEDURE_BUSY
+    ):
         return _state_when_enable_failed(state, progress, beat)
     return state._replace(phase=CONFIGURING) if state.phase == SILENT else state
 
 
-def _state_when_enable_failed(state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat) -> DriveState:
+def _state_when_enable_failed(
+    state: DriveState, progress: OdriveProgress, beat: codec.Heartbeat
+) -> DriveState:
     """Return the state after a heartbeat that reports idle although an enable command was sent.
 
     The drive has refused the command, the command was lost, or the drive has restarted.
@@ -188,7 +215,9 @@ def _state_when_enable_failed(state: DriveState, progress: OdriveProgress, beat:
     """
     if beat.result != codec.PROCEDURE_SUCCESS:
         off = state._replace(private=progress._replace(enable_sent_ns=-1))
-        return enter_fault(off, ENABLE_REFUSED_ERROR, f"refuses to enable: {codec.result_text(beat.result)}")
+        return enter_fault(
+            off, ENABLE_REFUSED_ERROR, f"refuses to enable: {codec.result_text(beat.result)}"
+        )
     if progress.enable_commands >= ENABLE_COMMANDS:
         off = state._replace(private=progress._replace(enable_sent_ns=-1, enable_commands=0))
         return enter_fault(
@@ -216,7 +245,9 @@ def state_after_timeout(state: DriveState, firmware_05: bool) -> DriveState:
     progress = progress_of(state)
     if state.phase == ENABLED or progress.enable_sent_ns >= 0:
         return enter_fault(state, DRIVE_LOST_ERROR, "no heartbeat")
-    return state._replace(phase=SILENT, private=OdriveProgress(version=firmware_05, clearing=progress.clearing))
+    return state._replace(
+        phase=SILENT, private=OdriveProgress(version=firmware_05, clearing=progress.clearing)
+    )
 
 
 def start_disabling(state: DriveState, progress: OdriveProgress, t_ns: int) -> DriveState:

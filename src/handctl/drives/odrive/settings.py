@@ -16,7 +16,12 @@ from handctl.errors import ConfigError
 
 WRITE_TRIES = 3
 """Number of writes per setting. The drive does not confirm a write, and a write may be lost."""
-ENDPOINT_KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpoint_torque_max", "endpoint_torque_min")
+ENDPOINT_KEYS = (
+    "endpoint_enable_watchdog",
+    "endpoint_watchdog_timeout",
+    "endpoint_torque_max",
+    "endpoint_torque_min",
+)
 """Names of the options whose value is an endpoint number."""
 
 
@@ -43,14 +48,21 @@ def pop_settings(
         ConfigError: an endpoint number is invalid, or only one of the two watchdog endpoints is
             given.
     """
-    values = (b"\1", codec.encode_floats(watchdog_s), codec.encode_floats(torque), codec.encode_floats(-torque))
+    values = (
+        b"\1",
+        codec.encode_floats(watchdog_s),
+        codec.encode_floats(torque),
+        codec.encode_floats(-torque),
+    )
     settings = []
     for key, raw in zip(ENDPOINT_KEYS, values, strict=True):
         endpoint = options.pop(key, None)
         if endpoint is None:
             continue
         if type(endpoint) is not int or not 0 < endpoint <= 0xFFFF:
-            raise ConfigError(repr(endpoint), f"{where}.{key}", "a number from flat_endpoints.json, 1 to 65535")
+            raise ConfigError(
+                repr(endpoint), f"{where}.{key}", "a number from flat_endpoints.json, 1 to 65535"
+            )
         settings.append(OdriveSetting(endpoint, raw, key.removeprefix("endpoint_")))
     names = {setting.name for setting in settings}
     if len(names & {"enable_watchdog", "watchdog_timeout"}) == 1:
@@ -62,20 +74,32 @@ def pop_settings(
     return tuple(settings)
 
 
-def unverified_protections(settings: tuple[OdriveSetting, ...], firmware_05: bool) -> tuple[str, ...]:
+def unverified_protections(
+    settings: tuple[OdriveSetting, ...], firmware_05: bool
+) -> tuple[str, ...]:
     """Return the protections of the drive that handctl cannot verify, one line each."""
     names = {setting.name for setting in settings}
     guards = []
     if "watchdog_timeout" not in names:
-        remedy = "set it over USB" if firmware_05 else f"give {ENDPOINT_KEYS[0]} and {ENDPOINT_KEYS[1]}"
-        guards.append(f"watchdog not verified: CANSimple cannot read it; a dead host may leave torque on; {remedy}")
+        remedy = (
+            "set it over USB" if firmware_05 else f"give {ENDPOINT_KEYS[0]} and {ENDPOINT_KEYS[1]}"
+        )
+        guards.append(
+            f"watchdog not verified: CANSimple cannot read it; a dead host may leave torque on; {remedy}"
+        )
     if not {"torque_max", "torque_min"} <= names:
-        remedy = "set it over USB" if firmware_05 else f"give {ENDPOINT_KEYS[2]} and {ENDPOINT_KEYS[3]}"
-        guards.append(f"the drive's own torque limit is not verified: CANSimple cannot read it; {remedy}")
+        remedy = (
+            "set it over USB" if firmware_05 else f"give {ENDPOINT_KEYS[2]} and {ENDPOINT_KEYS[3]}"
+        )
+        guards.append(
+            f"the drive's own torque limit is not verified: CANSimple cannot read it; {remedy}"
+        )
     return tuple(guards)
 
 
-def on_reply(cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], data: bytes) -> tuple[ReadbackCursor, str]:
+def on_reply(
+    cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], data: bytes
+) -> tuple[ReadbackCursor, str]:
     """Return the position in the read-back after a TxSdo. Replies to other requests have no effect.
 
     Returns:
@@ -88,7 +112,11 @@ def on_reply(cursor: ReadbackCursor, settings: tuple[OdriveSetting, ...], data: 
     if raw[: len(setting.raw)] == setting.raw:
         return cursor.next_setting(), ""
     return readback.on_wrong_value(
-        cursor, setting.name, value_as_text(raw, setting), value_as_text(setting.raw, setting), WRITE_TRIES
+        cursor,
+        setting.name,
+        value_as_text(raw, setting),
+        value_as_text(setting.raw, setting),
+        WRITE_TRIES,
     )
 
 
@@ -102,8 +130,14 @@ def next_request(
     """
     setting = settings[cursor.step]
     if cursor.writing:  # the drive does not answer a write
-        return cursor.after_write(), codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw), ""
-    cursor, send, problem = readback.request_setting(cursor, f"endpoint {setting.endpoint} ({setting.name})", t_ns)
+        return (
+            cursor.after_write(),
+            codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw),
+            "",
+        )
+    cursor, send, problem = readback.request_setting(
+        cursor, f"endpoint {setting.endpoint} ({setting.name})", t_ns
+    )
     return cursor, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem
 
 

@@ -49,7 +49,19 @@ SAVE = 0x16
 SET_BIT_RATE = 0x17
 REPORTING = 0x18
 SET_PROTOCOL = 0x19
-REQUEST_TYPES = (GET_ID, ENABLE, STOP, SET_ZERO, SET_NUMBER, READ, WRITE, SAVE, SET_BIT_RATE, REPORTING, SET_PROTOCOL)
+REQUEST_TYPES = (
+    GET_ID,
+    ENABLE,
+    STOP,
+    SET_ZERO,
+    SET_NUMBER,
+    READ,
+    WRITE,
+    SAVE,
+    SET_BIT_RATE,
+    REPORTING,
+    SET_PROTOCOL,
+)
 """Types of frames that have the number of the host in bits 15..8 of the identifier."""
 BROADCAST = 0xFE
 """Number to which a motor sends the reply with its identity."""
@@ -171,8 +183,12 @@ def command_message(node_id: int, ranges: ModelRanges, limit: float, sign: int =
     """
     scale = sign * 2 * ranges.torque / MAX_COUNT
     offset = -sign * ranges.torque
-    torque = Signal("torque", Quantity.TORQUE, IDENTIFIER_BIT + 8, 16, scale=scale, offset=offset, unit="N m")
-    return Message("command", EXTENDED | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit)
+    torque = Signal(
+        "torque", Quantity.TORQUE, IDENTIFIER_BIT + 8, 16, scale=scale, offset=offset, unit="N m"
+    )
+    return Message(
+        "command", EXTENDED | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit
+    )
 
 
 def impedance_message(
@@ -200,7 +216,9 @@ def impedance_message(
     return torque._replace(name="position_command", signals=signals, base=EMPTY_DATA)
 
 
-def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1, zero: float = 0.0) -> Message:
+def feedback_message(
+    node_id: int, host: int, ranges: ModelRanges, sign: int = 1, zero: float = 0.0
+) -> Message:
     """Return the signal table of the feedback from a running motor without a fault.
 
     Args:
@@ -221,10 +239,14 @@ def feedback_message(node_id: int, host: int, ranges: ModelRanges, sign: int = 1
     ))  # fmt: skip
 
 
-def _signal_over_range(name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int) -> Signal:
+def _signal_over_range(
+    name: str, quantity: Quantity, start: int, largest: float, unit: str, sign: int
+) -> Signal:
     """Return the description of a 16-bit signal whose codes cover the values from -largest to largest."""
     scale = sign * 2 * largest / MAX_COUNT
-    return Signal(name, quantity, start, 16, True, SignalCoding.UNSIGNED, scale, -sign * largest, unit)
+    return Signal(
+        name, quantity, start, 16, True, SignalCoding.UNSIGNED, scale, -sign * largest, unit
+    )
 
 
 def parameter_request(number: int, raw: bytes = EMPTY_DATA[:4]) -> bytes:

@@ -5,7 +5,12 @@ mode, because only the stop command requests feedback. It reads no parameters ei
 docs/facts/robstride.md.
 """
 
-from handctl.drives.discovery import TWO_DRIVES_WARNING, DiscoveredNode, ProtocolDiscovery, ReceivedFrames
+from handctl.drives.discovery import (
+    TWO_DRIVES_WARNING,
+    DiscoveredNode,
+    ProtocolDiscovery,
+    ReceivedFrames,
+)
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
 from handctl.drives.robstride import codec
 
@@ -13,7 +18,11 @@ MOTOR_NUMBERS = range(1, codec.LAST_NODE + 1)
 """Motor numbers for a scan to try."""
 ALL_HOSTS = range(0x100)
 """Possible numbers of a host."""
-HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {codec.GET_ID, codec.READ, codec.REPORTING} | {codec.CONTROL}
+HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {
+    codec.GET_ID,
+    codec.READ,
+    codec.REPORTING,
+} | {codec.CONTROL}
 """Types of frames by which another host is detected."""
 
 
@@ -37,7 +46,9 @@ def _identity_request(number: int) -> Frame:
 
 def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     """Return the motors that have answered with their identity."""
-    by_reply = {codec.reply_id(codec.GET_ID, number, codec.BROADCAST): number for number in MOTOR_NUMBERS}
+    by_reply = {
+        codec.reply_id(codec.GET_ID, number, codec.BROADCAST): number for number in MOTOR_NUMBERS
+    }
     serials: dict[int, set[bytes]] = {}
     for frame in received:
         number = by_reply.get(frame.can_id)
@@ -49,13 +60,19 @@ def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
 def _describe_motor(number: int, serials: set[bytes]) -> DiscoveredNode:
     """Return a discovered motor, with the serial numbers that were received under its number."""
     twins = len(serials) > 1
-    notes = (TWO_DRIVES_WARNING,) * twins + ("does not report its model: give motor_type in the hand file",)
+    notes = (TWO_DRIVES_WARNING,) * twins + (
+        "does not report its model: give motor_type in the hand file",
+    )
     return DiscoveredNode("robstride", number, serial=min(serials).hex(), notes=notes, twins=twins)
 
 
 def command_ids(motor: DiscoveredNode) -> frozenset[int]:
     """Return the identifiers of requests from any host to the motor."""
-    return frozenset(codec.request_id(kind, motor.node_id, host) for kind in codec.REQUEST_TYPES for host in ALL_HOSTS)
+    return frozenset(
+        codec.request_id(kind, motor.node_id, host)
+        for kind in codec.REQUEST_TYPES
+        for host in ALL_HOSTS
+    )
 
 
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:

@@ -14,7 +14,12 @@ from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import EXTENDED, Frame
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import check_full_scale, checked_whole_number, pop_motor_model, refuse_unknown_options
+from handctl.drives.option_checks import (
+    check_full_scale,
+    checked_whole_number,
+    pop_motor_model,
+    refuse_unknown_options,
+)
 from handctl.drives.readback import ReadbackCursor
 from handctl.drives.robstride import codec
 from handctl.drives.robstride import settings as parameters
@@ -71,16 +76,24 @@ class RobstrideDrive:
     watchdog_ms: float
     command: SignalTable = field(init=False, repr=False, compare=False)
     feedback: SignalTable = field(init=False, repr=False, compare=False)
-    required: tuple[parameters.RequiredParameter, ...] = field(init=False, repr=False, compare=False)
+    required: tuple[parameters.RequiredParameter, ...] = field(
+        init=False, repr=False, compare=False
+    )
     node_ids: frozenset[int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames, the required parameters, and the identifiers."""
-        command = codec.command_message(self.node_id, self.ranges, self.torque_limit, self.direction)
-        feedback = codec.feedback_message(self.node_id, self.host, self.ranges, self.direction, self.zero)
+        command = codec.command_message(
+            self.node_id, self.ranges, self.torque_limit, self.direction
+        )
+        feedback = codec.feedback_message(
+            self.node_id, self.host, self.ranges, self.direction, self.zero
+        )
         object.__setattr__(self, "command", SignalTable(command))
         object.__setattr__(self, "feedback", SignalTable(feedback))
-        object.__setattr__(self, "required", parameters.required_parameters(self.torque_limit, self.watchdog_ms))
+        object.__setattr__(
+            self, "required", parameters.required_parameters(self.torque_limit, self.watchdog_ms)
+        )
         object.__setattr__(self, "node_ids", codec.motor_ids(self.node_id, self.host))
 
     @staticmethod
@@ -97,10 +110,14 @@ class RobstrideDrive:
         options = dict(motor.options)
         where = f"motor[{motor.name}]"
         ranges = pop_motor_model(options, where, codec.MOTOR_MODEL_RANGES)
-        host = checked_whole_number(options.pop("host_id", codec.HOST_ID), f"{where}.options.host_id", codec.HOST_ID)
+        host = checked_whole_number(
+            options.pop("host_id", codec.HOST_ID), f"{where}.options.host_id", codec.HOST_ID
+        )
         refuse_unknown_options(options, f"{where}.options", "motor_type or host_id")
         if host <= codec.LAST_NODE:
-            raise ConfigError(str(host), f"{where}.options.host_id", "128 to 253, no number of a motor")
+            raise ConfigError(
+                str(host), f"{where}.options.host_id", "128 to 253, no number of a motor"
+            )
         check_full_scale(motor, ranges)
         return RobstrideDrive(
             name=motor.name,
@@ -170,7 +187,12 @@ class RobstrideDrive:
     def steady_status(self, state: DriveState) -> int:
         """Return 0 for an enabled motor, because not the payload of feedback but its identifier contains the status."""
         progress = progress_of(state)
-        if state.phase != ENABLED or not progress.enable_sent or progress.disabling or progress.check.waiting:
+        if (
+            state.phase != ENABLED
+            or not progress.enable_sent
+            or progress.disabling
+            or progress.check.waiting
+        ):
             return NO_STEADY_STATUS
         return 0
 
@@ -281,11 +303,17 @@ class RobstrideDrive:
             and not progress.enable_sent
             and t_ns - max(state.feedback_t_ns, progress.ready_ns) > SILENCE_TIMEOUT_NS
         ):
-            return state._replace(phase=SILENT, private=RobstrideProgress()), (self._request_frame(codec.GET_ID),)
+            return state._replace(phase=SILENT, private=RobstrideProgress()), (
+                self._request_frame(codec.GET_ID),
+            )
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and target == ENABLE:
-            check = progress.check if progress.enable_sent else readback.first_recheck(self.node_id, t_ns)
+            check = (
+                progress.check
+                if progress.enable_sent
+                else readback.first_recheck(self.node_id, t_ns)
+            )
             enabling = state._replace(private=progress._replace(enable_sent=True, check=check))
             return enabling, (self._request_frame(codec.ENABLE),)
         return state._replace(private=progress), (self._idle_request(state, progress),)
@@ -308,9 +336,13 @@ class RobstrideDrive:
         """
         phase = ENABLED if progress.enable_sent or progress.enabled_by_other else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
-        return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
+        return state._replace(
+            phase=phase, private=progress._replace(disabling=True, disabling_ns=since)
+        )
 
-    def _next_recheck(self, state: DriveState, progress: RobstrideProgress, t_ns: int) -> tuple[DriveState, Frame]:
+    def _next_recheck(
+        self, state: DriveState, progress: RobstrideProgress, t_ns: int
+    ) -> tuple[DriveState, Frame]:
         """Return the next state, and the request to read the next parameter of the enabled motor again."""
         one = self.required[progress.check.step]
         check, problem = readback.next_recheck(progress.check, one.name, self.node_id, t_ns)
@@ -336,12 +368,18 @@ class RobstrideDrive:
         one = self.required[cursor.step]
         if cursor.writing:
             updated = state._replace(private=progress._replace(cursor=cursor.after_write()))
-            return updated, (self._request_frame(codec.WRITE, codec.parameter_request(one.number, one.raw)),)
+            return updated, (
+                self._request_frame(codec.WRITE, codec.parameter_request(one.number, one.raw)),
+            )
         cursor, send, problem = readback.request_setting(cursor, one.name, t_ns)
         if problem:
-            return enter_fault(state._replace(private=progress), SETTING_MISMATCH_ERROR, problem), ()
+            return enter_fault(
+                state._replace(private=progress), SETTING_MISMATCH_ERROR, problem
+            ), ()
         updated = state._replace(error_text="", private=progress._replace(cursor=cursor))
-        return updated, (self._request_frame(codec.READ, codec.parameter_request(one.number)),) if send else ()
+        return updated, (
+            self._request_frame(codec.READ, codec.parameter_request(one.number)),
+        ) if send else ()
 
     def _torque_frame(self, torque: float) -> Frame:
         """Return the frame of a torque command.
@@ -374,7 +412,9 @@ class RobstrideDrive:
 
         Parameters are then read back again.
         """
-        fresh = state._replace(phase=SILENT, error=0, error_text="", private=RobstrideProgress(clearing=CLEAR_TRIES))
+        fresh = state._replace(
+            phase=SILENT, error=0, error_text="", private=RobstrideProgress(clearing=CLEAR_TRIES)
+        )
         return fresh, (self._request_frame(codec.STOP, codec.CLEAR_FAULT_DATA),)
 
     def release_frames(self, state: DriveState) -> tuple[Frame, ...]:

@@ -32,9 +32,19 @@ from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
-from handctl.drives.mit.cubemars import ANSWERS_REQUIRED, MAX_RESTING_TORQUE_FRACTION, CubemarsDrive, CubemarsProgress
+from handctl.drives.mit.cubemars import (
+    ANSWERS_REQUIRED,
+    MAX_RESTING_TORQUE_FRACTION,
+    CubemarsDrive,
+    CubemarsProgress,
+)
 from handctl.drives.motor_description import MotorDescription
-from handctl.drives.option_checks import check_full_scale, checked_whole_number, pop_motor_model, refuse_unknown_options
+from handctl.drives.option_checks import (
+    check_full_scale,
+    checked_whole_number,
+    pop_motor_model,
+    refuse_unknown_options,
+)
 from handctl.drives.robstride import codec
 from handctl.drives.robstride.progress import cause_of_error, fault_text
 from handctl.drives.signals import Quantity, Signal, SignalCoding, SignalTable
@@ -44,7 +54,9 @@ POSITION_RANGE_RAD = 12.57
 """Full scale of the position in MIT mode [rad]."""
 MOTOR_MODEL_RANGES = {
     name: mit.MotorRanges(
-        POSITION_RANGE_RAD, codec.MOTOR_MODEL_RANGES[name].velocity, codec.MOTOR_MODEL_RANGES[name].torque
+        POSITION_RANGE_RAD,
+        codec.MOTOR_MODEL_RANGES[name].velocity,
+        codec.MOTOR_MODEL_RANGES[name].torque,
     )
     for name in ("rs00", "rs01", "rs05")
 }
@@ -85,7 +97,9 @@ class RobstrideMitDrive(CubemarsDrive):
         command = mit.command_message(self.node_id, self.ranges, self.direction)
         feedback = mit.feedback_message(self.host_id, self.ranges, self.direction, self.zero)
         state, position, velocity, torque, _, _ = feedback.signals
-        winding = Signal("winding", Quantity.TEMPERATURE, 55, 16, True, SignalCoding.SIGNED, 0.1, unit="degC")
+        winding = Signal(
+            "winding", Quantity.TEMPERATURE, 55, 16, True, SignalCoding.SIGNED, 0.1, unit="degC"
+        )
         # Byte 0 of this feedback is the whole number of the motor, without a state nibble.
         signals = (state._replace(name="node"), position, velocity, torque, winding)
         object.__setattr__(self, "command", SignalTable(command._replace(limit=self.torque_limit)))
@@ -156,7 +170,9 @@ class RobstrideMitDrive(CubemarsDrive):
         if not any(data[4:]) and state.phase != DrivePhase.ENABLED:
             return self._on_faults(updated, int.from_bytes(data[1:4], "little"))
         _, position, velocity, torque, winding = self.feedback.unpack(data)
-        updated = updated._replace(position=position, velocity=velocity, torque=torque, temperature=winding)
+        updated = updated._replace(
+            position=position, velocity=velocity, torque=torque, temperature=winding
+        )
         return self._on_answer(updated, state.private)
 
     def _on_faults(self, state: DriveState, faults: int) -> DriveState:
@@ -176,8 +192,14 @@ class RobstrideMitDrive(CubemarsDrive):
         """
         updated, frames = CubemarsDrive.advance(self, state, t_ns, target, torque)
         progress: CubemarsProgress = updated.private
-        disabled = updated.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.enable_sent
-        if target == DriveTarget.POLL and disabled and updated.feedback_count % FAULT_READ_PERIOD == ANSWERS_REQUIRED:
+        disabled = (
+            updated.phase in (DrivePhase.READY, DrivePhase.FAULT) and not progress.enable_sent
+        )
+        if (
+            target == DriveTarget.POLL
+            and disabled
+            and updated.feedback_count % FAULT_READ_PERIOD == ANSWERS_REQUIRED
+        ):
             return updated, (self._frame_to_motor(READ_FAULTS),)
         return updated, frames
 

@@ -100,7 +100,9 @@ def apply_fault(state: DriveState, mode: int, fault: int) -> DriveState:
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = mode == codec.RESET_MODE
-    updated = progress._replace(enable_sent=progress.enable_sent and not off, enabled_by_other=not off)
+    updated = progress._replace(
+        enable_sent=progress.enable_sent and not off, enabled_by_other=not off
+    )
     in_error = enter_fault(state._replace(private=updated), fault, fault_text(fault))
     return in_error._replace(phase=ENABLED) if progress.disabling and not off else in_error
 
@@ -126,7 +128,9 @@ def _state_when_running(state: DriveState, progress: RobstrideProgress) -> Drive
     return _state_when_enabled_by_other(state, progress, "enabled, but not by this host")
 
 
-def _state_when_enabled_by_other(state: DriveState, progress: RobstrideProgress, text: str) -> DriveState:
+def _state_when_enabled_by_other(
+    state: DriveState, progress: RobstrideProgress, text: str
+) -> DriveState:
     """Return the state after the motor has reported a mode that another host has caused."""
     enabled = state._replace(private=progress._replace(enabled_by_other=True))
     if progress.disabling:
@@ -138,7 +142,11 @@ def _state_when_enabled_by_other(state: DriveState, progress: RobstrideProgress,
 
 def fault_text(fault: int) -> str:
     """Return the texts of the faults in an error code."""
-    names = [codec.FAULT_TEXTS.get(bit, f"unknown fault bit {bit}") for bit in range(32) if fault >> bit & 1]
+    names = [
+        codec.FAULT_TEXTS.get(bit, f"unknown fault bit {bit}")
+        for bit in range(32)
+        if fault >> bit & 1
+    ]
     return ", ".join(dict.fromkeys(names))
 
 
@@ -150,4 +158,6 @@ def cause_of_error(error: int) -> DriveFaultCause:
     if not bits or any(bit not in codec.FAULT_TEXTS for bit in bits):
         return DriveFaultCause.UNKNOWN
     causes = [CAUSE_BY_FAULT_BIT.get(bit, DriveFaultCause.OTHER) for bit in bits]
-    return next((cause for cause in causes if cause != DriveFaultCause.OTHER), DriveFaultCause.OTHER)
+    return next(
+        (cause for cause in causes if cause != DriveFaultCause.OTHER), DriveFaultCause.OTHER
+    )

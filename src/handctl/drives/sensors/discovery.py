@@ -32,7 +32,9 @@ def discovered_sensor_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, .
 
     Consecutive identifiers count as one node.
     """
-    ids = sorted({frame.can_id for frame in received if _answers_both_syncs(received, frame.can_id)})
+    ids = sorted(
+        {frame.can_id for frame in received if _answers_both_syncs(received, frame.can_id)}
+    )
     first = [can_id for can_id in ids if can_id - 1 not in ids]
     return tuple(_describe_node(can_id, received) for can_id in first)
 
@@ -40,7 +42,9 @@ def discovered_sensor_nodes(received: ReceivedFrames) -> tuple[DiscoveredNode, .
 def _answers_both_syncs(received: ReceivedFrames, can_id: int) -> bool:
     """Return True if the frames with an identifier repeat the counters of both SYNC frames, in the order sent."""
     counters = [
-        frame.data[0] & 0xF for frame in received if frame.can_id == can_id and 2 <= len(frame.data) <= MAX_FRAME_BYTES
+        frame.data[0] & 0xF
+        for frame in received
+        if frame.can_id == can_id and 2 <= len(frame.data) <= MAX_FRAME_BYTES
     ]
     return can_id < SYNC_ID << 3 and counters == [counter & 0xF for counter in PROBE_COUNTERS]
 
@@ -50,7 +54,8 @@ def _describe_node(can_id: int, received: ReceivedFrames) -> DiscoveredNode:
     size = next(len(frame.data) for frame in received if frame.can_id == can_id)
     channels = (8 * size - HEADER_BITS) // CHANNEL_BITS
     note = (
-        f"answers SYNC 0x{SYNC_ID:03x}: a sensor node with base_id = 0x{can_id:x} and {channels} channels in a frame?"
+        f"answers SYNC 0x{SYNC_ID:03x}: a sensor node with base_id "
+        f"= 0x{can_id:x} and {channels} channels in a frame?"
     )
     return DiscoveredNode("sensor", can_id, state="answers SYNC", notes=(note,))
 
@@ -77,9 +82,18 @@ def ping_request(node: DiscoveredNode) -> Frame:
 
 def is_ping_reply(node: DiscoveredNode, frame: Frame) -> bool:
     """Return True if the frame is an answer of the node to ``ping_request``, with the counter of ``ping_request``."""
-    return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == PROBE_COUNTERS[0] & 0xF
+    return (
+        frame.can_id == node.node_id
+        and len(frame.data) >= 2
+        and frame.data[0] & 0xF == PROBE_COUNTERS[0] & 0xF
+    )
 
 
 DISCOVERY = ProtocolDiscovery(
-    probe_frames, discovered_sensor_nodes, command_ids, other_host_frames, ping_request, is_ping_reply
+    probe_frames,
+    discovered_sensor_nodes,
+    command_ids,
+    other_host_frames,
+    ping_request,
+    is_ping_reply,
 )

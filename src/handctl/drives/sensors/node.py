@@ -31,7 +31,9 @@ CHANNEL_BITS = 12
 """Number of bits of a channel."""
 COUNTER_BITS = 4
 """Number of bits of the counter in an answer."""
-CHANNEL_SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS_PER_FRAME * CHANNEL_BITS, CHANNEL_BITS))
+CHANNEL_SHIFTS = tuple(
+    range(COUNTER_BITS, COUNTER_BITS + CHANNELS_PER_FRAME * CHANNEL_BITS, CHANNEL_BITS)
+)
 """Number of the lowest bit of each channel in a frame."""
 MAX_CHANNEL_COUNT = (1 << CHANNEL_BITS) - 1
 """Largest possible count of a channel."""
@@ -137,7 +139,9 @@ class SensorNode:
         object.__setattr__(self, "counters", sync_counters(self.decimation))
 
     @classmethod
-    def of(cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]) -> Self:
+    def of(
+        cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]
+    ) -> Self:
         """Return the sensor node of a hand.
 
         Args:
@@ -236,7 +240,9 @@ class SensorNode:
         The frames per tick of an angle frame are the fraction of ticks in which the node sends this
         frame.
         """
-        rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (len(self.ids) - self.tension_frames)
+        rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (
+            len(self.ids) - self.tension_frames
+        )
         return ((1, 1.0), *zip(self.lengths, rates, strict=True)) if self.ids else ()
 
     @property
@@ -246,10 +252,14 @@ class SensorNode:
         ``Signal.channel`` is the index of the tendon or joint.
         """
         messages = []
-        for g, (can_id, channels, length) in enumerate(zip(self.ids, self.channels, self.lengths, strict=True)):
+        for g, (can_id, channels, length) in enumerate(
+            zip(self.ids, self.channels, self.lengths, strict=True)
+        ):
             tensions = g < self.tension_frames
             signals = [Signal("counter", Quantity.COUNTER, 0, COUNTER_BITS)]
-            signals += [_channel_signal(slot, index, tensions) for slot, index in enumerate(channels)]
+            signals += [
+                _channel_signal(slot, index, tensions) for slot, index in enumerate(channels)
+            ]
             name = f"tensions_{g}" if tensions else f"joints_{g - self.tension_frames}"
             messages.append(Message(name, can_id, length, tuple(signals)))
         return tuple(messages)
@@ -314,7 +324,9 @@ def sync_counters(decimation: int) -> bytes:
     recent = list[int]()
     result = bytearray()
     for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
-        chance = chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF  # Knuth's MMIX
+        chance = (
+            chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF
+        )  # Knuth's MMIX
         fit = sorted(by_nibble[k % decimation])
         for old in reversed(recent):  # the counter of the latest tick is excluded first
             if len(fit) > 2 and old in fit:
@@ -329,7 +341,8 @@ def sync_counters(decimation: int) -> bytes:
 def _channel_groups(channels: list[int]) -> list[tuple[int, ...]]:
     """Return the channels in groups. Each group is the content of one frame."""
     return [
-        tuple(channels[first : first + CHANNELS_PER_FRAME]) for first in range(0, len(channels), CHANNELS_PER_FRAME)
+        tuple(channels[first : first + CHANNELS_PER_FRAME])
+        for first in range(0, len(channels), CHANNELS_PER_FRAME)
     ]
 
 

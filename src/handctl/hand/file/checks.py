@@ -12,7 +12,13 @@ from handctl.hand.file.error_text import FileMistake
 from handctl.hand.file.sections import Digit, Motor, Mount, StreamLimits, Tendon
 from handctl.hand.file.sensor_checks import amplifier_identifiers, check_sensor_node
 from handctl.hand.link_bodies import link_inertia
-from handctl.hand.moment_arms import TABLE_DEGREE, arms_at, is_arm_varying, polynomial_of_arm, table_residual
+from handctl.hand.moment_arms import (
+    TABLE_DEGREE,
+    arms_at,
+    is_arm_varying,
+    polynomial_of_arm,
+    table_residual,
+)
 
 if TYPE_CHECKING:
     from handctl.hand.description import Hand
@@ -45,7 +51,13 @@ MESH_POSE_KEYS = ("link_mesh_scale", "link_mesh_position_m", "link_mesh_rpy_deg"
 """Keys of a digit that scale and place the meshes of ``link_mesh``."""
 PALM_POSE_KEYS = ("palm_mesh_scale", "palm_mesh_position_m", "palm_mesh_rpy_deg")
 """Keys of the section ``mount`` that scale and place the mesh of ``palm_mesh``."""
-OPTIONAL_KEYS_PER_LINK = ("joint_axis", "joint_rpy_deg", "joint_rated_torque_N_m", "link_mesh", *MESH_POSE_KEYS)
+OPTIONAL_KEYS_PER_LINK = (
+    "joint_axis",
+    "joint_rpy_deg",
+    "joint_rated_torque_N_m",
+    "link_mesh",
+    *MESH_POSE_KEYS,
+)
 """Optional keys of a digit, with one value per link."""
 UNIT_TOLERANCE = 1e-3
 """Tolerance for rounding errors in the length 1 of an axis, and in the triangle inequality of inertias."""
@@ -117,7 +129,9 @@ def check_hand(hand: Hand) -> MistakeIterator:
 def check_names(hand: Hand) -> MistakeIterator:
     """Yield a mistake for each name that two sections of the same kind have."""
     for key in ("bus", "digit", "tendon", "motor"):
-        yield from _check_unique([section.name for section in getattr(hand, key)], key + "[{}].name")
+        yield from _check_unique(
+            [section.name for section in getattr(hand, key)], key + "[{}].name"
+        )
 
 
 def check_sections(digits: Iterable[Digit], tendons: Iterable[Tendon]) -> MistakeIterator:
@@ -164,21 +178,29 @@ def _check_digit(digit: Digit) -> MistakeIterator:
         length = float(np.linalg.norm(axis))
         if abs(length - 1.0) > UNIT_TOLERANCE:
             yield FileMistake(
-                f"a vector of length {length:.3g}", f"{where}.joint_axis[{i}]", "a unit vector, of length 1"
+                f"a vector of length {length:.3g}",
+                f"{where}.joint_axis[{i}]",
+                "a unit vector, of length 1",
             )
     if digit.link_length_m[-1] == 0.0:
         yield FileMistake(
-            "0", f"{where}.link_length_m[{links - 1}]", "more than 0, as the tip is at the end of the last link"
+            "0",
+            f"{where}.link_length_m[{links - 1}]",
+            "more than 0, as the tip is at the end of the last link",
         )
     if digit.coupling is not None:
         yield from _check_coupling(digit.coupling, f"{where}.coupling", links)
 
 
-def check_mesh_keys(section: Digit | Mount, mesh: str, keys: Iterable[str], where: str) -> MistakeIterator:
+def check_mesh_keys(
+    section: Digit | Mount, mesh: str, keys: Iterable[str], where: str
+) -> MistakeIterator:
     """Check that a section without meshes has no scale and no pose of meshes, and that no scale is 0."""
     for key in keys:
         if getattr(section, mesh) is None and getattr(section, key) is not None:
-            yield FileMistake(f"given without {mesh}", f"{where}.{key}", f"{mesh} as well, or no such key")
+            yield FileMistake(
+                f"given without {mesh}", f"{where}.{key}", f"{mesh} as well, or no such key"
+            )
     scales = getattr(section, f"{mesh}_scale")
     for i, scale in enumerate(scales if isinstance(section, Digit) and scales else [scales]):
         if isinstance(scale, tuple) and 0.0 in scale:
@@ -194,7 +216,9 @@ def _check_body(digit: Digit, i: int, where: str) -> MistakeIterator:
     size = max(length, 2 * digit.link_radius_m)
     if isinstance(com, float):
         if com > length:
-            yield FileMistake(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
+            yield FileMistake(
+                f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m"
+            )
     elif np.linalg.norm(com) > size:
         right = f"at most {size:g} m from the joint, the link's length or width"
         yield FileMistake(f"{np.linalg.norm(com):g} m", f"{where}.link_com_m[{i}]", right)
@@ -208,23 +232,32 @@ def _check_body(digit: Digit, i: int, where: str) -> MistakeIterator:
         yield FileMistake(what, f"{where}.link_inertia_kg_m2[{i}]", "a positive definite inertia")
     elif moments[-1] > (moments[0] + moments[1]) * (1.0 + UNIT_TOLERANCE):
         what = "principal moments " + ", ".join(f"{moment:.3g}" for moment in moments)
-        yield FileMistake(what, f"{where}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two")
+        yield FileMistake(
+            what, f"{where}.link_inertia_kg_m2[{i}]", "none larger than the sum of the other two"
+        )
 
 
-def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: int) -> MistakeIterator:
+def _check_coupling(
+    coupling: tuple[tuple[float, ...], ...], where: str, links: int
+) -> MistakeIterator:
     """Check the shape of a coupling matrix."""
     if len(coupling) != links:
         yield FileMistake(f"{len(coupling)} rows", where, f"{links}, one per joint")
     widths = {len(row) for row in coupling}
     if len(widths) != 1 or not 1 <= min(widths) <= links:
-        yield FileMistake(f"rows of {sorted(widths)} values", where, f"rows of equal length, 1 to {links}")
+        yield FileMistake(
+            f"rows of {sorted(widths)} values", where, f"rows of equal length, 1 to {links}"
+        )
 
 
 def _check_references(hand: Hand) -> MistakeIterator:
     """Check that every referenced name exists, and that each motor drives one tendon."""
     node = hand.sensor_node
     yield from _check_name("sensor_node.bus", node.bus, hand.bus_names)
-    for key, names, valid in (("tendons", node.tendons, hand.tendon_names), ("joints", node.joints, hand.joints)):
+    for key, names, valid in (
+        ("tendons", node.tendons, hand.tendon_names),
+        ("joints", node.joints, hand.joints),
+    ):
         yield from _check_unique(names, f"sensor_node.{key}")
         for i, name in enumerate(names):
             yield from _check_name(f"sensor_node.{key}[{i}]", name, valid)
@@ -232,7 +265,9 @@ def _check_references(hand: Hand) -> MistakeIterator:
         yield from _check_name(f"motor[{motor.name}].bus", motor.bus, hand.bus_names)
     for tendon in hand.tendon:
         for joint in tendon.moment_arm_m:
-            yield from _check_name(f"tendon[{tendon.name}].moment_arm_m.{joint}", joint, hand.joints)
+            yield from _check_name(
+                f"tendon[{tendon.name}].moment_arm_m.{joint}", joint, hand.joints
+            )
     yield from _check_motors(hand)
 
 
@@ -245,7 +280,9 @@ def _check_motors(hand: Hand) -> MistakeIterator:
         wrong += _check_name(where, tendon.motor, hand.motor_names)
         if tendon.motor in driven:
             what = f'"{tendon.motor}" drives {driven[tendon.motor]} already'
-            right = "a motor of its own, or one tendon with pretension_N for both tendons of its spool"
+            right = (
+                "a motor of its own, or one tendon with pretension_N for both tendons of its spool"
+            )
             wrong.append(FileMistake(what, where, right))
         driven[tendon.motor] = tendon.name
     yield from wrong
@@ -253,7 +290,9 @@ def _check_motors(hand: Hand) -> MistakeIterator:
         # If a tendon names a wrong motor, another motor has no tendon as a consequence. Then only
         # the wrong name is reported.
         if motor.name not in driven and not wrong:
-            yield FileMistake("drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon")
+            yield FileMistake(
+                "drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon"
+            )
 
 
 def _check_name(where: str, name: str, valid: tuple[str, ...]) -> MistakeIterator:
@@ -272,7 +311,11 @@ def _check_mounts(hand: Hand) -> MistakeIterator:
             yield from _check_name(where, carrier, hand.digit_names)
             if carrier in hand.digit_names:
                 what = f"{digit.name} does not follow {carrier}"
-                yield FileMistake(what, where, "each digit right after the one that carries it, or after others on it")
+                yield FileMistake(
+                    what,
+                    where,
+                    "each digit right after the one that carries it, or after others on it",
+                )
         # The next digit may be carried by this digit, or by one of the digits that carry this
         # digit.
         line = [*line[: line.index(carrier) + 1 if carrier in line else 0], digit.name]
@@ -290,11 +333,17 @@ def _check_tendon_order(hand: Hand) -> MistakeIterator:
             yield from _check_arm(hand, tendon, joint)
         name = hand.digit_of_tendon(tendon)
         if name is None:
-            crossed = [digit.name for digit in hand.digit if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)]
+            crossed = [
+                digit.name
+                for digit in hand.digit
+                if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)
+            ]
             right = "joints of one digit, and of digits that carry it (mount_on)"
             yield FileMistake(f"moves {' and '.join(crossed) or 'no digit'}", where, right)
             continue
-        passed = [joint for joint in tendon.moment_arm_m if joint not in hand.digit_named(name).joints]
+        passed = [
+            joint for joint in tendon.moment_arm_m if joint not in hand.digit_named(name).joints
+        ]
         for joint in passed:
             if is_arm_varying(tendon.moment_arm_m[joint]):
                 right = f"a number: {name} is carried by this joint"
@@ -321,7 +370,9 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
     range_text = f"the joint's range, {low:g} to {high:g} deg"
     first, *_, last = arm.get("angle_deg", (low, high))
     if first > low + ROUNDING_DEG or last < high - ROUNDING_DEG:
-        yield FileMistake(f"angle_deg from {first:g} to {last:g}", where, f"a table over {range_text}")
+        yield FileMistake(
+            f"angle_deg from {first:g} to {last:g}", where, f"a table over {range_text}"
+        )
         return
     angle = np.linspace(low, high, ARM_SAMPLES)
     values = np.polynomial.polynomial.polyval(np.radians(angle), polynomial_of_arm(arm))
@@ -330,15 +381,27 @@ def _check_arm(hand: Hand, tendon: Tendon, joint: str) -> MistakeIterator:
     if values.min() < 0.0 < values.max():
         turned = int(np.argmax(values * values[0] < 0.0))
         what = f"the arm changes its sign at {angle[turned]:.0f} deg"
-        yield FileMistake(what, where, f"one sign over {range_text}: a tendon either closes or opens a joint")
+        yield FileMistake(
+            what, where, f"one sign over {range_text}: a tendon either closes or opens a joint"
+        )
     elif abs(values[least]) < SMALLEST_ARM_M or size > LARGEST_ARM_M:
-        worst = values[least] if abs(values[least]) < SMALLEST_ARM_M else values[np.argmax(np.abs(values))]
+        worst = (
+            values[least]
+            if abs(values[least]) < SMALLEST_ARM_M
+            else values[np.argmax(np.abs(values))]
+        )
         place = angle[np.argmin(np.abs(values - worst))]
-        yield FileMistake(f"an arm of {worst:.3g} m at {place:.0f} deg", where, f"0.0001 to 0.05 m over {range_text}")
+        yield FileMistake(
+            f"an arm of {worst:.3g} m at {place:.0f} deg",
+            where,
+            f"0.0001 to 0.05 m over {range_text}",
+        )
     elif (residual := table_residual(arm)) > MAX_TABLE_RESIDUAL_FRACTION * size:
         what = f"the polynomial of degree {TABLE_DEGREE} differs by {1e3 * residual:.2g} mm from the table"
         yield FileMistake(
-            what, where, f"a smoother table, within {1e2 * MAX_TABLE_RESIDUAL_FRACTION:g} % of the arm, or polynomial_m"
+            what,
+            where,
+            f"a smoother table, within {1e2 * MAX_TABLE_RESIDUAL_FRACTION:g} % of the arm, or polynomial_m",
         )
 
 
@@ -354,23 +417,34 @@ def _check_routing(hand: Hand, digit: Digit) -> MistakeIterator:
         limits = hand.joint_limits[:, joints]
         postures = np.linspace(limits[0], limits[1], ROUTING_SAMPLES)
         rank = min(
-            _moment_arm_rank(one @ coupling) for one in arms_at(hand.arm_polynomials[tendons, joints], limits, postures)
+            _moment_arm_rank(one @ coupling)
+            for one in arms_at(hand.arm_polynomials[tendons, joints], limits, postures)
         )
     if rank < columns:
         where = f"digit[{digit.name}].coupling"
         right = f"a tendon for every coordinate, or a coupling that leaves {max(rank, 1)}"
-        yield FileMistake(f"its tendons (moment_arm_m) can move only {rank} of {columns} coordinates", where, right)
+        yield FileMistake(
+            f"its tendons (moment_arm_m) can move only {rank} of {columns} coordinates",
+            where,
+            right,
+        )
     for joint, column in zip(digit.joints, arms.T, strict=True):
         if not column.any():
             yield FileMistake(
-                f"no tendon crosses {joint}", f"digit[{digit.name}]", f"a tendon with moment_arm_m.{joint}"
+                f"no tendon crosses {joint}",
+                f"digit[{digit.name}]",
+                f"a tendon with moment_arm_m.{joint}",
             )
 
 
 def _moment_arm_rank(arms: NDArray[np.float64]) -> int:
     """Return the rank of a matrix of reduced moment arms."""
     values = np.linalg.svd(arms, compute_uv=False)
-    return int((values > MIN_SINGULAR_VALUE_RATIO * values.max(initial=0.0)).sum()) if values.size else 0
+    return (
+        int((values > MIN_SINGULAR_VALUE_RATIO * values.max(initial=0.0)).sum())
+        if values.size
+        else 0
+    )
 
 
 def _check_limits(tendon: Tendon) -> MistakeIterator:
@@ -378,7 +452,9 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
     values = {key: getattr(tendon, key) for key in LIMIT_KEYS}
     strength = tendon.rated_breaking_force_N
     too_high = False
-    for below, key, above in zip((None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False):
+    for below, key, above in zip(
+        (None, *LIMIT_KEYS), LIMIT_KEYS[:-1], LIMIT_KEYS[1:], strict=False
+    ):
         value = values[key]
         next_value = values[above]
         # The limit before this one was reported as too high. Therefore this limit is not reported
@@ -393,7 +469,9 @@ def _check_limits(tendon: Tendon) -> MistakeIterator:
             too_high = value >= next_value
         if too_high or too_low:
             breaks = f", and the tendon breaks at {strength:g} N" if value > strength else ""
-            yield FileMistake(f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds))
+            yield FileMistake(
+                f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds)
+            )
 
 
 def _check_pretension(tendon: Tendon) -> MistakeIterator:
@@ -413,7 +491,9 @@ def _check_pretension(tendon: Tendon) -> MistakeIterator:
         yield FileMistake(f"{pretension:g}", f"tendon[{tendon.name}].pretension_N", right)
     if tendon.tension_floor_N != 0.0:
         right = "0, or no such key: the net tension of a spool pair has both signs"
-        yield FileMistake(f"{tendon.tension_floor_N:g}", f"tendon[{tendon.name}].tension_floor_N", right)
+        yield FileMistake(
+            f"{tendon.tension_floor_N:g}", f"tendon[{tendon.name}].tension_floor_N", right
+        )
 
 
 def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
@@ -431,10 +511,16 @@ def _check_pairs(hand: Hand, digit: Digit) -> MistakeIterator:
         yield FileMistake(what, f"tendon[{single[0]}].pretension_N", right)
     elif len(pairs) != coordinates:
         what = f"{len(pairs)} spool pairs for {coordinates} coordinates"
-        yield FileMistake(what, f"{where}.tendon", "one spool pair per coordinate: a pair pulls both ways")
+        yield FileMistake(
+            what, f"{where}.tendon", "one spool pair per coordinate: a pair pulls both ways"
+        )
     if any(digit.spring_stiffness_N_m_per_rad):
         what = "springs beside spool pairs"
-        yield FileMistake(what, f"{where}.spring_stiffness_N_m_per_rad", "no springs: a spool pair returns the joint")
+        yield FileMistake(
+            what,
+            f"{where}.spring_stiffness_N_m_per_rad",
+            "no springs: a spool pair returns the joint",
+        )
     for i, name in enumerate(hand.sensor_node.tendons):
         if name in [tendon.name for tendon in pairs]:
             right = "tendons with one load cell each: the net tension of a spool pair comes from its motor"
@@ -450,7 +536,9 @@ def _check_drive(tendon: Tendon, motor: Motor) -> MistakeIterator:
         yield FileMistake(f"{motor.torque_max_N_m:g}", where, right)
     if motor.torque_max_N_m > motor.torque_peak_N_m:
         yield FileMistake(
-            f"{motor.torque_max_N_m:g}", where, f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m"
+            f"{motor.torque_max_N_m:g}",
+            where,
+            f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m",
         )
 
 
@@ -495,7 +583,11 @@ def _check_identifiers(hand: Hand) -> MistakeIterator:
     for bus, identifier, where in _frame_identifiers(hand):
         if (bus, identifier) in owner and where not in wrong:
             wrong.add(where)
-            text = f"0x{identifier & ~EXTENDED_ID_FLAG:X}" if isinstance(identifier, int) else str(identifier)
+            text = (
+                f"0x{identifier & ~EXTENDED_ID_FLAG:X}"
+                if isinstance(identifier, int)
+                else str(identifier)
+            )
             right = f"an identifier that is not in use; {owner[bus, identifier]} has it"
             yield FileMistake(f'{text} on bus "{bus}" is taken', where, right)
         owner.setdefault((bus, identifier), where)
@@ -563,4 +655,6 @@ def _check_reply_id(motor: Motor) -> MistakeIterator:
     if motor.protocol != "mit" or reply is None:
         return
     if isinstance(reply, bool) or not isinstance(reply, int) or not 1 <= reply <= 0x7FF:
-        yield FileMistake(f"{reply}", f"motor[{motor.name}].options.reply_id", "a whole number from 1 to 2047")
+        yield FileMistake(
+            f"{reply}", f"motor[{motor.name}].options.reply_id", "a whole number from 1 to 2047"
+        )

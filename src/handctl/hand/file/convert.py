@@ -26,7 +26,11 @@ from handctl.hand.file.toml_text import toml_text
 
 MAX_LINE_LENGTH = 120
 """Largest length of a line with an inline table."""
-INDIVIDUAL_KEYS = {"digit": {"name", "mount_position_m"}, "tendon": {"name"}, "motor": {"name", "node_id"}}
+INDIVIDUAL_KEYS = {
+    "digit": {"name", "mount_position_m"},
+    "tendon": {"name"},
+    "motor": {"name", "node_id"},
+}
 """Keys that each section of a kind must have itself, and that no default or template may have."""
 MIN_SECTIONS_TO_SHARE = 2
 """Smallest number of sections whose common values become a default or a template."""
@@ -69,7 +73,9 @@ class TomlTable:
     entries: list[TomlEntry]
     before: list[str] = field(default_factory=list)
     comment: str = ""
-    held: dict[str, dict[str, "TomlTable"]] = field(default_factory=lambda: {kind: {} for kind in DIGIT_KINDS})
+    held: dict[str, dict[str, "TomlTable"]] = field(
+        default_factory=lambda: {kind: {} for kind in DIGIT_KINDS}
+    )
 
     def values(self) -> dict[str, Any]:
         """Return the values of the table by key."""
@@ -113,7 +119,9 @@ def convert_to_schema_2(text: str, source: str) -> str:
         header = f"[[{name}]]" if array else f"[{name}]" + _header_comment(block)
         lines += ["", *block.before, header, *_table_lines(block, name)]
     for kind in SECTION_KINDS:
-        lines += _kind_lines(kind, defaults[kind], templates if kind == "digit" else {}, sections[kind])
+        lines += _kind_lines(
+            kind, defaults[kind], templates if kind == "digit" else {}, sections[kind]
+        )
     return re.sub(r"\n{3,}", "\n\n", "\n".join(lines).strip("\n")) + "\n"
 
 
@@ -143,7 +151,9 @@ def _parse_entry(key: str, item: Item) -> list[TomlEntry]:
         return [TomlEntry("", item.trivia.comment)]
     if isinstance(item, Table):
         comments = [
-            TomlEntry("", value.trivia.comment) for name, value in item.value.body if isinstance(value, Comment)
+            TomlEntry("", value.trivia.comment)
+            for name, value in item.value.body
+            if isinstance(value, Comment)
         ]
         return [*comments, TomlEntry(key, _inline_table(item.unwrap()), item.unwrap())]
     return [TomlEntry(key, item.as_string().strip(), item.unwrap(), item.trivia.comment)]
@@ -171,21 +181,28 @@ def _take_common_values(kind: str, blocks: Sequence[TomlTable]) -> list[TomlEntr
     return _take_shared_values(blocks, lambda key, value: key not in kept)
 
 
-def _take_shared_values(blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]) -> list[TomlEntry]:
+def _take_shared_values(
+    blocks: Sequence[TomlTable], can_be: Callable[[str, Any], bool]
+) -> list[TomlEntry]:
     """Remove the values that all tables have in common, and return their lines with the comments of all tables."""
     first = blocks[0].values()
     others = [block.values() for block in blocks[1:]]
     keys = [
         key
         for key, value in first.items()
-        if can_be(key, value) and all(key in other and _are_equal(other[key], value) for other in others)
+        if can_be(key, value)
+        and all(key in other and _are_equal(other[key], value) for other in others)
     ]
     entries = {entry.key: entry for entry in blocks[0].take(keys)}
     for block in blocks[1:]:
         for entry in block.take(keys):
             known = entries[entry.key]
             if entry.comment and entry.comment not in known.comment:
-                known.comment = f"{known.comment}; {entry.comment.lstrip('# ')}" if known.comment else entry.comment
+                known.comment = (
+                    f"{known.comment}; {entry.comment.lstrip('# ')}"
+                    if known.comment
+                    else entry.comment
+                )
     return list(entries.values())
 
 
@@ -210,12 +227,18 @@ def _shorten_lists_per_link(block: TomlTable) -> None:
             entry.value = values[0]
 
 
-def _shorten_sensor_node(others: Sequence[tuple[str, TomlTable]], sections: dict[str, list[TomlTable]]) -> None:
+def _shorten_sensor_node(
+    others: Sequence[tuple[str, TomlTable]], sections: dict[str, list[TomlTable]]
+) -> None:
     """Replace a list of all tendons or of all joints in the sensor node by ``"all"``."""
     digits = [block.values() for block in sections["digit"]]
     names = {
         "tendons": [block.values().get("name") for block in sections["tendon"]],
-        "joints": [f"{digit['name']}_j{i + 1}" for digit in digits for i in range(len(digit["link_length_m"]))],
+        "joints": [
+            f"{digit['name']}_j{i + 1}"
+            for digit in digits
+            for i in range(len(digit["link_length_m"]))
+        ],
     }
     for name, block in others:
         for entry in block.entries if name == "sensor_node" else ():
@@ -229,13 +252,18 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
     digits = {block.values()["name"]: block for block in sections["digit"]}
     for block in sections[kind]:
         name = str(block.values()["name"])
-        owner = max((digit for digit in digits if name.startswith(f"{digit}_")), key=len, default=None)
-        if owner is None or not all(joint.startswith(f"{owner}_j") for joint in block.values().get("moment_arm_m", ())):
+        owner = max(
+            (digit for digit in digits if name.startswith(f"{digit}_")), key=len, default=None
+        )
+        if owner is None or not all(
+            joint.startswith(f"{owner}_j") for joint in block.values().get("moment_arm_m", ())
+        ):
             return
         moved.append((digits[owner], name.removeprefix(f"{owner}_"), block))
-    if [id(block) for *_, block in sorted(moved, key=lambda row: list(digits.values()).index(row[0]))] != [
-        id(block) for block in sections[kind]
-    ]:
+    if [
+        id(block)
+        for *_, block in sorted(moved, key=lambda row: list(digits.values()).index(row[0]))
+    ] != [id(block) for block in sections[kind]]:
         return  # this would change the order of tendons or motors
     comments: list[str] = []
     if sections[kind]:
@@ -248,7 +276,9 @@ def _move_into_digits(kind: str, sections: dict[str, list[TomlTable]]) -> None:
                 entry.value = str(entry.value).removeprefix(f"{owner}_")
                 entry.text = f'"{entry.value}"'
             if entry.key == "moment_arm_m":
-                entry.value = {joint.removeprefix(f"{owner}_"): arm for joint, arm in entry.value.items()}
+                entry.value = {
+                    joint.removeprefix(f"{owner}_"): arm for joint, arm in entry.value.items()
+                }
                 entry.text = entry.text.replace(f"{owner}_j", "j")
                 assert all(SHORT_JOINT_PATTERN.fullmatch(joint) for joint in entry.value)
         digit.held[kind][short] = block
@@ -266,7 +296,9 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
     for group in groups.values():
         if len(group) < MIN_SECTIONS_TO_SHARE or "link_length_m" not in group[0].values():
             continue
-        template = TomlTable(_take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"]))
+        template = TomlTable(
+            _take_shared_values(group, lambda key, value: key not in INDIVIDUAL_KEYS["digit"])
+        )
         for kind in DIGIT_KINDS:
             # Tendons and motors of a template come before those that only the digits have. Their
             # order must not change. Therefore only those before the first difference between the
@@ -288,14 +320,21 @@ def _take_templates(digits: Sequence[TomlTable]) -> dict[str, TomlTable]:
 
 
 def _kind_lines(
-    kind: str, default: Sequence[TomlEntry], templates: dict[str, TomlTable], sections: Sequence[TomlTable]
+    kind: str,
+    default: Sequence[TomlEntry],
+    templates: dict[str, TomlTable],
+    sections: Sequence[TomlTable],
 ) -> list[str]:
     """Return the lines of the file for one kind of section: the default, the templates and the sections."""
     lines = ["", *(sections[0].before if sections else [])]
     if default:
         lines += [f"[default.{kind}]", *(entry.line() for entry in default), ""]
     for name, template in templates.items():
-        lines += [f"[{kind}_template.{name}]", *_table_lines(template, f"{kind}_template.{name}"), ""]
+        lines += [
+            f"[{kind}_template.{name}]",
+            *_table_lines(template, f"{kind}_template.{name}"),
+            "",
+        ]
     for i, block in enumerate(sections):
         if block.entries or any(block.held.values()):
             header = f"[[{kind}]]" + _header_comment(block)
@@ -317,14 +356,27 @@ def _table_lines(block: TomlTable, header: str) -> list[str]:
             keyed = [entry for entry in inner.entries if entry.key]
             comments = "; ".join(entry.comment.lstrip("# ") for entry in keyed if entry.comment)
             behind = f"   # {comments}" if comments else ""
-            line = f"{kind}.{short} = {{ " + ", ".join(f"{entry.key} = {entry.text}" for entry in keyed) + " }" + behind
+            line = (
+                f"{kind}.{short} = {{ "
+                + ", ".join(f"{entry.key} = {entry.text}" for entry in keyed)
+                + " }"
+                + behind
+            )
             alone = [entry for entry in inner.entries if not entry.key]
             if len(keyed) == 1 and not alone and not inner.before:
                 lines.append(f"{kind}.{short}.{keyed[0].line()}")
             elif keyed and len(line) <= MAX_LINE_LENGTH and "\n" not in line:
-                lines += [*inner.before, *(entry.text for entry in alone), line] if alone or not lines else [line]
+                lines += (
+                    [*inner.before, *(entry.text for entry in alone), line]
+                    if alone or not lines
+                    else [line]
+                )
             elif keyed:
-                tables += ["", f"[{header}.{kind}.{short}]", *(entry.line() for entry in inner.entries)]
+                tables += [
+                    "",
+                    f"[{header}.{kind}.{short}]",
+                    *(entry.line() for entry in inner.entries),
+                ]
             elif kind == "motor":
                 lines.append(f"{kind}.{short} = {{}}")
     return lines + tables

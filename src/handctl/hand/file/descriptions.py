@@ -58,7 +58,9 @@ def _documented_attributes(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
     """Yield name and docstring of each attribute that is followed by a docstring."""
     for statement, following in pairwise(body):
         match statement, following:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(
+                value=ast.Constant(value=str(text))
+            ):
                 yield name, inspect.cleandoc(text)
 
 

@@ -64,16 +64,22 @@ def validation_mistakes(
     details = error.errors(include_url=False)
     within = {detail["loc"][:1] for detail in details if len(detail["loc"]) > 1}
     # If pydantic refuses entries of a list, it also reports that the list is too short.
-    details = [detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within]
+    details = [
+        detail for detail in details if detail["type"] != "too_short" or detail["loc"] not in within
+    ]
     unknown = [detail for detail in details if detail["type"] == "extra_forbidden"]
     found = [_unknown_key_mistake(detail["loc"], model, content) for detail in unknown]
-    misspelt = {(detail["loc"][:-1], mistake.right) for detail, mistake in zip(unknown, found, strict=True)}
+    misspelt = {
+        (detail["loc"][:-1], mistake.right) for detail, mistake in zip(unknown, found, strict=True)
+    }
     for detail in details:
         location = detail["loc"]
         where = key_path(content, location)
         if detail["type"] == "missing":
             if (location[:-1], location[-1]) not in misspelt:
-                found.append(FileMistake("missing", where, _meaning_of_missing_key(location, model)))
+                found.append(
+                    FileMistake("missing", where, _meaning_of_missing_key(location, model))
+                )
         elif detail["type"] != "extra_forbidden":
             context = {"right": detail["msg"], **detail.get("ctx", {})}
             right = EXPECTED_TYPES.get(detail["type"], "{right}").format(**context)
@@ -120,7 +126,9 @@ def _field_meaning(field: _ModelField | None) -> str:
 
 def first_sentence(description: str) -> str:
     """Return the first sentence of a description, as one line without the full stop."""
-    return " ".join(re.split(r"\.\s", description, maxsplit=1)[0].rstrip(".").replace("``", "").split())
+    return " ".join(
+        re.split(r"\.\s", description, maxsplit=1)[0].rstrip(".").replace("``", "").split()
+    )
 
 
 def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _ModelField | None:
@@ -131,12 +139,18 @@ def _field_of_key(location: Sequence[str | int], model: type[BaseModel]) -> _Mod
     *tables, key = location
     for part in tables:
         if isinstance(part, str):
-            models = _models_in(model.model_fields[part].annotation) if part in model.model_fields else []
+            models = (
+                _models_in(model.model_fields[part].annotation)
+                if part in model.model_fields
+                else []
+            )
             if not models:
                 return None
             model = models[0]
     fields = model.model_fields.items()
-    return next((_ModelField(model, name) for name, field in fields if key in (name, field.alias)), None)
+    return next(
+        (_ModelField(model, name) for name, field in fields if key in (name, field.alias)), None
+    )
 
 
 def _unknown_key_mistake(
@@ -145,13 +159,17 @@ def _unknown_key_mistake(
     """Return the mistake for an unknown key, with the most similar valid key as the valid value."""
     if location[0] == "motor" and location[-1] == "mode":
         return FileMistake(
-            "a hand commands torques", key_path(content, location), "no mode; one drive: handctl jog --mode"
+            "a hand commands torques",
+            key_path(content, location),
+            "no mode; one drive: handctl jog --mode",
         )
     valid = most_similar_key(str(location[-1]), _valid_keys_at(model, location[:-1]))
     return FileMistake("unknown key", key_path(content, location), valid)
 
 
-def with_paths_of_file(mistakes: Iterable[FileMistake], origins: Mapping[str, str]) -> list[FileMistake]:
+def with_paths_of_file(
+    mistakes: Iterable[FileMistake], origins: Mapping[str, str]
+) -> list[FileMistake]:
     """Return the mistakes of resolved content with key paths as they are in the file.
 
     Many sections use the same value of a default or template. Only the first mistake about such a
@@ -184,7 +202,8 @@ def group_mistakes(mistakes: Iterable[FileMistake]) -> list[FileMistake]:
         pattern = mistake._replace(where=f"{section[1]}[{{}}]{section[3]}") if section else mistake
         names.setdefault(pattern, []).append(section[2] if section else "")
     return [
-        pattern._replace(where=pattern.where.replace("{}", shortened_list(found))) for pattern, found in names.items()
+        pattern._replace(where=pattern.where.replace("{}", shortened_list(found)))
+        for pattern, found in names.items()
     ]
 
 
@@ -193,7 +212,9 @@ def shortened_list(names: Sequence[str]) -> str:
 
     Of more than three names, write the first two and the number of the others.
     """
-    return ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"
+    return (
+        ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"
+    )
 
 
 def _path_in_file(path: str, origins: Mapping[str, str]) -> str:
@@ -227,7 +248,13 @@ def key_path(content: Any, location: Sequence[str | int]) -> str:
 
 def toml_spelling(value: Any) -> str:
     """Return a value as it is spelled in TOML, shortened if the text is long."""
-    text = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else repr(value)
+    text = (
+        str(value).lower()
+        if isinstance(value, bool)
+        else f'"{value}"'
+        if isinstance(value, str)
+        else repr(value)
+    )
     return text if len(text) <= 60 else text[:57] + "..."
 
 

@@ -9,7 +9,13 @@ import numpy as np
 from handctl.hand.digit import Array
 from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.error_text import first_sentence
-from handctl.hand.file.new_file import DRIVE_LIMIT_RATIO, MOTORS_PER_BUS, SENSOR_IDS, TENSION_FLOOR_N, TRIP_RATIO
+from handctl.hand.file.new_file import (
+    DRIVE_LIMIT_RATIO,
+    MOTORS_PER_BUS,
+    SENSOR_IDS,
+    TENSION_FLOOR_N,
+    TRIP_RATIO,
+)
 from handctl.hand.file.quantities import UNMEASURED_PLACEHOLDER
 from handctl.hand.file.sections import Digit, Motor, Mount, Section, SensorNode, Tendon
 from handctl.hand.file.toml_text import quoted_string
@@ -42,11 +48,14 @@ CHOSEN_KEYS = {
 }
 """Keys whose values the user chooses. All other missing values must be measured."""
 MISSING_ARMS_COMMENT = (
-    f"{UNMEASURED_PLACEHOLDER} measure: the moment arm at each joint that it passes, as in {{ j1 = 0.010, j2 = 0.008 }}"
+    f"{UNMEASURED_PLACEHOLDER} measure: the moment arm at each "
+    "joint that it passes, as in "
+    f"{{ j1 = 0.010, j2 = 0.008 }}"
 )
 """Comment in the new file behind a tendon without moment arms."""
 PLACEHOLDER_TENDONS_COMMENT = (
-    "# The tendons below only stand for those of the hand: one for each {}. Add, remove and rename them.\n"
+    "# The tendons below only stand for those of the "
+    "hand: one for each {}. Add, remove and rename them.\n"
 )
 """Comment at the top of the new file if the description has no tendons."""
 Z_AXIS = (0.0, 0.0, 1.0)
@@ -129,7 +138,11 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
     The table of each tendon has ``digit``, ``name``, ``motor``, ``tension_max``, and ``arms`` by
     the short names of the joints.
     """
-    places = {joint: (digit.name, f"j{i + 1}") for digit in described.digits for i, joint in enumerate(digit.joints)}
+    places = {
+        joint: (digit.name, f"j{i + 1}")
+        for digit in described.digits
+        for i, joint in enumerate(digit.joints)
+    }
     usable: list[dict[str, Any]] = []
     notes = []
     for tendon in described.tendons:
@@ -140,7 +153,9 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
             notes.append(f"tendon {name} is not read: it moves joints of {len(digits)} digits")
         elif not all(SMALLEST_ARM_M <= abs(arm) <= LARGEST_ARM_M for arm in arms.values()):
             right = f"{SMALLEST_ARM_M:g} to {LARGEST_ARM_M:g} m"
-            notes.append(f"tendon {name} is not read: its coefficients are no moment arms of {right}")
+            notes.append(
+                f"tendon {name} is not read: its coefficients are no moment arms of {right}"
+            )
         else:
             (digit,) = digits
             own: dict[str, Any] = {
@@ -148,7 +163,10 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
                 "name": _short_name(name, digit),
                 "motor": _short_name(tendon["motor"] or name, digit),
             }
-            own |= {"arms": {joint: arm for (_, joint), arm in arms.items()}, "tension_max": tendon["tension_max"]}
+            own |= {
+                "arms": {joint: arm for (_, joint), arm in arms.items()},
+                "tension_max": tendon["tension_max"],
+            }
             usable.append(own)
     # If the tendons together do not move every joint, they model a mechanism, and other actuators
     # drive the hand.
@@ -159,7 +177,9 @@ def usable_tendons(described: DescribedHand) -> tuple[list[dict[str, Any]], list
     return usable, notes
 
 
-def described_text(described: DescribedHand, answers: TendonAnswers, options: str, can_fd: bool) -> str:
+def described_text(
+    described: DescribedHand, answers: TendonAnswers, options: str, can_fd: bool
+) -> str:
     """Return the text of a hand file of schema 2.
 
     Args:
@@ -174,7 +194,10 @@ def described_text(described: DescribedHand, answers: TendonAnswers, options: st
     buses = _bus_by_digit(described, tendons)
     parts = [_head_text(described, answers, max(buses.values(), default=0) + 1, can_fd)]
     if skeleton:
-        parts[0] = PLACEHOLDER_TENDONS_COMMENT.format("digit" if answers.tendons == "one" else "joint") + parts[0]
+        parts[0] = (
+            PLACEHOLDER_TENDONS_COMMENT.format("digit" if answers.tendons == "one" else "joint")
+            + parts[0]
+        )
     common = _common_lines(described, answers)
     parts += [_section_text("default.digit", common)] if common else []
     largest = {tendon["tension_max"] for tendon in tendons}
@@ -188,7 +211,10 @@ def described_text(described: DescribedHand, answers: TendonAnswers, options: st
         lines = [*_digit_lines(digit, answers), *_drive_lines(own, buses[digit.name], nodes)]
         if len(own) < len(digit.joints):
             lines.append(_todo_line(Digit, "coupling"))
-        parts.append(f"# joints in {described.source}: {', '.join(digit.joints)}\n" + _section_text("[digit]", lines))
+        parts.append(
+            f"# joints in {described.source}: {', '.join(digit.joints)}\n"
+            + _section_text("[digit]", lines)
+        )
     return "\n\n".join(parts) + "\n"
 
 
@@ -196,7 +222,9 @@ def _skeleton(digit: ModelDigit, answers: TendonAnswers) -> Iterable[dict[str, A
     """Yield placeholder tendons for a digit, with moment arms if the user gave one."""
     joints = [f"j{i + 1}" for i in range(len(digit.joints))]
     arm = None if answers.pulley_mm is None else 1e-3 * answers.pulley_mm
-    crossed = [joints] if answers.tendons == "one" else [joints[: i + 1] for i in range(len(joints))]
+    crossed = (
+        [joints] if answers.tendons == "one" else [joints[: i + 1] for i in range(len(joints))]
+    )
     for i, names in enumerate(crossed):
         yield {
             "digit": digit.name,
@@ -258,7 +286,11 @@ def _sensor_node(answers: TendonAnswers) -> str:
     if answers.cells == answers.encoders == "none":
         return ""
     sync, base = SENSOR_IDS.get(answers.protocol or "", SENSOR_IDS["mit"])
-    lines = [_SectionLine("bus", '"main"'), _SectionLine("sync_id", sync), _SectionLine("base_id", base)]
+    lines = [
+        _SectionLine("bus", '"main"'),
+        _SectionLine("sync_id", sync),
+        _SectionLine("base_id", base),
+    ]
     for key, answer in (("tendons", answers.cells), ("joints", answers.encoders)):
         known = {"all": '"all"', "none": "[]"}.get(answer or "")
         lines.append(_todo_line(SensorNode, key) if known is None else _SectionLine(key, known))
@@ -269,7 +301,11 @@ def _sensor_node(answers: TendonAnswers) -> str:
         ("joint_noise_rad", answers.encoders),
     ):
         unused = "0.001" if key == "joint_noise_rad" else "0.0"
-        lines.append(_SectionLine(key, unused, "no such sensor") if answer == "none" else _todo_line(SensorNode, key))
+        lines.append(
+            _SectionLine(key, unused, "no such sensor")
+            if answer == "none"
+            else _todo_line(SensorNode, key)
+        )
     return "\n\n" + _section_text("sensor_node", lines)
 
 
@@ -280,7 +316,8 @@ def _common_lines(described: DescribedHand, answers: TendonAnswers) -> list[_Sec
         "link_radius_m": any(link.radius for link in links),
         "joint_damping_N_m_s_per_rad": any(link.damping for link in links),
         "joint_armature_kg_m2": any(link.armature for link in links),
-        "spring_stiffness_N_m_per_rad": any(link.stiffness for link in links) or answers.springs == "none",
+        "spring_stiffness_N_m_per_rad": any(link.stiffness for link in links)
+        or answers.springs == "none",
         "spring_preload_rad": any(link.stiffness for link in links) or answers.springs == "none",
     }
     return [_todo_line(Digit, key) for key, is_known in known.items() if not is_known]
@@ -306,7 +343,8 @@ def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_SectionLine
         _SectionLine("link_com_m", _number_rows_text(digit.coms)),
         _SectionLine("link_mass_kg", _number_list_text([link.mass for link in links])),
         _SectionLine(
-            "link_inertia_kg_m2", _number_rows_text([_inertia_moments(inertia) for inertia in digit.inertias])
+            "link_inertia_kg_m2",
+            _number_rows_text([_inertia_moments(inertia) for inertia in digit.inertias]),
         ),
     ]
     radii = [link.radius for link in links if link.radius]
@@ -315,7 +353,11 @@ def _digit_lines(digit: ModelDigit, answers: TendonAnswers) -> list[_SectionLine
     for key, side in (("joint_min_deg", 0), ("joint_max_deg", 1)):
         limits = [link.range[side] for link in links if link.range is not None]
         whole = len(limits) == len(links)
-        lines.append(_SectionLine(key, _number_list_text(np.degrees(limits))) if whole else _todo_line(Digit, key))
+        lines.append(
+            _SectionLine(key, _number_list_text(np.degrees(limits)))
+            if whole
+            else _todo_line(Digit, key)
+        )
     return [*lines, *_joint_lines(digit, answers), *_mesh_lines(digit.meshes)]
 
 
@@ -340,16 +382,26 @@ def _mesh_lines(meshes: Sequence[ModelMesh | None]) -> Iterable[_SectionLine]:
     shown = [mesh or none for mesh in meshes]
     yield _SectionLine("link_mesh", f"[{', '.join(quoted_string(mesh.file) for mesh in shown)}]")
     if any((mesh.scale != 1.0).any() for mesh in shown):
-        yield _SectionLine("link_mesh_scale", f"[{', '.join(_scale_text(mesh.scale) for mesh in shown)}]")
+        yield _SectionLine(
+            "link_mesh_scale", f"[{', '.join(_scale_text(mesh.scale) for mesh in shown)}]"
+        )
     if any(np.abs(mesh.position).max() > ROUNDING_TOLERANCE for mesh in shown):
-        yield _SectionLine("link_mesh_position_m", _number_rows_text(mesh.position for mesh in shown))
+        yield _SectionLine(
+            "link_mesh_position_m", _number_rows_text(mesh.position for mesh in shown)
+        )
     if any(np.abs(mesh.rotation - np.eye(3)).max() > ROUNDING_TOLERANCE for mesh in shown):
-        yield _SectionLine("link_mesh_rpy_deg", f"[{', '.join(_rpy_deg_text(mesh.rotation) for mesh in shown)}]")
+        yield _SectionLine(
+            "link_mesh_rpy_deg", f"[{', '.join(_rpy_deg_text(mesh.rotation) for mesh in shown)}]"
+        )
 
 
 def _scale_text(scale: Array) -> str:
     """Return the scale of a mesh as text. It is one number if the scale is equal along all axes."""
-    return _number_text(float(scale[0])) if scale[0] > 0.0 and not np.ptp(scale) else _number_list_text(scale)
+    return (
+        _number_text(float(scale[0]))
+        if scale[0] > 0.0 and not np.ptp(scale)
+        else _number_list_text(scale)
+    )
 
 
 def _joint_lines(digit: ModelDigit, answers: TendonAnswers) -> Iterable[_SectionLine]:
@@ -390,8 +442,14 @@ def _drive_lines(
     for motor in dict.fromkeys(tendon["motor"] for tendon in tendons):
         node = nodes[bus]
         words = [f'bus = "{_bus_name(bus)}"'] if bus else []
-        words.append(f'node_id = "{UNMEASURED_PLACEHOLDER}"' if node is None else f"node_id = {node}")
-        comment = f"{UNMEASURED_PLACEHOLDER} set: {_key_meaning(Motor, 'node_id')}" if node is None else ""
+        words.append(
+            f'node_id = "{UNMEASURED_PLACEHOLDER}"' if node is None else f"node_id = {node}"
+        )
+        comment = (
+            f"{UNMEASURED_PLACEHOLDER} set: {_key_meaning(Motor, 'node_id')}"
+            if node is None
+            else ""
+        )
         yield _SectionLine(f"motor.{motor}", f"{{ {', '.join(words)} }}", comment)
         if node is not None:
             nodes[bus] = node + 1
@@ -426,7 +484,9 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
     given: dict[str, str | None] = {
         "protocol": None if answers.protocol is None else f'"{answers.protocol}"',
         "bus": '"main"',
-        "spool_radius_m": None if answers.spool_mm is None else _number_text(1e-3 * answers.spool_mm),
+        "spool_radius_m": None
+        if answers.spool_mm is None
+        else _number_text(1e-3 * answers.spool_mm),
         "inertia_kg_m2": None,
         "viscous_N_m_s_per_rad": None,
         "coulomb_N_m": None,
@@ -441,14 +501,20 @@ def _motor_lines(answers: TendonAnswers) -> Iterable[_SectionLine]:
     }
     found = {"direction": "commission finds it", "zero_rad": "commission measures it"}
     for key, value in given.items():
-        yield _todo_line(Motor, key) if value is None else _SectionLine(key, value, found.get(key, ""))
+        yield (
+            _todo_line(Motor, key)
+            if value is None
+            else _SectionLine(key, value, found.get(key, ""))
+        )
 
 
 def _todo_line(section: type[Section], key: str) -> _SectionLine:
     """Return the line of a key whose value is missing, with ``"TODO"`` as its value."""
     verb = "set" if key in CHOSEN_KEYS else "measure"
     return _SectionLine(
-        key, f'"{UNMEASURED_PLACEHOLDER}"', f"{UNMEASURED_PLACEHOLDER} {verb}: {_key_meaning(section, key)}"
+        key,
+        f'"{UNMEASURED_PLACEHOLDER}"',
+        f"{UNMEASURED_PLACEHOLDER} {verb}: {_key_meaning(section, key)}",
     )
 
 
@@ -472,7 +538,11 @@ def _inertia_moments(inertia: Array) -> Array:
     """Return the three moments of an inertia (3, 3) [kg m2], followed by three products if they are not zero."""
     mixed = np.array([inertia[0, 1], inertia[0, 2], inertia[1, 2]])
     principal = np.diag(inertia)
-    return principal if np.abs(mixed).max() < 1e-9 * principal.max() else np.concatenate((principal, mixed))
+    return (
+        principal
+        if np.abs(mixed).max() < 1e-9 * principal.max()
+        else np.concatenate((principal, mixed))
+    )
 
 
 def _rpy_deg_text(rotation: Array) -> str:

@@ -50,9 +50,15 @@ def hand_schema() -> dict[str, Any]:
         definitions[VALUE_DEFINITIONS[kind]] = values
     node = definitions["SensorNode"]["properties"]
     for key in ("tendons", "joints"):
-        node[key] = {"description": node[key].pop("description"), "anyOf": [{"const": WORD_FOR_ALL}, node[key]]}
+        node[key] = {
+            "description": node[key].pop("description"),
+            "anyOf": [{"const": WORD_FOR_ALL}, node[key]],
+        }
     properties = schema["properties"]
-    properties["schema"] = {"enum": [WRITTEN_SCHEMA, RESOLVED_SCHEMA], "description": "Version of the format."}
+    properties["schema"] = {
+        "enum": [WRITTEN_SCHEMA, RESOLVED_SCHEMA],
+        "description": "Version of the format.",
+    }
     properties["default"] = {
         "type": "object",
         "description": "Values of all digits, tendons or motors that do not have their own.",
@@ -60,10 +66,16 @@ def hand_schema() -> dict[str, Any]:
         "additionalProperties": False,
     }
     for kind, key in TEMPLATE_KEYS.items():
-        properties[key] = _table_array_schema(kind, f"Values of each {kind} that names the template.")
+        properties[key] = _table_array_schema(
+            kind, f"Values of each {kind} that names the template."
+        )
     optional = (*DIGIT_KINDS, "sensor_node")
     schema["required"] = [key for key in schema["required"] if key not in optional]
-    return {"$schema": SCHEMA_DRAFT, **_in_draft_vocabulary(schema), "title": "Hand file of handctl"}
+    return {
+        "$schema": SCHEMA_DRAFT,
+        **_in_draft_vocabulary(schema),
+        "title": "Hand file of handctl",
+    }
 
 
 def hand_schema_text() -> str:
@@ -75,11 +87,16 @@ def _extend_digit(definition: dict[str, Any]) -> None:
     """Add to the definition of a digit the forms that are valid only in hand files of schema 2."""
     properties = definition["properties"]
     for kind in DIGIT_KINDS:
-        properties[kind] = _table_array_schema(kind, f"Each {kind} of this digit, named DIGIT_NAME.")
+        properties[kind] = _table_array_schema(
+            kind, f"Each {kind} of this digit, named DIGIT_NAME."
+        )
     for key in KEYS_ONE_FOR_ALL_LINKS:
         lists = properties[key]
         items = next(one["items"] for one in (lists, *lists.get("anyOf", ())) if "items" in one)
-        properties[key] = {"anyOf": [items, {"type": "array", "items": items}], "description": lists["description"]}
+        properties[key] = {
+            "anyOf": [items, {"type": "array", "items": items}],
+            "description": lists["description"],
+        }
 
 
 def _table_array_schema(kind: str, description: str) -> dict[str, Any]:

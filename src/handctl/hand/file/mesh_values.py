@@ -3,7 +3,13 @@
 from pathlib import PurePath
 from typing import Annotated, Any
 
-from handctl.hand.file.quantities import CheckedType, NumberRange, in_range, number_or_list, validation_error
+from handctl.hand.file.quantities import (
+    CheckedType,
+    NumberRange,
+    in_range,
+    number_or_list,
+    validation_error,
+)
 
 MESH_SUFFIXES = (".stl", ".obj")
 """Endings of mesh files that the viewer and MuJoCo both read."""
@@ -22,12 +28,17 @@ def _check_mesh_file(value: Any) -> str:
 
 
 MeshFile = Annotated[
-    str, CheckedType(_check_mesh_file, {"type": "string", "pattern": r"^(|.*\.([sS][tT][lL]|[oO][bB][jJ]))$"})
+    str,
+    CheckedType(
+        _check_mesh_file, {"type": "string", "pattern": r"^(|.*\.([sS][tT][lL]|[oO][bB][jJ]))$"}
+    ),
 ]
 MeshScale = Annotated[
     float | tuple[float, float, float],
     number_or_list(
-        NumberRange(SMALLEST_MESH_SCALE, LARGEST_MESH_SCALE), NumberRange(-LARGEST_MESH_SCALE, LARGEST_MESH_SCALE), 3
+        NumberRange(SMALLEST_MESH_SCALE, LARGEST_MESH_SCALE),
+        NumberRange(-LARGEST_MESH_SCALE, LARGEST_MESH_SCALE),
+        3,
     ),
 ]
 MeshPosition = Annotated[float, in_range(-1.0, 1.0, "m", "in metres?")]

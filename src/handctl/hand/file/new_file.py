@@ -107,7 +107,11 @@ class HandAnswers:
     @property
     def spacious_palm(self) -> float:
         """Return the distance between the two sides that leaves space for a thick object [mm]."""
-        return max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_mm) + self.width_mm + CLEARANCE_MM
+        return (
+            max(SMALLEST_OBJECT_MM, OBJECT_DIAMETER_RATIO * self.digit_mm)
+            + self.width_mm
+            + CLEARANCE_MM
+        )
 
     @property
     def pulley(self) -> float:
@@ -132,7 +136,11 @@ def check_answers(answers: HandAnswers) -> None:
         raise ConfigError("no digit", "--fingers", "a digit at least")
     least = answers.width_mm + 2 * CLEARANCE_MM
     if answers.opposed and answers.fingers and answers.palm < least:
-        raise ConfigError(f"{answers.palm:g}", "--palm", f"at least {least:g} mm, for an object between the digits")
+        raise ConfigError(
+            f"{answers.palm:g}",
+            "--palm",
+            f"at least {least:g} mm, for an object between the digits",
+        )
     if not answers.links_mm:
         raise ConfigError("no link", "--links", "the length of each link in millimetres")
 
@@ -150,7 +158,11 @@ def check_name(name: str) -> None:
 def palm_warnings(answers: HandAnswers) -> tuple[str, ...]:
     """Return warnings about a palm that is too narrow for digits that face each other, one line per warning."""
     # Digits with a single straight link touch thinner objects before their tips meet.
-    enough = answers.spacious_palm if len(answers.links_mm) > 1 else answers.width_mm + STRAIGHT_OBJECT_MM
+    enough = (
+        answers.spacious_palm
+        if len(answers.links_mm) > 1
+        else answers.width_mm + STRAIGHT_OBJECT_MM
+    )
     if answers.fingers != answers.opposed or answers.palm >= enough:
         return ()
     return (
@@ -179,7 +191,9 @@ def new_hand_text(answers: HandAnswers, options: Mapping[str, Any], can_fd: bool
         # The node numbers on each bus begin at 1.
         first = number % per_bus * len(motors) + 1
         on_bus = "" if bus == buses[0] else ', {}.bus = "' + bus + '"'
-        ids = ", ".join(f"{motor}.node_id = {first + i}{on_bus.format(motor)}" for i, motor in enumerate(motors))
+        ids = ", ".join(
+            f"{motor}.node_id = {first + i}{on_bus.format(motor)}" for i, motor in enumerate(motors)
+        )
         roll = 180.0 * (1 - side)
         comment = "closes towards -y" if side == 0 else "closes towards +y, against the others"
         parts.append(
@@ -191,7 +205,10 @@ def new_hand_text(answers: HandAnswers, options: Mapping[str, Any], can_fd: bool
 
 def _digit_names(answers: HandAnswers) -> list[tuple[str, int]]:
     """Return name and side of each digit. Fingers are on side 0, opposed digits on side 1."""
-    fingers = [FINGER_NAMES[i] if i < len(FINGER_NAMES) else f"finger_{i + 1}" for i in range(answers.fingers)]
+    fingers = [
+        FINGER_NAMES[i] if i < len(FINGER_NAMES) else f"finger_{i + 1}"
+        for i in range(answers.fingers)
+    ]
     opposed = ["thumb" if i == 0 else f"thumb_{i + 1}" for i in range(answers.opposed)]
     return [*((name, 0) for name in fingers), *((name, 1) for name in opposed)]
 
@@ -204,7 +221,9 @@ def _mount_places(answers: HandAnswers) -> list[float]:
     """
     counts = (answers.fingers, answers.opposed)
     passing = answers.width_mm * 2 + SIDE_GAP_MM
-    spacing = max(answers.width_mm + SIDE_GAP_MM, min(passing, ROW_WIDTH_MM / max(1, max(counts) - 1)))
+    spacing = max(
+        answers.width_mm + SIDE_GAP_MM, min(passing, ROW_WIDTH_MM / max(1, max(counts) - 1))
+    )
     # If the numbers of digits differ, but both are even or both are odd, one row is moved by half
     # of its spacing. Otherwise digits of both rows would face each other.
     moved = spacing / 2 if counts[0] != counts[1] and sum(counts) % 2 == 0 else 0.0
@@ -230,7 +249,11 @@ def _digits_per_bus(answers: HandAnswers) -> int:
 
 def _motor_names(answers: HandAnswers) -> list[str]:
     """Return the short names of the motors of a digit."""
-    return ["motor"] if answers.tendons == "one" else [f"m{i + 1}" for i in range(len(answers.links_mm))]
+    return (
+        ["motor"]
+        if answers.tendons == "one"
+        else [f"m{i + 1}" for i in range(len(answers.links_mm))]
+    )
 
 
 def _head_tables(answers: HandAnswers, can_fd: bool) -> str:
@@ -270,13 +293,16 @@ def _digit_values(answers: HandAnswers) -> str:
     lengths = [1e-3 * length for length in answers.links_mm]
     width = 1e-3 * answers.width_mm
     masses = [DENSITY_KG_M3 * length * width**2 for length in lengths]
-    inertias = [mass * (length**2 + width**2) / 12 for mass, length in zip(masses, lengths, strict=True)]
+    inertias = [
+        mass * (length**2 + width**2) / 12 for mass, length in zip(masses, lengths, strict=True)
+    ]
     count = len(lengths)
     # At the tension floor, all tendons that cross a joint close it. The spring of the joint must
     # open it against them.
     crossing = [1] * count if answers.tendons == "one" else [count - i for i in range(count)]
     stiffness = [
-        OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * TENSION_FLOOR_N / PRELOAD_RAD for tendons in crossing
+        OPENING_TORQUE_RATIO * tendons * 1e-3 * answers.pulley * TENSION_FLOOR_N / PRELOAD_RAD
+        for tendons in crossing
     ]
     lines = [
         "[default.digit]                    # one number holds for every link",
@@ -294,10 +320,14 @@ def _digit_values(answers: HandAnswers) -> str:
     ]
     if answers.tendons == "one" and count > 1:
         coupling = _list_text([[1.0]] * count)
-        lines.append(f"coupling = {coupling}   # springs equal on equal pulleys: all joints turn alike")
+        lines.append(
+            f"coupling = {coupling}   # springs equal on equal pulleys: all joints turn alike"
+        )
     for i, motor in enumerate(_motor_names(answers)):
         crossed = count if answers.tendons == "one" else i + 1
-        arms = ", ".join(f"j{j + 1} = {_number_text(1e-3 * answers.pulley)}" for j in range(crossed))
+        arms = ", ".join(
+            f"j{j + 1} = {_number_text(1e-3 * answers.pulley)}" for j in range(crossed)
+        )
         short = "tendon" if answers.tendons == "one" else f"t{i + 1}"
         lines.append(f'tendon.{short} = {{ motor = "{motor}", moment_arm_m = {{ {arms} }} }}')
     return "\n".join(lines)
@@ -358,5 +388,7 @@ def _number_text(value: float) -> str:
 
 def _list_text(values: list[float] | list[list[float]]) -> str:
     """Return the text of a list, or of one number if all entries are equal."""
-    texts = [_list_text(value) if isinstance(value, list) else _number_text(value) for value in values]
+    texts = [
+        _list_text(value) if isinstance(value, list) else _number_text(value) for value in values
+    ]
     return "[" + ", ".join(texts) + "]"

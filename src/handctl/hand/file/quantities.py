@@ -47,11 +47,15 @@ class CheckedType:
     check: Callable[[Any], Any]
     schema: Mapping[str, Any]
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
         """Return the schema with which pydantic validates a value."""
         return core_schema.no_info_before_validator_function(self.check, handler(source))
 
-    def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(
+        self, core: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
         """Return the JSON Schema of valid values."""
         return dict(self.schema)
 
@@ -79,7 +83,9 @@ class NumberRange:
             raise validation_error(right)
         # NaN is refused because the comparison is negated.
         if not self.low <= value <= self.high:
-            raise validation_error(f"{right} ({self.hint})" if self.hint and value > self.high else right)
+            raise validation_error(
+                f"{right} ({self.hint})" if self.hint and value > self.high else right
+            )
         return float(value)
 
     @property
@@ -127,7 +133,11 @@ def _check_direction(value: Any) -> int:
 
 def _check_name(value: Any) -> str:
     """Return the value if it is a valid name."""
-    if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value) or value == UNMEASURED_PLACEHOLDER:
+    if (
+        not isinstance(value, str)
+        or not NAME_PATTERN.fullmatch(value)
+        or value == UNMEASURED_PLACEHOLDER
+    ):
         raise validation_error("a name of letters, digits and _ that begins with a letter")
     return value
 
@@ -145,7 +155,9 @@ def _check_options(value: Any) -> dict[str, bool | int | float | str]:
         raise validation_error("a table")
     # NaN and infinity are refused because the comparison is negated.
     for key, entry in value.items():
-        if not isinstance(entry, bool | int | float | str) or (isinstance(entry, float) and not abs(entry) < 1e300):
+        if not isinstance(entry, bool | int | float | str) or (
+            isinstance(entry, float) and not abs(entry) < 1e300
+        ):
             raise validation_error(f"finite numbers, strings and booleans; {key} is none of them")
     return value
 
@@ -180,7 +192,10 @@ def number_or_list(number: NumberRange, entry: NumberRange, *counts: int) -> Che
             raise validation_error(right)
         return tuple(entry(one) for one in value)
 
-    lists = [{"type": "array", "items": entry.schema, "minItems": count, "maxItems": count} for count in counts]
+    lists = [
+        {"type": "array", "items": entry.schema, "minItems": count, "maxItems": count}
+        for count in counts
+    ]
     return CheckedType(check_value, {"anyOf": [number.schema, *lists]})
 
 
@@ -197,31 +212,42 @@ MAX_TABLE_ENTRIES = 1000
 def _check_moment_arm(value: Any) -> float | dict[str, tuple[float, ...]]:
     """Return the value if it is a valid moment arm: a number, a polynomial, or a table."""
     if isinstance(value, list | tuple):
-        raise validation_error(f"a number from {MOMENT_ARM_RANGE.low:g} to {MOMENT_ARM_RANGE.high:g} m, {ARM_FORMS}")
+        raise validation_error(
+            f"a number from {MOMENT_ARM_RANGE.low:g} to {MOMENT_ARM_RANGE.high:g} m, {ARM_FORMS}"
+        )
     if not isinstance(value, Mapping):
         return MOMENT_ARM_RANGE(value)
     if set(value) == {"polynomial_m"}:
         return {
-            "polynomial_m": _checked_numbers(value["polynomial_m"], "polynomial_m", 1, POLYNOMIAL_COEFFICIENTS, 1.0)
+            "polynomial_m": _checked_numbers(
+                value["polynomial_m"], "polynomial_m", 1, POLYNOMIAL_COEFFICIENTS, 1.0
+            )
         }
     if set(value) != {"angle_deg", "arm_m"}:
         raise validation_error(ARM_FORMS)
     angle = _checked_numbers(value["angle_deg"], "angle_deg", 2, MAX_TABLE_ENTRIES, 360.0)
     arm = _checked_numbers(value["arm_m"], "arm_m", 2, MAX_TABLE_ENTRIES, MOMENT_ARM_RANGE.high)
     if len(angle) != len(arm):
-        raise validation_error(f"an arm_m for each angle_deg, and there are {len(arm)} for {len(angle)}")
+        raise validation_error(
+            f"an arm_m for each angle_deg, and there are {len(arm)} for {len(angle)}"
+        )
     if any(after <= before for before, after in pairwise(angle)):
         raise validation_error("rising values of angle_deg")
     return {"angle_deg": angle, "arm_m": arm}
 
 
-def _checked_numbers(values: Any, key: str, least: int, most: int, largest: float) -> tuple[float, ...]:
+def _checked_numbers(
+    values: Any, key: str, least: int, most: int, largest: float
+) -> tuple[float, ...]:
     """Return the list at a key, if it has ``least`` to ``most`` numbers from ``-largest`` to ``largest``."""
     right = f"{least} to {most} numbers from {-largest:g} to {largest:g} in {key}"
     if not isinstance(values, list | tuple) or not least <= len(values) <= most:
         raise validation_error(right)
     # NaN is refused because the comparison is negated.
-    if any(isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= largest for one in values):
+    if any(
+        isinstance(one, bool) or not isinstance(one, int | float) or not abs(one) <= largest
+        for one in values
+    ):
         raise validation_error(right)
     return tuple(float(one) for one in values)
 
@@ -234,7 +260,12 @@ def _list_schema(least: int, most: int, largest: float) -> dict[str, Any]:
 
 def _table_schema(**lists: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON Schema of a table with exactly the given lists."""
-    return {"type": "object", "properties": lists, "required": list(lists), "additionalProperties": False}
+    return {
+        "type": "object",
+        "properties": lists,
+        "required": list(lists),
+        "additionalProperties": False,
+    }
 
 
 ARM_SCHEMA = {"anyOf": [
@@ -247,12 +278,17 @@ ARM_SCHEMA = {"anyOf": [
 ]}  # fmt: skip
 
 
-Name = Annotated[str, CheckedType(_check_name, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})]
+Name = Annotated[
+    str, CheckedType(_check_name, {"type": "string", "pattern": f"^{NAME_PATTERN.pattern}$"})
+]
 Text = Annotated[str, CheckedType(_check_text, {"type": "string"})]
 Direction = Annotated[int, CheckedType(_check_direction, {"enum": [1, -1]})]
 Options = Annotated[
     dict[str, bool | int | float | str],
-    CheckedType(_check_options, {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}}),
+    CheckedType(
+        _check_options,
+        {"type": "object", "additionalProperties": {"type": ["boolean", "number", "string"]}},
+    ),
 ]
 
 MotorControl = Annotated[str, one_of("torque", "position")]
@@ -263,17 +299,24 @@ Length = Annotated[float, zero_or_in_range(1e-3, 0.2, "m", "in metres?")]
 """Length of a link. The length is 0 if the axes of two joints intersect."""
 CentreOfMass = Annotated[
     float | tuple[float, float, float],
-    number_or_list(NumberRange(0.0, 0.2, "m", "in metres?"), NumberRange(-0.2, 0.2, "m", "in metres?"), 3),
+    number_or_list(
+        NumberRange(0.0, 0.2, "m", "in metres?"), NumberRange(-0.2, 0.2, "m", "in metres?"), 3
+    ),
 ]
 DirectionComponent = Annotated[float, in_range(-1.0, 1.0)]
 Radius = Annotated[float, in_range(5e-4, 0.05, "m", "in metres?")]
-MomentArm = Annotated[float | dict[str, tuple[float, ...]], CheckedType(_check_moment_arm, ARM_SCHEMA)]
+MomentArm = Annotated[
+    float | dict[str, tuple[float, ...]], CheckedType(_check_moment_arm, ARM_SCHEMA)
+]
 Position = Annotated[float, in_range(-0.5, 0.5, "m", "in metres?")]
 Mass = Annotated[float, in_range(1e-5, 0.5, "kg", "in kilograms?")]
 LinkInertia = Annotated[
     float | tuple[float, ...],
     number_or_list(
-        NumberRange(1e-12, 1e-3, "kg m2", "in kg m2?"), NumberRange(-1e-3, 1e-3, "kg m2", "in kg m2?"), 3, 6
+        NumberRange(1e-12, 1e-3, "kg m2", "in kg m2?"),
+        NumberRange(-1e-3, 1e-3, "kg m2", "in kg m2?"),
+        3,
+        6,
     ),
 ]
 Armature = Annotated[float, in_range(0.0, 1e-3, "kg m2", "in kg m2?")]

@@ -39,7 +39,9 @@ class Mount(Section):
 
     It is 1 if absent. A mesh in millimetres needs 0.001.
     """
-    palm_mesh_position_m: tuple[mesh.MeshPosition, mesh.MeshPosition, mesh.MeshPosition] | None = None
+    palm_mesh_position_m: tuple[mesh.MeshPosition, mesh.MeshPosition, mesh.MeshPosition] | None = (
+        None
+    )
     """Position of the mesh's origin in the palm frame. It is [0, 0, 0] if absent."""
     palm_mesh_rpy_deg: tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle] | None = None
     """Orientation of the mesh in the palm frame, as in ``mount_rpy_deg``.
@@ -154,7 +156,8 @@ class SensorNode(Section):
         """Return for each CiA 404 amplifier the number of channels that have a load cell."""
         size = self.channels_per_node
         return tuple(
-            min(max(len(self.tendons) - size * i, 0), size) for i in range(len(self.node_ids) if self.is_cia404 else 0)
+            min(max(len(self.tendons) - size * i, 0), size)
+            for i in range(len(self.node_ids) if self.is_cia404 else 0)
         )
 
     @property
@@ -166,7 +169,10 @@ class SensorNode(Section):
                 for node_id, channels in zip(self.node_ids, self.amplifier_channels, strict=True)
                 for base in TPDO_IDS[: math.ceil(channels / CHANNELS_PER_TPDO)]
             )
-        return tuple(self.base_id + group for group in range(math.ceil(len(self.tendons) / CHANNELS_PER_FRAME)))
+        return tuple(
+            self.base_id + group
+            for group in range(math.ceil(len(self.tendons) / CHANNELS_PER_FRAME))
+        )
 
     @property
     def joint_ids(self) -> tuple[int, ...]:
@@ -240,7 +246,10 @@ class Digit(Section):
 
     It is 0 if the axes of the two joints meet.
     """
-    joint_axis: tuple[tuple[qty.DirectionComponent, qty.DirectionComponent, qty.DirectionComponent], ...] | None = None
+    joint_axis: (
+        tuple[tuple[qty.DirectionComponent, qty.DirectionComponent, qty.DirectionComponent], ...]
+        | None
+    ) = None
     """Axis of each hinge, as a unit vector in the frame of its link.
 
     If absent, all hinges are along z, [0, 0, 1].
@@ -297,9 +306,13 @@ class Digit(Section):
 
     It is 1 if absent. Meshes in millimetres need 0.001.
     """
-    link_mesh_position_m: tuple[tuple[mesh.MeshPosition, mesh.MeshPosition, mesh.MeshPosition], ...] | None = None
+    link_mesh_position_m: (
+        tuple[tuple[mesh.MeshPosition, mesh.MeshPosition, mesh.MeshPosition], ...] | None
+    ) = None
     """Position of the origin of each mesh in the frame of its link. It is [0, 0, 0] if absent."""
-    link_mesh_rpy_deg: tuple[tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle], ...] | None = None
+    link_mesh_rpy_deg: tuple[tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle], ...] | None = (
+        None
+    )
     """Orientation of each mesh in the frame of its link, as in ``mount_rpy_deg``.
 
     It is [0, 0, 0] if absent.
@@ -315,7 +328,9 @@ class Digit(Section):
         if not isinstance(given, dict) or given.keys() & set(SPRINGS):
             return given
         links = given.get("link_length_m")
-        return given | dict.fromkeys(SPRINGS, (0.0,) * len(links) if isinstance(links, list | tuple) else ())
+        return given | dict.fromkeys(
+            SPRINGS, (0.0,) * len(links) if isinstance(links, list | tuple) else ()
+        )
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -380,7 +395,11 @@ class Tendon(Section):
     @classmethod
     def _without_floor(cls, given: Any) -> Any:
         """Add a tension floor of 0 to a spool pair, because the net tension of the pair has both signs."""
-        if not isinstance(given, dict) or given.get("pretension_N") is None or "tension_floor_N" in given:
+        if (
+            not isinstance(given, dict)
+            or given.get("pretension_N") is None
+            or "tension_floor_N" in given
+        ):
             return given
         return given | {"tension_floor_N": 0.0}
 

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.error_text import FileMistake, first_sentence
-from handctl.hand.file.sections import CIA404, CIA404_KEYS, HANDCTL_NODE, HANDCTL_NODE_KEYS, SensorNode
+from handctl.hand.file.sections import (
+    CIA404,
+    CIA404_KEYS,
+    HANDCTL_NODE,
+    HANDCTL_NODE_KEYS,
+    SensorNode,
+)
 
 if TYPE_CHECKING:
     from handctl.hand.description import Hand
@@ -30,7 +36,9 @@ MAX_COUNT = (1 << 31) - 1
 def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
     """Yield the mistakes of the section ``sensor_node`` that concern several keys."""
     node = hand.sensor_node
-    foreign, protocol = (HANDCTL_NODE_KEYS, HANDCTL_NODE) if node.is_cia404 else (CIA404_KEYS, CIA404)
+    foreign, protocol = (
+        (HANDCTL_NODE_KEYS, HANDCTL_NODE) if node.is_cia404 else (CIA404_KEYS, CIA404)
+    )
     for key in foreign:
         value = getattr(node, key)
         if key in node.model_fields_set and value != ():
@@ -49,7 +57,11 @@ def check_sensor_node(hand: Hand) -> Iterator[FileMistake]:
 def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
     """Check the SYNC identifier and the node numbers, and that the amplifiers have a channel for each load cell."""
     if node.sync_id != CANOPEN_SYNC:
-        yield FileMistake(f"0x{node.sync_id:X}", "sensor_node.sync_id", f"0x{CANOPEN_SYNC:03X}, the SYNC of CANopen")
+        yield FileMistake(
+            f"0x{node.sync_id:X}",
+            "sensor_node.sync_id",
+            f"0x{CANOPEN_SYNC:03X}, the SYNC of CANopen",
+        )
     where = "sensor_node.node_ids"
     twice = sorted({number for number in node.node_ids if node.node_ids.count(number) > 1})
     if twice:
@@ -60,7 +72,9 @@ def _check_amplifiers(node: SensorNode) -> Iterator[FileMistake]:
         yield FileMistake(what, where, f"room for {cells} load cells, or another channels_per_node")
     elif 0 in node.amplifier_channels:
         unused = node.node_ids[node.amplifier_channels.index(0)]
-        yield FileMistake(f"0x{unused:X} has no load cell", where, "only amplifiers with a load cell of tendons")
+        yield FileMistake(
+            f"0x{unused:X} has no load cell", where, "only amplifiers with a load cell of tendons"
+        )
 
 
 def _check_range(hand: Hand) -> Iterator[FileMistake]:

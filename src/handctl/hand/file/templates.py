@@ -84,9 +84,13 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
         return ResolvedContent(dict(content), {}, [])
     resolver = _TemplateResolver(content)
     if content.get("schema") != WRITTEN_SCHEMA:
-        resolver.mistakes.append(FileMistake(f"the file has [{tables[0]}]", "schema", str(WRITTEN_SCHEMA)))
+        resolver.mistakes.append(
+            FileMistake(f"the file has [{tables[0]}]", "schema", str(WRITTEN_SCHEMA))
+        )
     names = ("default", *TEMPLATE_KEYS.values())
-    resolved = {key: value for key, value in content.items() if key not in names} | {"schema": RESOLVED_SCHEMA}
+    resolved = {key: value for key, value in content.items() if key not in names} | {
+        "schema": RESOLVED_SCHEMA
+    }
     resolver.check_tables()
     sections: dict[str, Any] = {kind: [] for kind in SECTION_KINDS}
     for kind in SECTION_KINDS:
@@ -96,7 +100,9 @@ def resolve_templates(content: TableContent) -> ResolvedContent:
             continue
         for position, entry in enumerate(entries):
             sections[kind].append(
-                resolver.entry(kind, [ValueLayer(entry, f"{kind}[{_section_label(entry, position)}]")])
+                resolver.entry(
+                    kind, [ValueLayer(entry, f"{kind}[{_section_label(entry, position)}]")]
+                )
             )
     for kind in DIGIT_KINDS:
         if isinstance(sections[kind], list):
@@ -132,7 +138,9 @@ class _TemplateResolver:
         for kind in default:
             if kind not in SECTION_KINDS:
                 self.mistakes.append(
-                    FileMistake("unknown key", f"default.{kind}", most_similar_key(kind, [*SECTION_KINDS]))
+                    FileMistake(
+                        "unknown key", f"default.{kind}", most_similar_key(kind, [*SECTION_KINDS])
+                    )
                 )
         layers = [(f"default.{kind}", values) for kind, values in default.items()]
         for key in TEMPLATE_KEYS.values():
@@ -146,9 +154,13 @@ class _TemplateResolver:
                 self.mistakes.append(FileMistake(toml_spelling(values), path, "a table"))
                 continue
             for key in {"name", "template"} & values.keys():
-                self.mistakes.append(FileMistake("unknown key", f"{path}.{key}", f"{key} in the section itself"))
+                self.mistakes.append(
+                    FileMistake("unknown key", f"{path}.{key}", f"{key} in the section itself")
+                )
 
-    def entry(self, kind: str, own: Sequence[ValueLayer], name: str | None = None) -> dict[str, Any]:
+    def entry(
+        self, kind: str, own: Sequence[ValueLayer], name: str | None = None
+    ) -> dict[str, Any]:
         """Return one digit, tendon or motor with all its values.
 
         Args:
@@ -176,7 +188,9 @@ class _TemplateResolver:
             # The default of a misspelt kind is used. Otherwise the values in it would also be
             # reported as missing.
             misspelt = (
-                key not in SECTION_KINDS and kind not in default and most_similar_key(key, [*SECTION_KINDS]) == kind
+                key not in SECTION_KINDS
+                and kind not in default
+                and most_similar_key(key, [*SECTION_KINDS]) == kind
             )
             if isinstance(values, Mapping) and (key == kind or misspelt):
                 yield ValueLayer(_without_entry_keys(values), f"default.{key}")
@@ -188,15 +202,21 @@ class _TemplateResolver:
         templates = self.content.get(key)
         valid = [*templates] if isinstance(templates, Mapping) else []
         if not isinstance(name, str) or name not in valid:
-            right = most_similar_key(str(name), valid) if valid else f"the name of a table [{key}.NAME]"
-            self.mistakes.append(FileMistake(toml_spelling(name), f"{named[-1].path}.template", right))
+            right = (
+                most_similar_key(str(name), valid) if valid else f"the name of a table [{key}.NAME]"
+            )
+            self.mistakes.append(
+                FileMistake(toml_spelling(name), f"{named[-1].path}.template", right)
+            )
             # The most similar template is used. Otherwise the values in it would also be reported
             # as missing.
             name = right if right in valid else next(iter(valid), None)
         if isinstance(templates, Mapping) and isinstance(templates.get(name), Mapping):
             yield ValueLayer(_without_entry_keys(templates[name]), f"{key}.{name}")
 
-    def _resolve_digit(self, layers: Sequence[ValueLayer], values: dict[str, Any], path: str) -> None:
+    def _resolve_digit(
+        self, layers: Sequence[ValueLayer], values: dict[str, Any], path: str
+    ) -> None:
         """Take tendons and motors out of a digit, and extend single numbers to lists with a value per link."""
         digit = values.get("name")
         inner = {kind: _template_layers_by_name(layers, kind) for kind in DIGIT_KINDS}
@@ -208,13 +228,19 @@ class _TemplateResolver:
             for name, table in held.items():
                 where = self.origins[f"{path}.{kind}.{name}"]
                 if isinstance(table, Mapping):
-                    self.of_digits[kind].append(self._of_digit(kind, digit, name, inner[kind][name], inner["motor"]))
+                    self.of_digits[kind].append(
+                        self._of_digit(kind, digit, name, inner[kind][name], inner["motor"])
+                    )
                 else:
                     self.mistakes.append(FileMistake(toml_spelling(table), where, "a table"))
         links = values.get("link_length_m", [0.0])
         for key in KEYS_ONE_FOR_ALL_LINKS:
             value = values.get(key)
-            if isinstance(links, list | tuple) and isinstance(value, int | float) and not isinstance(value, bool):
+            if (
+                isinstance(links, list | tuple)
+                and isinstance(value, int | float)
+                and not isinstance(value, bool)
+            ):
                 values[key] = [value] * len(links)
                 origin = self.origins[f"{path}.{key}"]
                 self.origins |= {f"{path}.{key}[{i}]": origin for i in range(len(links))}
@@ -237,22 +263,31 @@ class _TemplateResolver:
         self.origins[path] = own[0].path
         for layer in own:
             if "name" in layer.values:
-                self.mistakes.append(FileMistake("unknown key", f"{layer.path}.name", f"none: the name is {full}"))
+                self.mistakes.append(
+                    FileMistake("unknown key", f"{layer.path}.name", f"none: the name is {full}")
+                )
         if kind == "tendon":
             if values.get("motor") in motors:
                 values["motor"] = f"{digit}_{values['motor']}"
             arms = values.get("moment_arm_m")
             if isinstance(arms, Mapping):
-                whole = {joint: f"{digit}_{joint}" if SHORT_JOINT_PATTERN.fullmatch(joint) else joint for joint in arms}
+                whole = {
+                    joint: f"{digit}_{joint}" if SHORT_JOINT_PATTERN.fullmatch(joint) else joint
+                    for joint in arms
+                }
                 values["moment_arm_m"] = {whole[joint]: arm for joint, arm in arms.items()}
                 self.origins |= {
-                    f"{path}.moment_arm_m.{whole[joint]}": self.origins.get(f"{path}.moment_arm_m.{joint}", "")
+                    f"{path}.moment_arm_m.{whole[joint]}": self.origins.get(
+                        f"{path}.moment_arm_m.{joint}", ""
+                    )
                     for joint in arms
                 }
         return values
 
 
-def join_mistakes_of_default(mistakes: Iterable[FileMistake], content: TableContent) -> list[FileMistake]:
+def join_mistakes_of_default(
+    mistakes: Iterable[FileMistake], content: TableContent
+) -> list[FileMistake]:
     """Join the mistakes about a key that is missing in all sections of a kind.
 
     The joined mistake says that the key is missing in the default.
@@ -262,7 +297,10 @@ def join_mistakes_of_default(mistakes: Iterable[FileMistake], content: TableCont
         content: resolved content.
     """
     found = list(mistakes)
-    missing = [MISSING_KEY_PATTERN.fullmatch(mistake.where) if mistake.what == "missing" else None for mistake in found]
+    missing = [
+        MISSING_KEY_PATTERN.fullmatch(mistake.where) if mistake.what == "missing" else None
+        for mistake in found
+    ]
     counts = Counter(match.groups() for match in missing if match)
     joined: dict[FileMistake, None] = {}
     for mistake, match in zip(found, missing, strict=True):
@@ -273,7 +311,9 @@ def join_mistakes_of_default(mistakes: Iterable[FileMistake], content: TableCont
     return list(joined)
 
 
-def _merge_layers(layers: Sequence[ValueLayer], depth: int) -> tuple[dict[str, Any], KeyPathOrigins]:
+def _merge_layers(
+    layers: Sequence[ValueLayer], depth: int
+) -> tuple[dict[str, Any], KeyPathOrigins]:
     """Merge layers. Values of later layers replace those of earlier ones, and tables are merged key by key.
 
     Returns:
@@ -283,11 +323,17 @@ def _merge_layers(layers: Sequence[ValueLayer], depth: int) -> tuple[dict[str, A
     values: dict[str, Any] = {}
     origins: KeyPathOrigins = {}
     for key in dict.fromkeys(key for layer in layers for key in layer.values):
-        given = [ValueLayer(layer.values[key], f"{layer.path}.{key}") for layer in layers if key in layer.values]
+        given = [
+            ValueLayer(layer.values[key], f"{layer.path}.{key}")
+            for layer in layers
+            if key in layer.values
+        ]
         value, path = given[-1]
         origins[key] = path
         if isinstance(value, Mapping) and depth > 0:
-            value, inner = _merge_layers([layer for layer in given if isinstance(layer.values, Mapping)], depth - 1)
+            value, inner = _merge_layers(
+                [layer for layer in given if isinstance(layer.values, Mapping)], depth - 1
+            )
             origins |= {f"{key}.{below}": origin for below, origin in inner.items()}
         values[key] = _copy_list(value)
     return values, origins
@@ -298,7 +344,9 @@ def _copy_list(value: Any) -> Any:
     return [_copy_list(entry) for entry in value] if isinstance(value, list) else value
 
 
-def _template_layers_by_name(layers: Sequence[ValueLayer], kind: str) -> dict[str, list[ValueLayer]]:
+def _template_layers_by_name(
+    layers: Sequence[ValueLayer], kind: str
+) -> dict[str, list[ValueLayer]]:
     """Return the layers of each tendon or motor that a digit holds, by its short name."""
     held: dict[str, list[ValueLayer]] = {}
     for layer in layers:

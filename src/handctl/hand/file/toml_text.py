@@ -30,14 +30,26 @@ def _value_lines(table: Mapping[str, Any], inline_tables: bool = False) -> list[
 
     def is_entry(value: Any) -> bool:
         """Return True for a value that is written in one line of the table."""
-        return bool(inline_tables and value) if isinstance(value, Mapping) else not _is_table_array(value)
+        return (
+            bool(inline_tables and value)
+            if isinstance(value, Mapping)
+            else not _is_table_array(value)
+        )
 
-    return [f"{key} = {_value_text(value)}" for key, value in table.items() if value is not None and is_entry(value)]
+    return [
+        f"{key} = {_value_text(value)}"
+        for key, value in table.items()
+        if value is not None and is_entry(value)
+    ]
 
 
 def _is_table_array(value: Any) -> bool:
     """Return True for a non-empty list of tables."""
-    return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(entry, Mapping) for entry in value)
+    return (
+        isinstance(value, list | tuple)
+        and len(value) > 0
+        and all(isinstance(entry, Mapping) for entry in value)
+    )
 
 
 def _value_text(value: Any) -> str:
@@ -50,7 +62,11 @@ def _value_text(value: Any) -> str:
     if isinstance(value, str):
         return quoted_string(value)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key_text(key)} = {_value_text(entry)}" for key, entry in value.items()) + " }"
+        return (
+            "{ "
+            + ", ".join(f"{_key_text(key)} = {_value_text(entry)}" for key, entry in value.items())
+            + " }"
+        )
     if isinstance(value, list | tuple):
         return "[" + ", ".join(_value_text(entry) for entry in value) + "]"
     return repr(value)
@@ -67,4 +83,8 @@ def quoted_string(text: str) -> str:
 
 def _key_text(key: str) -> str:
     """Return the text of a key, with quotes if they are necessary."""
-    return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else quoted_string(key)
+    return (
+        key
+        if key.isascii() and key.replace("_", "").replace("-", "").isalnum()
+        else quoted_string(key)
+    )

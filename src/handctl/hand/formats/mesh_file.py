@@ -47,9 +47,13 @@ def _stl_triangles(data: bytes) -> Array:
     size = STL_HEADER + count * STL_TRIANGLE.itemsize
     if len(data) < STL_HEADER or len(data) != size:
         if data.lstrip()[:5].lower() == b"solid":
-            raise ValueError("an STL in text form; expected a binary STL, which MuJoCo reads as well")
+            raise ValueError(
+                "an STL in text form; expected a binary STL, which MuJoCo reads as well"
+            )
         what = f"{len(data)} bytes" + (f" for {count} triangles" if len(data) >= STL_HEADER else "")
-        raise ValueError(f"{what}; expected a binary STL of {STL_HEADER} bytes and {STL_TRIANGLE.itemsize} a triangle")
+        raise ValueError(
+            f"{what}; expected a binary STL of {STL_HEADER} bytes and {STL_TRIANGLE.itemsize} a triangle"
+        )
     records = np.frombuffer(data, STL_TRIANGLE, count, STL_HEADER)
     return records["corners"].astype(np.float64)
 
@@ -77,7 +81,9 @@ def _obj_triangles(data: bytes) -> Array:
                     raise ValueError
                 faces += [(corners[0], one, two) for one, two in pairwise(corners[1:])]
         except ValueError:
-            raise ValueError(f"line {number} is {line.strip()[:40]!r}; expected an OBJ with v and f lines") from None
+            raise ValueError(
+                f"line {number} is {line.strip()[:40]!r}; expected an OBJ with v and f lines"
+            ) from None
     places = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     corners_of_faces = np.array(faces, dtype=np.int64).reshape(-1, 3)
     if corners_of_faces.max(initial=-1) >= len(places):

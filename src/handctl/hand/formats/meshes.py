@@ -86,7 +86,9 @@ def _link_mesh(link: str, key: str, file: str, scale: Any, position: Any, rpy_de
     """Return the mesh of a link, with default values for arguments that are None."""
     scale = 1.0 if scale is None else scale
     scales = (scale, scale, scale) if isinstance(scale, float) else scale
-    return LinkMesh(link, key, file, scales, position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0))
+    return LinkMesh(
+        link, key, file, scales, position or (0.0, 0.0, 0.0), rpy_deg or (0.0, 0.0, 0.0)
+    )
 
 
 def mesh_mistakes(hand: Hand, folder: Path) -> Iterator[FileMistake]:
@@ -116,7 +118,9 @@ def read_triangles(path: Path) -> Array:
             which file is expected.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise ValueError(f"a file of type {path.suffix or 'unknown'}; expected {' or '.join(MESH_SUFFIXES)}")
+        raise ValueError(
+            f"a file of type {path.suffix or 'unknown'}; expected {' or '.join(MESH_SUFFIXES)}"
+        )
     return mesh_triangles(_read_file(path), path.suffix)
 
 
@@ -130,7 +134,9 @@ def _read_file(path: Path) -> bytes:
         if not path.is_file():
             raise ValueError("no such file; expected a file, relative to the hand file")
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise ValueError(f"{path.stat().st_size / 1e6:.0f} MB; expected at most {MAX_FILE_BYTES / 1e6:.0f} MB")
+            raise ValueError(
+                f"{path.stat().st_size / 1e6:.0f} MB; expected at most {MAX_FILE_BYTES / 1e6:.0f} MB"
+            )
         return path.read_bytes()
     except OSError as error:
         raise ValueError(f"cannot be read: {error.strerror}; expected a readable file") from None
@@ -144,16 +150,29 @@ def _size_mistakes(mesh: LinkMesh, triangles: Array) -> Iterator[FileMistake]:
     scale_key = mesh.key.rpartition(".")[2].partition("[")[0] + "_scale"
     largest = max(extent, far)
     if not largest <= LARGEST_EXTENT_M:
-        what = f"{extent:.3g} m long" if extent > LARGEST_EXTENT_M else f"{far:.3g} m away from its link"
-        in_millimetres = (
-            largest * MILLIMETRE_SCALE <= LARGEST_EXTENT_M and extent * MILLIMETRE_SCALE >= SMALLEST_EXTENT_M
+        what = (
+            f"{extent:.3g} m long"
+            if extent > LARGEST_EXTENT_M
+            else f"{far:.3g} m away from its link"
         )
-        hint = f"; {scale_key} = {MILLIMETRE_SCALE:g} if the mesh is in millimetres" if in_millimetres else ""
-        yield FileMistake(f'"{mesh.file}": {what}', mesh.key, f"at most {LARGEST_EXTENT_M:g} m{hint}")
+        in_millimetres = (
+            largest * MILLIMETRE_SCALE <= LARGEST_EXTENT_M
+            and extent * MILLIMETRE_SCALE >= SMALLEST_EXTENT_M
+        )
+        hint = (
+            f"; {scale_key} = {MILLIMETRE_SCALE:g} if the mesh is in millimetres"
+            if in_millimetres
+            else ""
+        )
+        yield FileMistake(
+            f'"{mesh.file}": {what}', mesh.key, f"at most {LARGEST_EXTENT_M:g} m{hint}"
+        )
     elif extent < SMALLEST_EXTENT_M:
         what = f"{extent:.3g} m long"
         yield FileMistake(
-            f'"{mesh.file}": {what}', mesh.key, f"at least {SMALLEST_EXTENT_M:g} m; is {scale_key} right?"
+            f'"{mesh.file}": {what}',
+            mesh.key,
+            f"at least {SMALLEST_EXTENT_M:g} m; is {scale_key} right?",
         )
 
 
@@ -180,7 +199,10 @@ def exported_meshes(hand: Hand, folder: Path, output: Path) -> dict[str, LinkMes
         folder: folder of the hand file.
         output: folder of the exported file.
     """
-    return {mesh.link: replace(mesh, file=path_from(folder / mesh.file, output)) for mesh in meshes_of_hand(hand)}
+    return {
+        mesh.link: replace(mesh, file=path_from(folder / mesh.file, output))
+        for mesh in meshes_of_hand(hand)
+    }
 
 
 def path_from(path: Path, folder: Path) -> str:
@@ -201,5 +223,9 @@ def with_meshes_from(content: Mapping[str, Any], folder: Path) -> dict[str, Any]
         mount["palm_mesh"] = str(place / mount["palm_mesh"])
     for digit in content["digit"]:
         files = digit.get("link_mesh")
-        digits.append(digit | {"link_mesh": [str(place / file) if file else "" for file in files]} if files else digit)
+        digits.append(
+            digit | {"link_mesh": [str(place / file) if file else "" for file in files]}
+            if files
+            else digit
+        )
     return {**content, "mount": mount, "digit": digits}

@@ -44,7 +44,14 @@ def mjcf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     root = ET.Element("mujoco", model=hand.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     gravity = numbers_text(hand.mount.gravity_m_s2)
-    ET.SubElement(root, "option", gravity=gravity, timestep="0.0005", integrator="implicitfast", cone="elliptic")
+    ET.SubElement(
+        root,
+        "option",
+        gravity=gravity,
+        timestep="0.0005",
+        integrator="implicitfast",
+        cone="elliptic",
+    )
     palm = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name="palm")
     _add_palm(palm, hand, None)
     _add_tendons(root, hand)
@@ -60,7 +67,9 @@ def _add_palm(link: ET.Element, hand: Hand, carrier: str | None) -> None:
     """
     centre, size = palm_box(hand, carrier)
     name = "palm" if carrier is None else f"{carrier}_palm"
-    ET.SubElement(link, "geom", name=name, type="box", size=numbers_text(size / 2), pos=numbers_text(centre))
+    ET.SubElement(
+        link, "geom", name=name, type="box", size=numbers_text(size / 2), pos=numbers_text(centre)
+    )
     for digit in hand.digit:
         if digit.mount_on == carrier:
             _add_digit(link, hand, digit)
@@ -81,7 +90,12 @@ def _add_digit(base: ET.Element, hand: Hand, digit: Digit) -> None:
         _add_hinge(link, digit, i, joint)
         _add_link_body(link, digit, i, shape_length(hand, digit, i))
         parent = link
-    ET.SubElement(parent, "site", name=f"{digit.name}_tip", pos=numbers_text((digit.link_length_m[-1], 0.0, 0.0)))
+    ET.SubElement(
+        parent,
+        "site",
+        name=f"{digit.name}_tip",
+        pos=numbers_text((digit.link_length_m[-1], 0.0, 0.0)),
+    )
     if digit.name in hand.carrier_digits:
         _add_palm(parent, hand, digit.name)
 
@@ -119,7 +133,9 @@ def _add_link_body(link: ET.Element, digit: Digit, i: int, length: float) -> Non
     )
     size = number_text(digit.link_radius_m)
     if length > 0.0:
-        ET.SubElement(link, "geom", type="capsule", fromto=numbers_text((0, 0, 0, length, 0, 0)), size=size)
+        ET.SubElement(
+            link, "geom", type="capsule", fromto=numbers_text((0, 0, 0, length, 0, 0)), size=size
+        )
     else:
         ET.SubElement(link, "geom", type="sphere", size=size)
 
@@ -137,7 +153,14 @@ def _add_meshes(root: ET.Element, meshes: Mapping[str, LinkMesh]) -> None:
     for link, mesh in meshes.items():
         # MuJoCo calculates an inertia for each mesh. That of a shell is defined for open surfaces
         # too. The inertia has no effect here.
-        ET.SubElement(assets, "mesh", name=link, file=mesh.file, scale=numbers_text(mesh.scale), inertia="shell")
+        ET.SubElement(
+            assets,
+            "mesh",
+            name=link,
+            file=mesh.file,
+            scale=numbers_text(mesh.scale),
+            inertia="shell",
+        )
         for geom in bodies[link].findall("geom"):
             geom.set("group", HIDDEN_GROUP)
         x, y, z, w = quaternion_of_rotation(mesh.rotation)
@@ -156,6 +179,8 @@ def _add_tendons(root: ET.Element, hand: Hand) -> None:
     for tendon, arms in zip(hand.tendon, hand.moment_arms, strict=True):
         fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
         for joint in tendon.moment_arm_m:
-            ET.SubElement(fixed, "joint", joint=joint, coef=number_text(arms[hand.joints.index(joint)]))
+            ET.SubElement(
+                fixed, "joint", joint=joint, coef=number_text(arms[hand.joints.index(joint)])
+            )
         limits = numbers_text((0.0, tendon.tension_max_N))
         ET.SubElement(actuators, "motor", name=tendon.motor, tendon=tendon.name, ctrlrange=limits)

@@ -70,7 +70,11 @@ class ModelMesh:
         The rotation (3, 3) and the origin (3,) [m] of the other frame are given in the present
         frame.
         """
-        return replace(self, position=rotation.T @ (self.position - origin), rotation=rotation.T @ self.rotation)
+        return replace(
+            self,
+            position=rotation.T @ (self.position - origin),
+            rotation=rotation.T @ self.rotation,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +130,16 @@ class ModelLink:
         """
         axis = np.array(values["axis"], dtype=float)
         rest = float(values["rest"])
-        limits = None if values["range"] is None else (float(values["range"][0]), float(values["range"][1]))
-        if limits is not None and limits[0] < 0.0 and limits[1] <= NEGATIVE_FLEXION_RATIO * -limits[0]:
+        limits = (
+            None
+            if values["range"] is None
+            else (float(values["range"][0]), float(values["range"][1]))
+        )
+        if (
+            limits is not None
+            and limits[0] < 0.0
+            and limits[1] <= NEGATIVE_FLEXION_RATIO * -limits[0]
+        ):
             limits = (-limits[1], -limits[0])
             axis = -axis
             rest = -rest
@@ -196,7 +208,9 @@ class _LinkChain:
     members: tuple[int, ...]
 
 
-def digits_of_links(links: Sequence[ModelLink], source: str) -> tuple[tuple[ModelDigit, ...], Array, Array]:
+def digits_of_links(
+    links: Sequence[ModelLink], source: str
+) -> tuple[tuple[ModelDigit, ...], Array, Array]:
     """Return the digits of a tree of links and the frame of the palm.
 
     Each digit comes after the digit that carries it.
@@ -238,9 +252,12 @@ def digits_of_links(links: Sequence[ModelLink], source: str) -> tuple[tuple[Mode
                 axes=np.array([turn.T @ link.axis for turn, link in zip(own, bodies, strict=True)]),
                 links=tuple(bodies),
                 coms=np.array([turn.T @ link.com for turn, link in zip(own, bodies, strict=True)]),
-                inertias=np.array([turn.T @ link.inertia @ turn for turn, link in zip(own, bodies, strict=True)]),
+                inertias=np.array(
+                    [turn.T @ link.inertia @ turn for turn, link in zip(own, bodies, strict=True)]
+                ),
                 meshes=tuple(
-                    link.mesh and link.mesh.seen_from(turn, np.zeros(3)) for turn, link in zip(own, bodies, strict=True)
+                    link.mesh and link.mesh.seen_from(turn, np.zeros(3))
+                    for turn, link in zip(own, bodies, strict=True)
                 ),
             )
         )
@@ -252,7 +269,9 @@ def _link_chains(links: Sequence[ModelLink]) -> Iterator[_LinkChain]:
 
     A chain ends where the tree branches, and after ``MAX_LINKS`` links.
     """
-    children = {i: [j for j, link in enumerate(links) if link.parent == i] for i in range(-1, len(links))}
+    children = {
+        i: [j for j, link in enumerate(links) if link.parent == i] for i in range(-1, len(links))
+    }
     names: set[str] = set()
     count = 0
     waiting: list[tuple[int, int | None]] = [(i, None) for i in reversed(children[-1])]
@@ -277,12 +296,18 @@ def _digit_name(links: Sequence[ModelLink], taken: set[str], count: int) -> str:
     for names in ([link.joint for link in links], [link.name for link in links]):
         common = names[0]
         for name in names[1:]:
-            common = common[: next((i for i, (a, b) in enumerate(zip(common, name, strict=False)) if a != b), None)]
+            common = common[
+                : next(
+                    (i for i, (a, b) in enumerate(zip(common, name, strict=False)) if a != b), None
+                )
+            ]
             common = common[: len(name)]
         common = re.sub(r"\W", "_", JOINT_SUFFIX.sub("", common))
         if NAME_PATTERN.fullmatch(common) and common not in taken:
             return common
-    return next(name for i in range(len(taken) + 1) if (name := f"digit_{count + 1 + i}") not in taken)
+    return next(
+        name for i in range(len(taken) + 1) if (name := f"digit_{count + 1 + i}") not in taken
+    )
 
 
 def _link_frames(
@@ -294,7 +319,9 @@ def _link_frames(
         for i, following in zip(chain.members, chain.members[1:], strict=False):
             frames[i] = _link_frame(links[i], links[following].position, last=False)
         last = chain.members[-1]
-        frames[last] = _link_frame(links[last], _link_end(links, last, f"{source}: digit {chain.name}"), last=True)
+        frames[last] = _link_frame(
+            links[last], _link_end(links, last, f"{source}: digit {chain.name}"), last=True
+        )
     return frames
 
 
@@ -305,7 +332,11 @@ def _link_frame(link: ModelLink, end: Array, last: bool) -> tuple[Array, float]:
         return np.eye(3), 0.0
     x = end / length
     motion = np.cross(link.axis, x)
-    if np.linalg.norm(x[1:]) < MAX_ANGLE_TO_LINK_RAD and x[0] > 0.0 and not (last and motion[1] < MIN_FLEXION_Y):
+    if (
+        np.linalg.norm(x[1:]) < MAX_ANGLE_TO_LINK_RAD
+        and x[0] > 0.0
+        and not (last and motion[1] < MIN_FLEXION_Y)
+    ):
         return np.eye(3), length
     z = link.axis - (link.axis @ x) * x
     if np.linalg.norm(z) < MAX_PARALLEL_SINE:
@@ -323,7 +354,11 @@ def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
         ConfigError: neither a named frame nor a shape shows where the link ends.
     """
     link = links[i]
-    away = {name: place for name, place in link.frames.items() if np.linalg.norm(place) > INTERSECTION_TOLERANCE_M}
+    away = {
+        name: place
+        for name, place in link.frames.items()
+        if np.linalg.norm(place) > INTERSECTION_TOLERANCE_M
+    }
     named = [place for name, place in away.items() if TIP_NAME_PATTERN.search(name)]
     if named:
         return named[0]
@@ -350,7 +385,9 @@ def _link_end(links: Sequence[ModelLink], i: int, where: str) -> Array:
 
 
 def _palm_frame(
-    links: Sequence[ModelLink], chains: Sequence[_LinkChain], frames: Mapping[int, tuple[Array, float]]
+    links: Sequence[ModelLink],
+    chains: Sequence[_LinkChain],
+    frames: Mapping[int, tuple[Array, float]],
 ) -> tuple[Array, Array]:
     """Return rotation (3, 3) and origin (3,) [m] of the palm frame in the root frame.
 
@@ -374,7 +411,10 @@ def _palm_frame(
     closing = places[last][1] @ frames[last][0][:, 1]
     palm = np.eye(3)
     if pointing[0] < MIN_FORWARD_X * np.linalg.norm(pointing):
-        palm = max(_right_angles(), key=lambda turn: float(2 * turn[:, 0] @ pointing - turn[:, 1] @ closing))
+        palm = max(
+            _right_angles(),
+            key=lambda turn: float(2 * turn[:, 0] @ pointing - turn[:, 1] @ closing),
+        )
     elif carriers != {None}:
         return palm, np.zeros(3)
     depth = mounts @ palm[:, 0]

@@ -14,9 +14,22 @@ from handctl.hand.digit import Array
 from handctl.hand.file.sections import Digit
 from handctl.hand.formats.meshes import LinkMesh
 from handctl.hand.formats.numbers import number_text, numbers_text
-from handctl.hand.link_bodies import centre_of_mass, joint_axes, link_inertia, link_placement, rpy_of_rotation
+from handctl.hand.link_bodies import (
+    centre_of_mass,
+    joint_axes,
+    link_inertia,
+    link_placement,
+    rpy_of_rotation,
+)
 
-INERTIA_INDICES = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
+INERTIA_INDICES = {
+    "xx": (0, 0),
+    "yy": (1, 1),
+    "zz": (2, 2),
+    "xy": (0, 1),
+    "xz": (0, 2),
+    "yz": (1, 2),
+}
 """Row and column in the inertia matrix of each attribute of URDF's ``inertia``."""
 NO_MESHES: Mapping[str, LinkMesh] = {}
 """Meshes of a hand that is exported with primitive shapes only."""
@@ -47,7 +60,13 @@ def urdf_text(hand: Hand, meshes: Mapping[str, LinkMesh] = NO_MESHES) -> str:
     for digit in hand.digit:
         for i in range(len(digit.link_length_m)):
             _add_joint(robot, hand, digit, i)
-            _add_link(robot, digit, i, shape_length(hand, digit, i), meshes.get(f"{digit.name}_link{i + 1}"))
+            _add_link(
+                robot,
+                digit,
+                i,
+                shape_length(hand, digit, i),
+                meshes.get(f"{digit.name}_link{i + 1}"),
+            )
         if digit.name in hand.carrier_digits:
             _add_palm(robot[-1], hand, digit.name, meshes.get(robot[-1].get("name", "")))
         _add_tip_frame(robot, digit)
@@ -78,7 +97,11 @@ def shape_length(hand: Hand, digit: Digit, i: int) -> float:
     """
     length = digit.link_length_m[i]
     last = i == len(digit.link_length_m) - 1
-    return max(length - digit.link_radius_m, 0.0) if last and digit.name in hand.carrier_digits else length
+    return (
+        max(length - digit.link_radius_m, 0.0)
+        if last and digit.name in hand.carrier_digits
+        else length
+    )
 
 
 def _add_palm(link: ET.Element, hand: Hand, carrier: str | None, mesh: LinkMesh | None) -> None:
@@ -102,14 +125,24 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     """
     name = digit.joints[i]
     joint = ET.SubElement(robot, "joint", name=name, type="revolute")
-    ET.SubElement(joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}")
+    ET.SubElement(
+        joint, "parent", link=hand.base_link(digit) if i == 0 else f"{digit.name}_link{i}"
+    )
     ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
     position, rotation = link_placement(digit, i)
     # Adding 0.0 turns -0.0 into 0.0.
-    ET.SubElement(joint, "origin", xyz=numbers_text(position), rpy=numbers_text(np.add(rpy_of_rotation(rotation), 0.0)))
+    ET.SubElement(
+        joint,
+        "origin",
+        xyz=numbers_text(position),
+        rpy=numbers_text(np.add(rpy_of_rotation(rotation), 0.0)),
+    )
     ET.SubElement(joint, "axis", xyz=numbers_text(joint_axes(digit)[i]))
     crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
-    arms = [abs(float(hand.moment_arms[hand.tendon.index(tendon), hand.joints.index(name)])) for tendon in crossing]
+    arms = [
+        abs(float(hand.moment_arms[hand.tendon.index(tendon), hand.joints.index(name)]))
+        for tendon in crossing
+    ]
     effort = sum(arm * tendon.tension_max_N for arm, tendon in zip(arms, crossing, strict=True))
     motors = [(hand.motor_of(tendon.name), arm) for arm, tendon in zip(arms, crossing, strict=True)]
     # Joint speed = spool speed * spool radius / moment arm. The slowest tendon limits the joint.
@@ -122,7 +155,9 @@ def _add_joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
         effort=number_text(effort),
         velocity=number_text(speed),
     )
-    ET.SubElement(joint, "dynamics", damping=number_text(digit.joint_damping_N_m_s_per_rad[i]), friction="0")
+    ET.SubElement(
+        joint, "dynamics", damping=number_text(digit.joint_damping_N_m_s_per_rad[i]), friction="0"
+    )
 
 
 def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:
@@ -136,11 +171,23 @@ def _shape_elements(mesh: LinkMesh | None) -> tuple[str, ...]:
 def _add_mesh(link: ET.Element, mesh: LinkMesh) -> None:
     """Add a mesh as the visual shape of a link."""
     visual = ET.SubElement(link, "visual")
-    ET.SubElement(visual, "origin", xyz=numbers_text(mesh.position), rpy=numbers_text(np.radians(mesh.rpy_deg)))
-    ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=mesh.file, scale=numbers_text(mesh.scale))
+    ET.SubElement(
+        visual,
+        "origin",
+        xyz=numbers_text(mesh.position),
+        rpy=numbers_text(np.radians(mesh.rpy_deg)),
+    )
+    ET.SubElement(
+        ET.SubElement(visual, "geometry"),
+        "mesh",
+        filename=mesh.file,
+        scale=numbers_text(mesh.scale),
+    )
 
 
-def _add_link(robot: ET.Element, digit: Digit, i: int, length: float, mesh: LinkMesh | None) -> None:
+def _add_link(
+    robot: ET.Element, digit: Digit, i: int, length: float, mesh: LinkMesh | None
+) -> None:
     """Add link i with its inertia.
 
     Its shape is a cylinder of the given length [m] with a ball at the far end.
@@ -158,9 +205,17 @@ def _add_link(robot: ET.Element, digit: Digit, i: int, length: float, mesh: Link
     for element in _shape_elements(mesh):
         if length > 0.0:
             bar = ET.SubElement(link, element)
-            ET.SubElement(bar, "origin", xyz=numbers_text((length / 2, 0.0, 0.0)), rpy=f"0 {number_text(np.pi / 2)} 0")
             ET.SubElement(
-                ET.SubElement(bar, "geometry"), "cylinder", radius=number_text(radius), length=number_text(length)
+                bar,
+                "origin",
+                xyz=numbers_text((length / 2, 0.0, 0.0)),
+                rpy=f"0 {number_text(np.pi / 2)} 0",
+            )
+            ET.SubElement(
+                ET.SubElement(bar, "geometry"),
+                "cylinder",
+                radius=number_text(radius),
+                length=number_text(length),
             )
         ball = ET.SubElement(link, element)
         ET.SubElement(ball, "origin", xyz=numbers_text((length, 0.0, 0.0)), rpy="0 0 0")
@@ -174,4 +229,6 @@ def _add_tip_frame(robot: ET.Element, digit: Digit) -> None:
     joint = ET.SubElement(robot, "joint", name=f"{digit.name}_tip_joint", type="fixed")
     ET.SubElement(joint, "parent", link=f"{digit.name}_link{last}")
     ET.SubElement(joint, "child", link=f"{digit.name}_tip")
-    ET.SubElement(joint, "origin", xyz=numbers_text((digit.link_length_m[-1], 0.0, 0.0)), rpy="0 0 0")
+    ET.SubElement(
+        joint, "origin", xyz=numbers_text((digit.link_length_m[-1], 0.0, 0.0)), rpy="0 0 0"
+    )

@@ -89,18 +89,28 @@ def make_cameras(names: Sequence[str], videos: Sequence[Sequence[Path]], starts_
     """
     starts = tuple(starts_s) * (logs if len(starts_s) == 1 else 1)
     if len(starts) != logs or not np.isfinite(starts).all():
-        raise ConfigError(f"{len(starts_s)} times", "--camera-start", f"one, or {logs} finite times [s]")
+        raise ConfigError(
+            f"{len(starts_s)} times", "--camera-start", f"one, or {logs} finite times [s]"
+        )
     for name, files in zip(names, videos, strict=True):
         if not name.isidentifier() or not name.isascii() or list(names).count(name) > 1:
-            raise ConfigError(repr(name), "--camera", "a name of letters and digits, each camera once")
+            raise ConfigError(
+                repr(name), "--camera", "a name of letters and digits, each camera once"
+            )
         if len(files) != logs:
-            raise ConfigError(f"{len(files)} videos for {logs} logs", f"--camera {name}", "one video for each log")
+            raise ConfigError(
+                f"{len(files)} videos for {logs} logs", f"--camera {name}", "one video for each log"
+            )
         for path in files:
             if not path.is_file():
                 raise ConfigError("no such file", str(path), "a video")
     if names and shutil.which("ffmpeg") is None:
-        raise ConfigError("no program ffmpeg", "--camera", "ffmpeg installed, for example by apt install ffmpeg")
-    return tuple(Camera(name, tuple(files), starts) for name, files in zip(names, videos, strict=True))
+        raise ConfigError(
+            "no program ffmpeg", "--camera", "ffmpeg installed, for example by apt install ffmpeg"
+        )
+    return tuple(
+        Camera(name, tuple(files), starts) for name, files in zip(names, videos, strict=True)
+    )
 
 
 def video_place(episode: int) -> dict[str, int]:
@@ -108,7 +118,9 @@ def video_place(episode: int) -> dict[str, int]:
     return {"chunk_index": episode // FILES_PER_CHUNK, "file_index": episode % FILES_PER_CHUNK}
 
 
-def write_episode_video(source: Path, target: Path, first_s: float, frames: int, fps: int) -> EpisodeVideo:
+def write_episode_video(
+    source: Path, target: Path, first_s: float, frames: int, fps: int
+) -> EpisodeVideo:
     """Write the dataset's video of an episode.
 
     Args:
@@ -132,14 +144,28 @@ def write_episode_video(source: Path, target: Path, first_s: float, frames: int,
         f"tpad=stop_mode=clone:stop_duration={MAX_FRAME_GAP_S:g}",
         "scale=trunc(iw/2)*2:trunc(ih/2)*2",
     ]
-    encode = ["-an", "-vf", ",".join(filters), "-frames:v", str(frames), "-c:v", "libx264", "-g", "2", "-crf", "23"]
+    encode = [
+        "-an",
+        "-vf",
+        ",".join(filters),
+        "-frames:v",
+        str(frames),
+        "-c:v",
+        "libx264",
+        "-g",
+        "2",
+        "-crf",
+        "23",
+    ]
     _run_ffmpeg(source, *encode, "-pix_fmt", "yuv420p", str(target))
     width, height, _ = next(_video_frames(target, "null"))
     scaled = f"scale=min({STATISTICS_WIDTH}\\,iw):-2"
     histogram = np.zeros((3, CHANNEL_LEVELS), np.int64)
     count = 0
     for _, _, pixels in _video_frames(target, scaled):
-        histogram += [np.bincount(channel, minlength=CHANNEL_LEVELS) for channel in pixels.reshape(-1, 3).T]
+        histogram += [
+            np.bincount(channel, minlength=CHANNEL_LEVELS) for channel in pixels.reshape(-1, 3).T
+        ]
         count += 1
     if count < frames:
         missing = (frames - count) / fps + MAX_FRAME_GAP_S
@@ -197,7 +223,9 @@ def _read_ppm(stream: IO[bytes]) -> tuple[int, int, NDArray[np.uint8]] | None:
     return width, height, np.frombuffer(stream.read(width * height * 3), np.uint8)
 
 
-def histogram_statistics(histogram: NDArray[np.int64], frames: int, percents: Sequence[int]) -> dict[str, list[Any]]:
+def histogram_statistics(
+    histogram: NDArray[np.int64], frames: int, percents: Sequence[int]
+) -> dict[str, list[Any]]:
     """Return the statistics of images. Each has shape (3, 1, 1), one value for each colour channel, from 0 to 1.
 
     Args:
@@ -220,4 +248,6 @@ def histogram_statistics(histogram: NDArray[np.int64], frames: int, percents: Se
     for percent in percents:
         levels = [int(np.searchsorted(channel, percent / 100.0)) for channel in cumulated]
         statistics[f"q{percent:02d}"] = values[levels]
-    return {name: one.reshape(3, 1, 1).tolist() for name, one in statistics.items()} | {"count": [frames]}
+    return {name: one.reshape(3, 1, 1).tolist() for name, one in statistics.items()} | {
+        "count": [frames]
+    }

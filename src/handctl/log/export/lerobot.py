@@ -99,7 +99,9 @@ def export_lerobot(
     control_rate = round(1e9 / first.header.period_ns)
     fps = control_rate if fps is None else fps
     if not 1 <= fps <= control_rate:
-        raise ConfigError(f"{fps} Hz", "--fps", f"1 to {control_rate} Hz, the control rate of the log")
+        raise ConfigError(
+            f"{fps} Hz", "--fps", f"1 to {control_rate} Hz, the control rate of the log"
+        )
     episodes = [_episode_of_log(log, fps) for log in logs]
     for i, (log, episode) in enumerate(zip(logs, episodes, strict=True)):
         _check_same_dataset(first, log, episodes[0].names == episode.names, f"log {i + 1}")
@@ -112,8 +114,13 @@ def export_lerobot(
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     path.mkdir()
     videos = {camera.key: _write_videos(camera, episodes, path, fps) for camera in cameras}
-    _write_parquet(path / DATA_PATH_PATTERN.format(chunk_index=0, file_index=0), _frame_table(episodes[0].names, whole))
-    statistics = [{name: _feature_statistics(table) for name, table in part.items()} for part in parts]
+    _write_parquet(
+        path / DATA_PATH_PATTERN.format(chunk_index=0, file_index=0),
+        _frame_table(episodes[0].names, whole),
+    )
+    statistics = [
+        {name: _feature_statistics(table) for name, table in part.items()} for part in parts
+    ]
     for number, one in enumerate(statistics):
         one |= {key: _video_statistics(files[number : number + 1]) for key, files in videos.items()}
     table = _episode_table(episodes, statistics, videos.keys(), fps)
@@ -125,7 +132,8 @@ def export_lerobot(
     _write_json(path / "meta" / "info.json", info)
     of_videos = {key: _video_statistics(files) for key, files in videos.items()}
     _write_json(
-        path / "meta" / "stats.json", {name: _feature_statistics(table) for name, table in whole.items()} | of_videos
+        path / "meta" / "stats.json",
+        {name: _feature_statistics(table) for name, table in whole.items()} | of_videos,
     )
     return sum(episode.frames for episode in episodes)
 
@@ -133,10 +141,17 @@ def export_lerobot(
 def _episode_of_log(log: RunLog, fps: int) -> _Episode:
     """Return the episode that a log becomes."""
     rows = _tick_indices(log, fps)
-    return _Episode(_vector_features(log, rows), _task_description(log), len(rows), float(log.t_ns[rows[0]]) / 1e9)
+    return _Episode(
+        _vector_features(log, rows),
+        _task_description(log),
+        len(rows),
+        float(log.t_ns[rows[0]]) / 1e9,
+    )
 
 
-def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps: int) -> list[EpisodeVideo]:
+def _write_videos(
+    camera: Camera, episodes: Sequence[_Episode], path: Path, fps: int
+) -> list[EpisodeVideo]:
     """Write the videos of a camera, one for each episode.
 
     Raises:
@@ -147,7 +162,9 @@ def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps:
     for number, episode in enumerate(episodes):
         target = path / VIDEO_PATH_PATTERN.format(video_key=camera.key, **video_place(number))
         first_s = episode.start_s - camera.starts_s[number]
-        written.append(write_episode_video(camera.videos[number], target, first_s, episode.frames, fps))
+        written.append(
+            write_episode_video(camera.videos[number], target, first_s, episode.frames, fps)
+        )
         sizes = [f"{one.width} x {one.height}" for one in (written[0], written[-1])]
         if sizes[0] != sizes[1]:
             expected = f"{sizes[0]}, as in the first video"
@@ -158,13 +175,21 @@ def _write_videos(camera: Camera, episodes: Sequence[_Episode], path: Path, fps:
 def _video_statistics(videos: Sequence[EpisodeVideo]) -> dict[str, list[Any]]:
     """Return the statistics over all images of the given videos."""
     histogram = np.sum([video.histogram for video in videos], axis=0)
-    return histogram_statistics(histogram, sum(video.frames for video in videos), STATISTICS_PERCENTILES)
+    return histogram_statistics(
+        histogram, sum(video.frames for video in videos), STATISTICS_PERCENTILES
+    )
 
 
 def _video_feature(videos: Sequence[EpisodeVideo], fps: int) -> dict[str, Any]:
     """Return the declaration of a camera's feature for `meta/info.json`."""
     height, width = videos[0].height, videos[0].width
-    encoding = {"codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False, "fps": fps, "channels": 3}
+    encoding = {
+        "codec": "h264",
+        "pix_fmt": "yuv420p",
+        "is_depth_map": False,
+        "fps": fps,
+        "channels": 3,
+    }
     encoding |= {"height": height, "width": width}
     return {
         "dtype": "video",
@@ -182,10 +207,14 @@ def _check_same_dataset(first: RunLog, log: RunLog, same_names: bool, where: str
     """
     hands = [printable_text(str(one.header.metadata.get("hand"))) for one in (first, log)]
     if hands[0] != hands[1] or not same_names:
-        raise LogError(f"a run of hand {hands[1]}", where, f"a run of hand {hands[0]}, as in the first log")
+        raise LogError(
+            f"a run of hand {hands[1]}", where, f"a run of hand {hands[0]}, as in the first log"
+        )
     if first.header.period_ns != log.header.period_ns:
         rates = [1e9 / one.header.period_ns for one in (first, log)]
-        raise LogError(f"a run at {rates[1]:g} Hz", where, f"a run at {rates[0]:g} Hz, as in the first log")
+        raise LogError(
+            f"a run at {rates[1]:g} Hz", where, f"a run at {rates[0]:g} Hz, as in the first log"
+        )
 
 
 def _tick_indices(log: RunLog, fps: int) -> NDArray[np.intp]:
@@ -255,11 +284,15 @@ def _without_nan(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
     for column in values.T:
         finite = np.flatnonzero(~np.isnan(column))
         if len(finite):
-            column[:] = column[finite[np.maximum(np.searchsorted(finite, np.arange(len(column)), "right") - 1, 0)]]
+            column[:] = column[
+                finite[np.maximum(np.searchsorted(finite, np.arange(len(column)), "right") - 1, 0)]
+            ]
     return np.nan_to_num(values)
 
 
-def _scalar_features(episodes: Sequence[_Episode], number: int, tasks: list[str], fps: int) -> dict[str, NDArray[Any]]:
+def _scalar_features(
+    episodes: Sequence[_Episode], number: int, tasks: list[str], fps: int
+) -> dict[str, NDArray[Any]]:
     """Return the scalar features that LeRobot requires in every frame of an episode."""
     before = sum(episode.frames for episode in episodes[:number])
     frames = episodes[number].frames
@@ -277,7 +310,9 @@ def _scalar_features(episodes: Sequence[_Episode], number: int, tasks: list[str]
 def _task_description(log: RunLog) -> str:
     """Return the description of the task that a log shows."""
     try:
-        task = parse_toml(log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log")
+        task = parse_toml(
+            log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log"
+        )
     except (ConfigError, UnicodeDecodeError):
         task = {}
     otherwise = f"run of hand {log.header.metadata.get('hand', '?')}"
@@ -312,7 +347,11 @@ def _episode_table(
         for feature, values_of in statistics[0].items()
         for name in values_of
     }
-    files = [f"{table}/{number}" for table in ("data", "meta/episodes") for number in ("chunk_index", "file_index")]
+    files = [
+        f"{table}/{number}"
+        for table in ("data", "meta/episodes")
+        for number in ("chunk_index", "file_index")
+    ]
     rows = fields | columns | {name: [0] * count for name in files}
     for key in video_keys:
         places = [video_place(number) for number in range(count)]
@@ -359,9 +398,13 @@ def _info_content(
 ) -> dict[str, Any]:
     """Return the content of `meta/info.json`."""
     features: dict[str, Any] = {
-        name: {"dtype": "float32", "shape": [len(inner)], "names": inner} for name, inner in episodes[0].names.items()
+        name: {"dtype": "float32", "shape": [len(inner)], "names": inner}
+        for name, inner in episodes[0].names.items()
     }
-    features |= {name: {"dtype": str(values.dtype), "shape": [1], "names": None} for name, values in scalars.items()}
+    features |= {
+        name: {"dtype": str(values.dtype), "shape": [1], "names": None}
+        for name, values in scalars.items()
+    }
     return {
         "codebase_version": "v3.0",
         "robot_type": log.header.metadata.get("hand"),
@@ -391,7 +434,10 @@ def _feature_statistics(values: NDArray[Any]) -> dict[str, list[Any]]:
         "mean": table.mean(axis=0),
         "std": table.std(axis=0),
     }
-    statistics |= {f"q{percent:02d}": np.percentile(table, percent, axis=0) for percent in STATISTICS_PERCENTILES}
+    statistics |= {
+        f"q{percent:02d}": np.percentile(table, percent, axis=0)
+        for percent in STATISTICS_PERCENTILES
+    }
     return {name: array.tolist() for name, array in statistics.items()} | {"count": [len(table)]}
 
 

@@ -9,7 +9,13 @@ from pathlib import Path
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
-from handctl.log.export.tables import INTEGER_COLUMNS, TEXT_COLUMNS, column_names, column_unit, table_blocks
+from handctl.log.export.tables import (
+    INTEGER_COLUMNS,
+    TEXT_COLUMNS,
+    column_names,
+    column_unit,
+    table_blocks,
+)
 from handctl.log.read.reader import RunLog
 
 
@@ -22,10 +28,14 @@ def export_parquet(log: RunLog, path: Path) -> int:
     count = 0
     names = column_names(log)
     text = pa.dictionary(pa.int32(), pa.string())
-    fields = [pa.field(name, pa.int64(), metadata={"unit": column_unit(name)}) for name in INTEGER_COLUMNS]
+    fields = [
+        pa.field(name, pa.int64(), metadata={"unit": column_unit(name)}) for name in INTEGER_COLUMNS
+    ]
     fields += [pa.field(name, text) for name in TEXT_COLUMNS]
     fields += [pa.field(name, pa.float64(), metadata={"unit": column_unit(name)}) for name in names]
-    schema = pa.schema(fields, metadata={f"handctl.{key}": value for key, value in log.header.metadata.items()})
+    schema = pa.schema(
+        fields, metadata={f"handctl.{key}": value for key, value in log.header.metadata.items()}
+    )
     with path.open("xb") as file, pq.ParquetWriter(file, schema, compression="zstd") as writer:
         for block in table_blocks(log):
             arrays = [pa.array(part) for part in block[:3]]

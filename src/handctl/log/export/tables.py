@@ -62,12 +62,16 @@ def column_names(log: RunLog) -> tuple[str, ...]:
 
     The function `column_unit` returns the unit of each column.
     """
-    return tuple(f"{field}/{name}" for field in log.fields for name in log.header.axis(TELEMETRY_AXES[field]))
+    return tuple(
+        f"{field}/{name}" for field in log.fields for name in log.header.axis(TELEMETRY_AXES[field])
+    )
 
 
 def column_unit(column: str) -> str:
     """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a plain number."""
-    return INTEGER_COLUMNS.get(column) or FIELD_UNITS[VARIANT_SUFFIX.sub("", column.partition("/")[0])]
+    return (
+        INTEGER_COLUMNS.get(column) or FIELD_UNITS[VARIANT_SUFFIX.sub("", column.partition("/")[0])]
+    )
 
 
 def column_title(column: str) -> str:
@@ -88,7 +92,9 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
         phase = [names[i] for i in np.searchsorted(starts, log.k[part], "right") - 1]
         mode = [Mode(value).name for value in log.mode[part].tolist()]
         action = [Action(value).name for value in log.action[part].tolist()]
-        yield TableBlock(log.k[part], log.t_ns[part], log.late_ns[part], mode, phase, action, numbers)
+        yield TableBlock(
+            log.k[part], log.t_ns[part], log.late_ns[part], mode, phase, action, numbers
+        )
 
 
 def export_csv(log: RunLog, path: Path) -> int:

@@ -51,7 +51,9 @@ class MessageRows(NamedTuple):
         """Return the data of each message as bytes, in order."""
         size = self.records.shape[1]
         content = self.records.tobytes()
-        return [content[at + _MESSAGE_DATA_OFFSET : at + size] for at in range(0, len(content), size)]
+        return [
+            content[at + _MESSAGE_DATA_OFFSET : at + size] for at in range(0, len(content), size)
+        ]
 
     def data(self) -> NDArray[np.uint8]:
         """Return the data of the messages as an array (n, size of a message)."""
@@ -78,7 +80,9 @@ class ChunkDefinitions(NamedTuple):
     channels: list[tuple[int, int, str, str, dict[str, str]]]
 
 
-def iter_messages(content: bytes, packed: int, channels: frozenset[int] | None = None) -> Iterator[MessageRows]:
+def iter_messages(
+    content: bytes, packed: int, channels: frozenset[int] | None = None
+) -> Iterator[MessageRows]:
     """Yield the messages of a chunk in blocks, either of all channels or of the given channels.
 
     Args:

@@ -20,5 +20,7 @@ def described_hand(header: RunHeader, where: str) -> Hand:
     hand = hand_from_content(parse_toml(header.hand_toml, where), where)
     described = (hand.joints, hand.tendon_names, hand.motor_names, hand.digit_names)
     if described != (header.joints, header.tendons, header.motors, header.digits):
-        raise LogError("names differ from the log's header", where, "the description of the hand that ran")
+        raise LogError(
+            "names differ from the log's header", where, "the description of the hand that ran"
+        )
     return hand

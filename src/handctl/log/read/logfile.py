@@ -55,7 +55,11 @@ class LogErrorContext:
         if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE_ERRORS):
             return
         missing = isinstance(error, KeyError)
-        problem = f"{printable_text(repr(error.args[0]))} is missing" if missing else printable_text(str(error))
+        problem = (
+            f"{printable_text(repr(error.args[0]))} is missing"
+            if missing
+            else printable_text(str(error))
+        )
         raise LogError(f"damaged log: {problem}", self.where, "an intact file") from error
 
 
@@ -124,7 +128,9 @@ class LogFile:
         """
         data = os.pread(self._fd, size, offset)
         if len(data) != size:
-            raise LogError("the file ends here", self.at(offset + len(data)), f"{size - len(data)} bytes more")
+            raise LogError(
+                "the file ends here", self.at(offset + len(data)), f"{size - len(data)} bytes more"
+            )
         return data
 
     def crc(self, start: int, end: int, value: int = 0) -> int:
@@ -157,7 +163,9 @@ class LogFile:
             packed = self.read(chunk.data, chunk.end - chunk.data)
             content = _decompress_chunk(packed, chunk)
             if len(content) != chunk.size:
-                raise ValueError(f"chunk of {len(content)} bytes or more; declared are {chunk.size}")
+                raise ValueError(
+                    f"chunk of {len(content)} bytes or more; declared are {chunk.size}"
+                )
             if checked and chunk.crc and zlib.crc32(content) != chunk.crc:
                 raise ValueError("checksum of a chunk does not match")
         if checked:

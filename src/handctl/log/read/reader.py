@@ -17,7 +17,12 @@ from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.batch import FIXED_DTYPE, column_count, columns_of_fields, row_fields
 from handctl.log.header import RunHeader
-from handctl.log.read.chunk_reader import ChunkDefinitions, MessageRows, iter_messages, schemas_and_channels
+from handctl.log.read.chunk_reader import (
+    ChunkDefinitions,
+    MessageRows,
+    iter_messages,
+    schemas_and_channels,
+)
 from handctl.log.read.logfile import ChunkLocation, LogErrorContext, LogFile
 from handctl.log.read.record_scan import RecordScan, scan_records
 from handctl.log.read.timeline import LoggedEvent, PhaseChange, TickGap
@@ -138,7 +143,9 @@ class RunLog:
             self.metadata = scan.metadata
             self.warning = scan.problem
             if "handctl.run" not in scan.metadata or not scan.chunks:
-                raise LogError("no run of handctl in the file", self._file.name, "a log that handctl wrote")
+                raise LogError(
+                    "no run of handctl in the file", self._file.name, "a log that handctl wrote"
+                )
             with LogErrorContext(self._file.name):
                 self.header = _read_header(scan)
             self.end = scan.metadata.get("handctl.end", {})
@@ -167,11 +174,15 @@ class RunLog:
     def _channels(self) -> tuple[int, int, dict[str, int]]:
         """Return the channel ids of the ticks and of the telemetry, and those of all topics by name."""
         with LogErrorContext(self._file.at(self._chunks[0].offset)):
-            definitions_of_log: ChunkDefinitions = schemas_and_channels(self._file.content(self._chunks[0]))
+            definitions_of_log: ChunkDefinitions = schemas_and_channels(
+                self._file.content(self._chunks[0])
+            )
             topics = {topic: number for number, _, topic, _, _ in definitions_of_log.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 
-    def _rows(self, channel: int, chunks: slice = slice(None)) -> Iterator[tuple[ChunkLocation, MessageRows]]:
+    def _rows(
+        self, channel: int, chunks: slice = slice(None)
+    ) -> Iterator[tuple[ChunkLocation, MessageRows]]:
         """Yield the message blocks of a channel, each with the location of the chunk."""
         for chunk in self._chunks[chunks]:
             yield from ((chunk, rows) for rows in self._rows_of(chunk, channel))
@@ -205,7 +216,11 @@ class RunLog:
                         raise ValueError("a tick that is too short")
                     # Four bytes of CDR encapsulation precede the part of constant length in each
                     # message.
-                    parts.append(np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(FIXED_DTYPE)[:, 0])
+                    parts.append(
+                        np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(
+                            FIXED_DTYPE
+                        )[:, 0]
+                    )
             counts.append(sum(map(len, parts[before:])))
             for rows in self._rows_of(chunk, self._others.get(SNAPSHOT_TOPIC, -1)):
                 snapshots |= dict.fromkeys(rows.sequence().tolist(), i)
@@ -294,7 +309,10 @@ class RunLog:
         """
         for chunk, rows in self._rows(self._values):
             with LogErrorContext(self._file.at(chunk.offset)):
-                return row_fields(self.header, (rows.data().shape[1] - VALUES_START_OFFSET + VALUES_END_OFFSET) // 8)
+                return row_fields(
+                    self.header,
+                    (rows.data().shape[1] - VALUES_START_OFFSET + VALUES_END_OFFSET) // 8,
+                )
         return TELEMETRY_FIELDS
 
     @property
@@ -321,10 +339,14 @@ class RunLog:
             sequence.append(numbers)
         numbers_in_file = np.concatenate(sequence)
         if len(numbers_in_file) != len(self) or (numbers_in_file != (self.k & 0xFFFF_FFFF)).any():
-            raise LogError("telemetry and ticks do not belong together", self._file.name, "an intact file")
+            raise LogError(
+                "telemetry and ticks do not belong together", self._file.name, "an intact file"
+            )
         return np.concatenate(parts)
 
-    def _values_parts(self, chunks: slice = slice(None)) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
+    def _values_parts(
+        self, chunks: slice = slice(None)
+    ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
         """Yield blocks of telemetry: the bytes of each row (rows, bytes), and the sequence number of each row."""
         size = VALUES_START_OFFSET + 8 * self._width + 4
         for chunk, rows in self._rows(self._values, chunks):
@@ -365,7 +387,10 @@ class RunLog:
         if CLOCK_TOPIC in self._others:
             for chunk, rows in self._rows(self._others[CLOCK_TOPIC]):
                 with LogErrorContext(self._file.at(chunk.offset)):
-                    pairs += [decode_clock_pair(row.tobytes(), self.header.offset_ns) for row in rows.data()]
+                    pairs += [
+                        decode_clock_pair(row.tobytes(), self.header.offset_ns)
+                        for row in rows.data()
+                    ]
         return pairs
 
     @functools.cached_property
@@ -389,7 +414,9 @@ class RunLog:
         location = self._chunks[chunk]
         with LogErrorContext(self._file.at(location.offset)):
             rows_of_chunk = self._rows_of(location, self._others[SNAPSHOT_TOPIC])
-            snapshots = dict(decode_snapshot(row.tobytes()) for rows in rows_of_chunk for row in rows.data())
+            snapshots = dict(
+                decode_snapshot(row.tobytes()) for rows in rows_of_chunk for row in rows.data()
+            )
             return snapshots[k]
 
     def names(self, field: str) -> tuple[str, ...]:
@@ -413,7 +440,11 @@ class RunLog:
         """Yield the ticks in order, either of all chunks or of the given chunks."""
         for chunk in self._chunks[chunks]:
             with LogErrorContext(self._file.at(chunk.offset)):
-                messages = [message for rows in self._rows_of(chunk, self._tick) for message in rows.messages()]
+                messages = [
+                    message
+                    for rows in self._rows_of(chunk, self._tick)
+                    for message in rows.messages()
+                ]
                 ticks = unpack_ticks(messages)
             yield from ticks
 
@@ -435,7 +466,10 @@ class RunLog:
                 if phase is None:
                     tick = unpack_tick(message)
                     phase = tick.phase
-                    events += [LoggedEvent(tick.tick_in.k, tick.tick_in.t_ns, event) for event in tick.events]
+                    events += [
+                        LoggedEvent(tick.tick_in.k, tick.tick_in.t_ns, event)
+                        for event in tick.events
+                    ]
                     if not tick.events and len(phase_of_tail) < _MAX_CACHED_TAILS:
                         phase_of_tail[tail] = phase
             if not phases or phases[-1].name != phase:

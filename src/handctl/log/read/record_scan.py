@@ -124,7 +124,9 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
     scan.size = file.size
     if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
         raise LogError("not an MCAP file", file.at(0), "a log that handctl wrote")
-    finished = file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
+    finished = (
+        file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
+    )
     scan.end = len(MAGIC)
     unpacked = 0
     unknown = 0
@@ -155,7 +157,10 @@ def scan_records(file: LogFile, scan: RecordScan, checked: bool = True, skip: bo
         with LogErrorContext(file.at(at)):
             _check_limits(scan, unpacked, unknown)
         scan.end = end
-    scan.problem = scan.problem or f"ends at byte {file.size} without an end mark; complete up to byte {scan.end}"
+    scan.problem = (
+        scan.problem
+        or f"ends at byte {file.size} without an end mark; complete up to byte {scan.end}"
+    )
 
 
 def scan_path(path: Path) -> RecordScan:
@@ -259,7 +264,9 @@ def _check_end(file: LogFile, scan: RecordScan, at: int, end: int, checked: bool
     """Compare the checksums of the data section and of the summary with the content of the file."""
     (crc,) = struct.unpack("<I", file.read(at + _RECORD_STRUCT.size, 4))
     if end != at + _RECORD_STRUCT.size + 4 or (checked and crc and crc != file.crc(0, at)):
-        raise LogError("damaged log: checksum of the data does not match", file.at(at), "an intact file")
+        raise LogError(
+            "damaged log: checksum of the data does not match", file.at(at), "an intact file"
+        )
     scan.complete = True
     footer = file.size - len(MAGIC) - 29
     if footer < end or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
@@ -267,5 +274,7 @@ def _check_end(file: LogFile, scan: RecordScan, at: int, end: int, checked: bool
         return
     raw = file.read(footer, 29)
     (expected,) = struct.unpack_from("<I", raw, 25)
-    if raw[0] != Opcode.FOOTER or (expected and expected != zlib.crc32(raw[:25], file.crc(end, footer))):
+    if raw[0] != Opcode.FOOTER or (
+        expected and expected != zlib.crc32(raw[:25], file.crc(end, footer))
+    ):
         scan.problem = scan.problem or "the summary is damaged; the data is intact"

@@ -90,7 +90,9 @@ def scan_damaged(file: LogFile, scan: RecordScan) -> str:
     return scan.problem
 
 
-def _copy_intact_parts(file: LogFile, scan: RecordScan, problem: str, new: McapContainer) -> RecoveryReport:
+def _copy_intact_parts(
+    file: LogFile, scan: RecordScan, problem: str, new: McapContainer
+) -> RecoveryReport:
     """Copy the intact parts of a file into the new file, and write the end of the new file."""
     for name, (media, time_ns, data) in scan.attachments.items():
         new.attach(name, media, data, time_ns)
@@ -136,13 +138,21 @@ def _copy_chunk(file: LogFile, chunk: ChunkLocation, new: McapContainer) -> None
     content = file.content(chunk)
     with LogErrorContext(file.at(chunk.offset)):
         chunk_definitions = schemas_and_channels(content)
-        schemas = [Schema(number, data, encoding, name) for number, name, encoding, data in chunk_definitions.schemas]
+        schemas = [
+            Schema(number, data, encoding, name)
+            for number, name, encoding, data in chunk_definitions.schemas
+        ]
         channels = [
             Channel(number, topic, encoding, metadata, schema)
             for number, schema, topic, encoding, metadata in chunk_definitions.channels
         ]
         blocks = [
-            MessageBlock(rows.channel, rows.records.tobytes(), rows.log_times(), _message_offsets(rows.records.shape))
+            MessageBlock(
+                rows.channel,
+                rows.records.tobytes(),
+                rows.log_times(),
+                _message_offsets(rows.records.shape),
+            )
             for rows in iter_messages(content, chunk.end - chunk.data)
         ]
     new.chunk(blocks, schemas, channels)

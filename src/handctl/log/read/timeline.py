@@ -72,4 +72,6 @@ def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
         )
     periods = (int(t_ns[-1]) - int(t_ns[0])) // period_ns if len(t_ns) else 0
     if periods > MAX_PERIODS + MAX_PERIODS_PER_TICK * len(t_ns):
-        raise LogError(f"{len(t_ns)} ticks in {periods} periods", "the log", "a run with fewer missing ticks")
+        raise LogError(
+            f"{len(t_ns)} ticks in {periods} periods", "the log", "a run with fewer missing ticks"
+        )

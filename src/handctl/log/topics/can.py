@@ -8,7 +8,12 @@ from handctl.log.batch import FrameBatch, TickBatch
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MESSAGE_STRUCT, MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.message_streams import MessageStamps, MessageStream, TimeArray, TopicRegistry
+from handctl.log.topics.message_streams import (
+    MessageStamps,
+    MessageStream,
+    TimeArray,
+    TopicRegistry,
+)
 
 _ID_MASK = 0x1FFF_FFFF
 """The 29 identifier bits of can_id. The three bits above them are flags, as in SocketCAN."""
@@ -45,9 +50,13 @@ class _DirectionTopics:
         self._buses = (*buses, "unknown")
         self._channel = registry.add(f"/can/{direction}", "can_msgs/Frame")
         self._fd_channel = registry.add(f"/can/{direction}_fd", "ros2_socketcan_msgs/FdFrame")
-        self._streams = [MessageStream(self._channel, can_frame_template(bus)) for bus in self._buses]
+        self._streams = [
+            MessageStream(self._channel, can_frame_template(bus)) for bus in self._buses
+        ]
 
-    def blocks(self, frames: FrameBatch, stamps: MessageStamps, measured: TimeArray) -> list[MessageBlock]:
+    def blocks(
+        self, frames: FrameBatch, stamps: MessageStamps, measured: TimeArray
+    ) -> list[MessageBlock]:
         """Return messages with the given frames as blocks.
 
         Args:
@@ -61,13 +70,21 @@ class _DirectionTopics:
         bus = np.minimum(frames.frames["bus"], len(self._buses) - 1).astype(np.intp)
         blocks = []
         if not fd.all():
-            blocks.append(self._classical_messages(frames.frames[~fd], bus[~fd], stamps.at(~fd), measured[~fd]))
+            blocks.append(
+                self._classical_messages(
+                    frames.frames[~fd], bus[~fd], stamps.at(~fd), measured[~fd]
+                )
+            )
         if fd.any():
             blocks.append(self._long_messages(frames, bus, fd, stamps, measured))
         return blocks
 
     def _classical_messages(
-        self, frames: NDArray[np.void], bus: NDArray[np.intp], stamps: MessageStamps, measured: TimeArray
+        self,
+        frames: NDArray[np.void],
+        bus: NDArray[np.intp],
+        stamps: MessageStamps,
+        measured: TimeArray,
     ) -> MessageBlock:
         """Return messages with the given classical CAN frames, in the order of the frames."""
         used = np.unique(bus)
@@ -113,7 +130,8 @@ class _DirectionTopics:
                 size = 22 + len(message)
                 channel = self._fd_channel
                 records.append(
-                    MESSAGE_STRUCT.pack(5, size, channel, sequence[index], log[index], times[index]) + message
+                    MESSAGE_STRUCT.pack(5, size, channel, sequence[index], log[index], times[index])
+                    + message
                 )
         return _join_records(self._fd_channel, stamps.log[fd], records)
 
@@ -146,7 +164,9 @@ class CanTopics:
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics for received and sent frames."""
-        self._rx, self._tx = (_DirectionTopics(header.buses, registry, direction) for direction in ("rx", "tx"))
+        self._rx, self._tx = (
+            _DirectionTopics(header.buses, registry, direction) for direction in ("rx", "tx")
+        )
         self._offset = header.offset_ns
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:

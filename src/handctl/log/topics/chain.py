@@ -22,7 +22,9 @@ HASH_SIZE = 8
 """Size of a chain hash [bytes]."""
 
 
-def first_hash(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
+def first_hash(
+    metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]
+) -> bytes:
     """Compute the hash with which the chain begins.
 
     The hash covers all data of the header except data about machine and date.
@@ -35,7 +37,9 @@ def first_hash(metadata: Mapping[str, str], gains: Mapping[str, str], attachment
     }
     # Name and length precede each text, so that two different sets of texts never give the same
     # bytes.
-    for name, data in sorted((texts | {f"a.{name}": data for name, data in attachments.items()}).items()):
+    for name, data in sorted(
+        (texts | {f"a.{name}": data for name, data in attachments.items()}).items()
+    ):
         digest.update(f"{name}:{len(data)}:".encode("utf-8", "backslashreplace"))
         digest.update(data)
     return digest.digest()
@@ -91,7 +95,9 @@ class ChainTopic:
 
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topic, and start the chain with the hash of the header."""
-        self._stream = MessageStream(registry.add(CHAIN_TOPIC, "handctl_msgs/Chain"), chain_message())
+        self._stream = MessageStream(
+            registry.add(CHAIN_TOPIC, "handctl_msgs/Chain"), chain_message()
+        )
         self.last = first_hash_of_run(header)
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
@@ -99,5 +105,7 @@ class ChainTopic:
         numbers = (row.tobytes() for row in batch.numbers)
         hashes = list(tick_hashes(self.last, zip(batch.messages, numbers, strict=True)))
         self.last = hashes[-1]
-        digests: NDArray[np.uint8] = np.frombuffer(b"".join(hashes), np.uint8).reshape(-1, HASH_SIZE)
+        digests: NDArray[np.uint8] = np.frombuffer(b"".join(hashes), np.uint8).reshape(
+            -1, HASH_SIZE
+        )
         return [self._stream.block(stamps, {"digest": digests})]

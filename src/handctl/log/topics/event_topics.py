@@ -115,15 +115,22 @@ class EventTopics:
         modes = [Mode(number) for number in batch.mode.tolist()]
         actions = [Action(number) for number in batch.action.tolist()]
         lanes: list[tuple[int, list[tuple[int, str]]]] = [
-            (self._phase, [(PHASE_NUMBERS.get(phase, OTHER_PHASE_NUMBER), phase) for phase in batch.phases]),
+            (
+                self._phase,
+                [(PHASE_NUMBERS.get(phase, OTHER_PHASE_NUMBER), phase) for phase in batch.phases],
+            ),
             (self._mode, [(mode.value, mode.name.lower()) for mode in modes]),
             (self._action, [(action.value, action.name.lower()) for action in actions]),
         ]
         blocks = []
         for channel, states in lanes:
             indexes = _changed_indexes(states, self._last.get(channel))
-            messages = [encode_labelled_number(int(stamps.log[index]), *states[index]) for index in indexes]
-            blocks.append(variable_length_block(channel, stamps.at(_index_array(indexes)), messages))
+            messages = [
+                encode_labelled_number(int(stamps.log[index]), *states[index]) for index in indexes
+            ]
+            blocks.append(
+                variable_length_block(channel, stamps.at(_index_array(indexes)), messages)
+            )
             self._last[channel] = states[-1]
         return [block for block in [*blocks, *self._line_messages(batch, stamps)] if block.data]
 

@@ -11,7 +11,12 @@ from handctl.log.batch import TickBatch, columns_of_fields
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
-from handctl.log.topics.message_streams import MessageStamps, MessageStream, TopicRegistry, variable_length_block
+from handctl.log.topics.message_streams import (
+    MessageStamps,
+    MessageStream,
+    TopicRegistry,
+    variable_length_block,
+)
 from handctl.log.topics.transforms import ROOT_FRAME
 from handctl.safety.action import Action
 
@@ -24,7 +29,11 @@ WARN_LEVEL = 1
 ERROR_LEVEL = 2
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 
-_DRIVE_LEVEL = {DrivePhase.READY: OK_LEVEL, DrivePhase.ENABLED: OK_LEVEL, DrivePhase.FAULT: ERROR_LEVEL}
+_DRIVE_LEVEL = {
+    DrivePhase.READY: OK_LEVEL,
+    DrivePhase.ENABLED: OK_LEVEL,
+    DrivePhase.FAULT: ERROR_LEVEL,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +112,9 @@ class HealthTopics:
         for index in [*selected.tolist(), len(batch.k) - 1]:
             self._count_frames(batch, start, index + 1)
             if len(messages) < len(selected):
-                messages.append(encode_diagnostic_array(int(stamps.log[index]), self._statuses(batch, index)))
+                messages.append(
+                    encode_diagnostic_array(int(stamps.log[index]), self._statuses(batch, index))
+                )
             start = index + 1
         if messages:
             blocks.append(variable_length_block(self._diagnostics, stamps.at(selected), messages))
@@ -119,7 +130,8 @@ class HealthTopics:
         values = batch.numbers[selected, self._columns["motor_temperature"]]
         at = stamps.at(selected)
         return [
-            stream.block(at, {"temperature": values[:, [index]]}) for index, stream in enumerate(self._temperatures)
+            stream.block(at, {"temperature": values[:, [index]]})
+            for index, stream in enumerate(self._temperatures)
         ]
 
     def _status_ticks(self, batch: TickBatch) -> NDArray[np.intp]:
@@ -150,14 +162,22 @@ class HealthTopics:
     def _statuses(self, batch: TickBatch, index: int) -> list[DiagnosticStatus]:
         """Return the status of controller, buses and motors at a tick."""
         action = Action(int(batch.action[index]))
-        level = OK_LEVEL if action == Action.PASS else WARN_LEVEL if action < Action.RELAX else ERROR_LEVEL
+        level = (
+            OK_LEVEL
+            if action == Action.PASS
+            else WARN_LEVEL
+            if action < Action.RELAX
+            else ERROR_LEVEL
+        )
         mode = Mode(int(batch.mode[index])).name.lower()
         values = {
             "action": action.name.lower(),
             "phase": batch.phases[index],
             "cycle": str(int(batch.k[index])),
         }
-        controller = DiagnosticStatus(level, "handctl: controller", mode, "handctl", values | self._count_texts())
+        controller = DiagnosticStatus(
+            level, "handctl: controller", mode, "handctl", values | self._count_texts()
+        )
         return [controller, *self._bus_statuses(), *self._motor_statuses(batch.numbers[index])]
 
     def _count_texts(self) -> dict[str, str]:
@@ -194,5 +214,9 @@ class HealthTopics:
             phase = DrivePhase(int(number)) if is_valid else DrivePhase.SILENT
             values = {name.removeprefix("motor_"): f"{part[name][index]:.6g}" for name in fields}
             level = _DRIVE_LEVEL.get(phase, WARN_LEVEL)
-            statuses.append(DiagnosticStatus(level, f"handctl: motor {motor}", phase.name.lower(), motor, values))
+            statuses.append(
+                DiagnosticStatus(
+                    level, f"handctl: motor {motor}", phase.name.lower(), motor, values
+                )
+            )
         return statuses

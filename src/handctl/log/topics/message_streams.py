@@ -50,7 +50,9 @@ class TopicRegistry:
         if note:
             metadata["note"] = note
         channel = len(self.channels) + 1
-        self.channels[topic] = Channel(channel, topic, "cdr", metadata, self.schemas[message_type].id)
+        self.channels[topic] = Channel(
+            channel, topic, "cdr", metadata, self.schemas[message_type].id
+        )
         return channel
 
 
@@ -95,17 +97,24 @@ class MessageStream:
         self._stamps = len(template.stamps)
         # Opcode 5 marks a Message record. The length field counts the bytes that follow it: 22
         # bytes of header and the data.
-        self._record = MESSAGE_STRUCT.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
+        self._record = (
+            MESSAGE_STRUCT.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
+        )
         fields: list[tuple[str, object, int]] = [
             ("sequence", "<u4", 11), ("log", "<u8", 15), ("publish", "<u8", 23),
             *((f"stamp{i}", ("<u4", (2,)), 31 + at) for i, at in enumerate(template.stamps)),
             *((name, (code, (n,)), 31 + at) for name, (at, code, n) in template.places.items()),
         ]  # fmt: skip
         names, formats, offsets = zip(*fields, strict=True)
-        self._dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(self._record)})
+        self._dtype = np.dtype(
+            {"names": names, "formats": formats, "offsets": offsets, "itemsize": len(self._record)}
+        )
 
     def block(
-        self, stamps: MessageStamps, values: dict[str, NDArray[np.generic]], measured: TimeArray | None = None
+        self,
+        stamps: MessageStamps,
+        values: dict[str, NDArray[np.generic]],
+        measured: TimeArray | None = None,
     ) -> MessageBlock:
         """Encode messages of the channel, and return them as a block.
 
@@ -131,10 +140,16 @@ class MessageStream:
         return MessageBlock(self._channel, rows.tobytes(), stamps.log, offsets)
 
 
-def variable_length_block(channel: int, stamps: MessageStamps, messages: list[bytes]) -> MessageBlock:
+def variable_length_block(
+    channel: int, stamps: MessageStamps, messages: list[bytes]
+) -> MessageBlock:
     """Join messages of variable length to a block, and return the block."""
     parts = []
-    for sequence, t_ns, message in zip(stamps.sequence.tolist(), stamps.log.tolist(), messages, strict=True):
-        parts.append(MESSAGE_STRUCT.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message)
+    for sequence, t_ns, message in zip(
+        stamps.sequence.tolist(), stamps.log.tolist(), messages, strict=True
+    ):
+        parts.append(
+            MESSAGE_STRUCT.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message
+        )
     ends = np.cumsum([0, *map(len, parts)], dtype=np.uint64)
     return MessageBlock(channel, b"".join(parts), stamps.log, ends[:-1])

@@ -49,7 +49,9 @@ class SnapshotTopic:
         out.text("")
         out.put("q", snapshot.k)
         out.count(len(snapshot.data))
-        return variable_length_block(self._channel, stamps_at(t_ns, snapshot.k), [out.message() + snapshot.data])
+        return variable_length_block(
+            self._channel, stamps_at(t_ns, snapshot.k), [out.message() + snapshot.data]
+        )
 
 
 def decode_snapshot(message: bytes) -> ControllerSnapshot:

@@ -75,10 +75,14 @@ def _hand_of(header: RunHeader) -> Hand:
 def spool_pair_pretensions(header: RunHeader) -> dict[str, float]:
     """Return the pretension of each spool pair of the hand, by name of the pair [N]."""
     tendons = tomllib.loads(header.hand_toml)["tendon"]
-    return {tendon["name"]: tendon["pretension_N"] for tendon in tendons if "pretension_N" in tendon}
+    return {
+        tendon["name"]: tendon["pretension_N"] for tendon in tendons if "pretension_N" in tendon
+    }
 
 
-def joint_state_template(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> MessageTemplate:
+def joint_state_template(
+    names: tuple[str, ...], position: bool, velocity: bool, effort: bool
+) -> MessageTemplate:
     """Return the template of a sensor_msgs/JointState message."""
     out = TemplateWriter()
     out.header()
@@ -135,7 +139,13 @@ def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
     out.put("I", seconds)
     out.put("I", nanoseconds)
     out.text("")
-    out.texts(tuple(f"{name}/{element}" for name in TELEMETRY_FIELDS for element in header.axis(TELEMETRY_AXES[name])))
+    out.texts(
+        tuple(
+            f"{name}/{element}"
+            for name in TELEMETRY_FIELDS
+            for element in header.axis(TELEMETRY_AXES[name])
+        )
+    )
     out.count(1)
     return out.message()
 
@@ -155,13 +165,19 @@ class StateTopics:
         self._joint_states = {}
         for topic, (axis, *parts) in JOINT_STATE_TOPICS.items():
             template = joint_state_template(header.axis(axis), *map(bool, parts))
-            channel = registry.add(topic, "sensor_msgs/JointState", note=_TOPIC_NOTES.get(topic, ""))
+            channel = registry.add(
+                topic, "sensor_msgs/JointState", note=_TOPIC_NOTES.get(topic, "")
+            )
             self._joint_states[topic] = MessageStream(channel, template)
         self._pretension = spool_pair_pretensions(header)
         self._pairs = None
         if self._pretension:
-            names = tuple(f"{name}/{part}" for name in self._pretension for part in ("first", "second"))
-            channel = registry.add(SPOOL_PAIRS_TOPIC, "sensor_msgs/JointState", note=_TOPIC_NOTES[SPOOL_PAIRS_TOPIC])
+            names = tuple(
+                f"{name}/{part}" for name in self._pretension for part in ("first", "second")
+            )
+            channel = registry.add(
+                SPOOL_PAIRS_TOPIC, "sensor_msgs/JointState", note=_TOPIC_NOTES[SPOOL_PAIRS_TOPIC]
+            )
             self._pairs = MessageStream(
                 channel, joint_state_template(names, position=False, velocity=False, effort=True)
             )
@@ -170,28 +186,39 @@ class StateTopics:
         channel = registry.add("/controller/values", "pal_statistics_msgs/StatisticsValues")
         self._values = MessageStream(channel, statistics_values(width))
         self._cycle = MessageStream(
-            registry.add("/cycle", "handctl_msgs/CycleStats"), cycle_stats_template(len(header.motors))
+            registry.add("/cycle", "handctl_msgs/CycleStats"),
+            cycle_stats_template(len(header.motors)),
         )
         self._estimates = {}
         for topic, (field, unit) in ESTIMATE_TOPICS.items():
             channel = registry.add(topic, "handctl_msgs/Estimate", note=_TOPIC_NOTES.get(topic, ""))
-            self._estimates[field] = MessageStream(channel, estimate_template(header.axis(TELEMETRY_AXES[field]), unit))
+            self._estimates[field] = MessageStream(
+                channel, estimate_template(header.axis(TELEMETRY_AXES[field]), unit)
+            )
 
     def _add_wrench_topic(self, registry: TopicRegistry, digit: str) -> MessageStream:
         """Register the wrench topic of a digit."""
         note = "force of the object on the digit; the tip closes towards +y of its frame"
-        channel = registry.add(f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note)
+        channel = registry.add(
+            f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note
+        )
         return MessageStream(channel, wrench_template(f"{digit}_tip"))
 
     def blocks(self, batch: TickBatch, stamps: MessageStamps) -> list[MessageBlock]:
         """Return the messages of all ticks of a batch."""
-        part = {name: batch.numbers[:, columns_of_field] for name, columns_of_field in self._columns.items()}
+        part = {
+            name: batch.numbers[:, columns_of_field]
+            for name, columns_of_field in self._columns.items()
+        }
         part["tendon_torque"] = self._tendon_torque(part["tension"], part["q"])
         blocks = [
-            stream.block(stamps, self._joint_state_values(topic, part)) for topic, stream in self._joint_states.items()
+            stream.block(stamps, self._joint_state_values(topic, part))
+            for topic, stream in self._joint_states.items()
         ]
         if self._pairs is not None:
-            blocks.append(self._pairs.block(stamps, {"effort": self._pair_tensions(part["tension"])}))
+            blocks.append(
+                self._pairs.block(stamps, {"effort": self._pair_tensions(part["tension"])})
+            )
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
             # The object pushes the tip against its closing direction +y. The expression `0.0 -`
@@ -199,7 +226,9 @@ class StateTopics:
             force[:, 1] = 0.0 - part["tip_force"][:, index]
             blocks.append(stream.block(stamps, {"force": force}))
         blocks.append(self._values.block(stamps, {"values": batch.numbers}))
-        blocks.append(self._cycle.block(stamps, self._cycle_values(batch) | {"stale": part["motor_age"]}))
+        blocks.append(
+            self._cycle.block(stamps, self._cycle_values(batch) | {"stale": part["motor_age"]})
+        )
         for field, stream in self._estimates.items():
             variance = part[f"{field}_sigma"] ** 2
             blocks.append(stream.block(stamps, {"value": part[field], "variance": variance}))
@@ -212,7 +241,9 @@ class StateTopics:
         on n, and so would the result.
         """
         torque = np.zeros((len(tension), self._arms.shape[1]))
-        arms = self._arms if self._polynomials is None else arms_at(self._polynomials, self._limits, q)
+        arms = (
+            self._arms if self._polynomials is None else arms_at(self._polynomials, self._limits, q)
+        )
         for tendon, joint in zip(*np.nonzero(self._arms), strict=True):
             torque[:, joint] += arms[..., tendon, joint] * tension[:, tendon]
         return torque
@@ -225,7 +256,9 @@ class StateTopics:
         taut = np.array(list(self._pretension.values()))[:, None] + 0.5 * both
         return np.maximum(np.maximum(taut, both), 0.0).reshape(len(net), -1)
 
-    def _joint_state_values(self, topic: str, part: dict[str, FloatArray]) -> dict[str, NDArray[np.generic]]:
+    def _joint_state_values(
+        self, topic: str, part: dict[str, FloatArray]
+    ) -> dict[str, NDArray[np.generic]]:
         """Return the values of position, velocity and effort for a JointState topic."""
         _, *fields = JOINT_STATE_TOPICS[topic]
         return {

@@ -9,7 +9,13 @@ from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock
 from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, variable_length_block
-from handctl.programs.requests import OpenStream, StreamTarget, is_target, parse_request, parse_target
+from handctl.programs.requests import (
+    OpenStream,
+    StreamTarget,
+    is_target,
+    parse_request,
+    parse_target,
+)
 
 
 class TargetTopic:

@@ -12,7 +12,12 @@ from handctl.log.topics.chain import ChainTopic
 from handctl.log.topics.clock_pairs import ClockTopic
 from handctl.log.topics.event_topics import EventTopics
 from handctl.log.topics.health import HealthTopics
-from handctl.log.topics.message_streams import MessageStamps, TopicRegistry, stamps_at, variable_length_block
+from handctl.log.topics.message_streams import (
+    MessageStamps,
+    TopicRegistry,
+    stamps_at,
+    variable_length_block,
+)
 from handctl.log.topics.snapshots import ControllerSnapshot, SnapshotTopic
 from handctl.log.topics.state_topics import StateTopics, names_message
 from handctl.log.topics.targets import TargetTopic
@@ -36,8 +41,12 @@ class TopicSet:
         """Register all topics of a run."""
         self._header = header
         self._registry = TopicRegistry()
-        self._description = self._registry.add("/robot_description", "std_msgs/String", latched=True)
-        self._names = self._registry.add("/controller/names", "pal_statistics_msgs/StatisticsNames", latched=True)
+        self._description = self._registry.add(
+            "/robot_description", "std_msgs/String", latched=True
+        )
+        self._names = self._registry.add(
+            "/controller/names", "pal_statistics_msgs/StatisticsNames", latched=True
+        )
         self._tick = self._registry.add(TICK_TOPIC, "handctl_msgs/Tick")
         self._tf = TfTopics(header, self._registry)
         self._events = EventTopics(header, self._registry)
@@ -61,7 +70,9 @@ class TopicSet:
 
     def latched(self) -> list[MessageBlock]:
         """Return the messages that are written once, at t = 0 of the run."""
-        stamps = MessageStamps(np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32))
+        stamps = MessageStamps(
+            np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32)
+        )
         names = names_message(self._header, *divmod(self._header.offset_ns, 10**9))
         blocks = [
             variable_length_block(self._names, stamps, [names]),

@@ -74,7 +74,9 @@ def link_frames(hand_toml: str) -> list[LinkFrame]:
             child = f"{name}_link{index + 1}"
             size = math.hypot(*axes[index])
             axis = tuple(component / size for component in axes[index])
-            turned = multiply_quaternions(rotation, quaternion_of_rpy(*map(math.radians, turns[index])))
+            turned = multiply_quaternions(
+                rotation, quaternion_of_rpy(*map(math.radians, turns[index]))
+            )
             frames.append(LinkFrame(parent, child, position, turned, axis, joint))
             parent = child
             position = (float(length), 0.0, 0.0)
@@ -125,8 +127,12 @@ class TfTopics:
     def __init__(self, header: RunHeader, registry: TopicRegistry) -> None:
         """Register the topics."""
         tree = link_frames(header.hand_toml)
-        self._moving, self._fixed = ([link for link in tree if (link.joint >= 0) == moves] for moves in (True, False))
-        self._static = _transform_stream(registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed)
+        self._moving, self._fixed = (
+            [link for link in tree if (link.joint >= 0) == moves] for moves in (True, False)
+        )
+        self._static = _transform_stream(
+            registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed
+        )
         self._stream = _transform_stream(registry.add("/tf", "tf2_msgs/TFMessage"), self._moving)
         self._q = columns_of_fields(header)["q"]
         self._last = -1

@@ -46,7 +46,9 @@ def start_recorder_process() -> RecorderProcess:
     # The option `-P` keeps the working directory out of Python's import path.
     command = [sys.executable, "-P", "-m", "handctl.log.write.process"]
     try:
-        child = subprocess.Popen(command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True)
+        child = subprocess.Popen(
+            command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True
+        )
     except OSError:
         os.close(writing)
         raise

@@ -148,7 +148,9 @@ class RecorderSession:
         elif kind == HEADER_RECORD_KIND:
             header = RunHeader.load(body)
             self._wall_flush = not header.deterministic
-            self._writer = LogWriter(self.path, header, report_event, self._floor, to_disk=DiskSyncer())
+            self._writer = LogWriter(
+                self.path, header, report_event, self._floor, to_disk=DiskSyncer()
+            )
             send_note({"ready": True})
         elif kind == END_RECORD_KIND:
             end = json.loads(body)

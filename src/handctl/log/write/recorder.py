@@ -97,7 +97,9 @@ class Recorder:
         """
         recorder = cls(path, take_recorder_process(), header.deterministic)
         file = json.dumps({"path": str(path), "floor_bytes": floor_bytes}).encode()
-        recorder._send_header(record_bytes(FILE_RECORD_KIND, file) + record_bytes(HEADER_RECORD_KIND, header.dump()))
+        recorder._send_header(
+            record_bytes(FILE_RECORD_KIND, file) + record_bytes(HEADER_RECORD_KIND, header.dump())
+        )
         return recorder
 
     def _send_header(self, header: bytes) -> None:
@@ -110,10 +112,18 @@ class Recorder:
             if not any("ready" in note for note in self._messages):
                 errors = [str(note["error"]) for note in self._messages if "error" in note]
                 if not errors:
-                    ends = "has ended at its start" if self._ended else f"has not started within {START_TIMEOUT_S:g} s"
+                    ends = (
+                        "has ended at its start"
+                        if self._ended
+                        else f"has not started within {START_TIMEOUT_S:g} s"
+                    )
                     what = f"the recorder process {ends}"
                     raise LogError(what, str(self._path), "a computer with less other load")
-                raise LogError(f"cannot record: {errors[0]}", str(self._path), "a new file in a writable directory")
+                raise LogError(
+                    f"cannot record: {errors[0]}",
+                    str(self._path),
+                    "a new file in a writable directory",
+                )
         except LogError:
             self._abandon_process()
             raise
@@ -200,7 +210,11 @@ class Recorder:
             events += self._filling_event()
         if not self._messages and self.dropped == self._announced and not self._ended:
             return tuple(events)
-        events += [IoEvent("recorder", str(n["event"]), int(str(n["number"]))) for n in self._messages if "event" in n]
+        events += [
+            IoEvent("recorder", str(n["event"]), int(str(n["number"])))
+            for n in self._messages
+            if "event" in n
+        ]
         self._messages = [note for note in self._messages if "event" not in note]
         if self.dropped > self._announced:
             events.append(IoEvent("recorder", "dropped", self.dropped - self._announced))
@@ -254,7 +268,9 @@ class Recorder:
             summary with path, bytes, complete and dropped. If the recorder has finished, the
             summary also has ticks, messages, lost and reason.
         """
-        body = json.dumps({"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}).encode()
+        body = json.dumps(
+            {"reason": reason, "dropped": self.dropped, "facts": dict(facts or {})}
+        ).encode()
         if not self._ended and self._send(self._rest, CLOSE_TIMEOUT_S):
             self._send(record_bytes(END_RECORD_KIND, body), CLOSE_TIMEOUT_S)
         os.close(self._pipe)

@@ -148,10 +148,19 @@ class LogWriter:
                 header.offset_ns,
             )
         container.metadata("handctl", header.metadata)
-        lists = {name: list(getattr(header, name)) for name in ("joints", "tendons", "motors", "digits", "buses")}
-        numbers = {"schema": LOG_SCHEMA_VERSION, "period_ns": header.period_ns, "offset_ns": header.offset_ns}
+        lists = {
+            name: list(getattr(header, name))
+            for name in ("joints", "tendons", "motors", "digits", "buses")
+        }
+        numbers = {
+            "schema": LOG_SCHEMA_VERSION,
+            "period_ns": header.period_ns,
+            "offset_ns": header.offset_ns,
+        }
         fields = lists | numbers | {"deterministic": header.deterministic}
-        container.metadata("handctl.run", {name: json.dumps(value) for name, value in fields.items()})
+        container.metadata(
+            "handctl.run", {name: json.dumps(value) for name, value in fields.items()}
+        )
         container.metadata("handctl.gains", header.gains)
         if header.wall:
             container.metadata("handctl.wall", header.wall)
@@ -184,7 +193,9 @@ class LogWriter:
         if not self.closed:
             k, t_ns = SNAPSHOT_HEAD_STRUCT.unpack_from(body)
             self._snapshots.append(
-                self._topics.snapshot(t_ns, ControllerSnapshot(k, body[SNAPSHOT_HEAD_STRUCT.size :]))
+                self._topics.snapshot(
+                    t_ns, ControllerSnapshot(k, body[SNAPSHOT_HEAD_STRUCT.size :])
+                )
             )
 
     def _ends_chunk(self, t_ns: int, begins: bool) -> bool:
@@ -213,7 +224,9 @@ class LogWriter:
         snapshots = self._snapshots
         self._snapshots = []
         try:
-            self._container.chunk(self._topics.blocks(batch) + snapshots + self._clock_pair(int(batch.t_ns[-1])))
+            self._container.chunk(
+                self._topics.blocks(batch) + snapshots + self._clock_pair(int(batch.t_ns[-1]))
+            )
         except OSError as error:
             self.lost += len(batch.k)
             self.ticks -= len(batch.k)
@@ -279,7 +292,9 @@ class LogWriter:
             "chain": self._topics.last_digest.hex(),
         }
         try:
-            self._container.metadata("handctl.end", values | {name: str(value) for name, value in numbers.items()})
+            self._container.metadata(
+                "handctl.end", values | {name: str(value) for name, value in numbers.items()}
+            )
             self._container.finish()
         except OSError:
             self._container.cut_back()
@@ -287,7 +302,9 @@ class LogWriter:
         finally:
             os.fsync(self._fd)
 
-    def finish(self, reason: str, dropped: int, facts: Mapping[str, str] | None = None) -> dict[str, object]:
+    def finish(
+        self, reason: str, dropped: int, facts: Mapping[str, str] | None = None
+    ) -> dict[str, object]:
         """Close the log file, and return a summary of the recording.
 
         Args:
@@ -300,7 +317,13 @@ class LogWriter:
             try:
                 self._write_end(reason, dropped, facts)
             except OSError as error:
-                self._report("disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0)
+                self._report(
+                    "disk_full" if error.errno in _DISK_FULL_ERRNOS else "error", error.errno or 0
+                )
         os.close(self._fd)
         numbers = {"ticks": self.ticks, "lost": self.lost, "messages": self._container.messages}
-        return numbers | {"bytes": self._container.complete_size, "path": str(self._path), "reason": reason}
+        return numbers | {
+            "bytes": self._container.complete_size,
+            "path": str(self._path),
+            "reason": reason,
+        }

@@ -90,7 +90,9 @@ def load_results(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: The file cannot be read, or does not contain all experiments.
     """
-    cases = {(diameter, axis) for diameter in payload.DIAMETERS_MM for axis in payload.LOAD_DIRECTIONS}
+    cases = {
+        (diameter, axis) for diameter in payload.DIAMETERS_MM for axis in payload.LOAD_DIRECTIONS
+    }
     try:
         results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         measured_cases = {(case["diameter_mm"], case["axis"]) for case in results["payload"]}

@@ -144,9 +144,13 @@ def curve_of_tendon(measured: Mapping[str, Any], noise: float) -> TendonCurve:
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (
-        (None, 0.0) if residual <= MAX_NOISE_RESIDUAL * noise else _fit_knee(displacement, force, float(slope))
+        (None, 0.0)
+        if residual <= MAX_NOISE_RESIDUAL * noise
+        else _fit_knee(displacement, force, float(slope))
     )
-    return TendonCurve(float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma)
+    return TendonCurve(
+        float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma
+    )
 
 
 def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
@@ -158,7 +162,9 @@ def _fit_knee(displacement: Array, force: Array, slope: float) -> tuple[float, f
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
     # Every fourth sample is enough. Further samples need time, and tell little about the knee.
-    parameters, covariance = curve_fit(law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds)
+    parameters, covariance = curve_fit(
+        law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds
+    )
     return float(parameters[0]), float(np.sqrt(covariance[0, 0]))
 
 
@@ -175,7 +181,11 @@ def knee_items(measured: Mapping[str, Any]) -> list[ErrataItem]:
     for place, tendon in zip(("Sec. 5", "Abstract"), curves_of_tendons(measured), strict=True):
         knee_nominal = tendon.knee_nominal
         top = float(tendon.force.max())
-        measured_text = f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N" if tendon.knee else f"none up to {top:.0f} N"
+        measured_text = (
+            f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N"
+            if tendon.knee
+            else f"none up to {top:.0f} N"
+        )
         rows.append(
             ErrataItem(
                 f"fig5.measured{knee_nominal:g}", f"Fig. 5, {place}", f"linear up to {knee_nominal:g} N",

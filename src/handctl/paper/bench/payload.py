@@ -22,7 +22,11 @@ HAND_NAME = "jamia"
 """Name of the packaged hand for this measurement."""
 DIAMETERS_MM = (30.0, 35.0, 40.0)
 """Diameters of the cylinders [mm]."""
-LOAD_DIRECTIONS: dict[str, tuple[int, int, int]] = {"x": (1, 0, 0), "y": (0, -1, 0), "z": (0, 0, -1)}
+LOAD_DIRECTIONS: dict[str, tuple[int, int, int]] = {
+    "x": (1, 0, 0),
+    "y": (0, -1, 0),
+    "z": (0, 0, -1),
+}
 """Direction of the load for each axis, in the palm frame."""
 AXIS_NAMES = {"x": "out of the palm", "y": "towards the thumb", "z": "down, along the cylinder"}
 """Description of the direction of the load for each axis."""
@@ -81,19 +85,27 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     """
     names = src.paper_hand().digit_names
     phases = [
-        _hold_phase(f"stair {tension:g}", dict.fromkeys(names, tension), TENSION_STEP_S) for tension in TENSION_STEPS_N
+        _hold_phase(f"stair {tension:g}", dict.fromkeys(names, tension), TENSION_STEP_S)
+        for tension in TENSION_STEPS_N
     ]
     recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, phases)
-    normals = np.array([_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases])
+    normals = np.array(
+        [_mean_normals(truth, _phase_end_ns(recording, phase["name"])) for phase in phases]
+    )
     # Interpolation needs strictly increasing forces. Steps of 1e-6 N are added to forces that are
     # equal.
     normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
     start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
     target_normals = np.full(len(names), float(src.GRIP_FINGER_N))
     tension = _tension_for_normals(normals, target_normals)
-    recording, truth = _grip_cylinder(folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, GRIP_SETTLING_S)])
+    recording, truth = _grip_cylinder(
+        folder, diameter_mm, "z", 1e3, [_hold_phase("try", tension, GRIP_SETTLING_S)]
+    )
     shortfall = target_normals - _mean_normals(truth, _phase_end_ns(recording, "try"))
-    return {"tension_N": _tension_for_normals(normals, target_normals + shortfall), "began_s": start_s}
+    return {
+        "tension_N": _tension_for_normals(normals, target_normals + shortfall),
+        "began_s": start_s,
+    }
 
 
 def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
@@ -102,12 +114,17 @@ def _tension_for_normals(stairs: Array, target_normals: Array) -> dict[str, floa
     It is interpolated between the normal forces at each tension of the search (steps, digits).
     """
     names = src.paper_hand().digit_names
-    tension = {name: float(np.interp(target_normals[i], stairs[:, i], TENSION_STEPS_N)) for i, name in enumerate(names)}
+    tension = {
+        name: float(np.interp(target_normals[i], stairs[:, i], TENSION_STEPS_N))
+        for i, name in enumerate(names)
+    }
     tension["thumb"] = float(np.mean([tension[name] for name in names if name != "thumb"]))
     return tension
 
 
-def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]) -> dict[str, Any]:
+def load_until_slip(
+    folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]
+) -> dict[str, Any]:
     """Grip the cylinder, load it until it slips, and return the result as plain values."""
     tension = grip["tension_N"]
     hold = _hold_phase("load", tension, GRIP_SETTLING_S + LOAD_DURATION_S)
@@ -121,9 +138,14 @@ def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[s
     weight = CYLINDER_MASS_KG * float(src.GRAVITY_M_PER_S2) if axis == "z" else 0.0
     load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
     # The palm carries the sum of the contact forces of the digits along x, out of the palm.
-    palm = sum(float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0]) for name in tension)
+    palm = sum(
+        float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0])
+        for name in tension
+    )
     times = truth.t_ns[first:end:10]
-    moved = np.linalg.norm(_object_positions(truth, times) - _object_positions(truth, times)[0], axis=1)
+    moved = np.linalg.norm(
+        _object_positions(truth, times) - _object_positions(truth, times)[0], axis=1
+    )
     return {
         "diameter_mm": diameter_mm, "axis": axis, "tension_N": dict(tension),
         "normal_N": dict(zip(tension, normals, strict=True)), "palm_N": max(0.0, palm), "load_N": load, "ended": ended,
@@ -179,7 +201,9 @@ def _mean_normals(truth: TruthRecord, until_ns: int) -> list[float]:
     """Return the sum of the normal forces of each digit, averaged over the rows before a time [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGE_ROWS : end]
-    return [float(truth.at(f"normal/{name}", times).mean()) for name in src.paper_hand().digit_names]
+    return [
+        float(truth.at(f"normal/{name}", times).mean()) for name in src.paper_hand().digit_names
+    ]
 
 
 def _object_positions(truth: TruthRecord, times: Any) -> Array:

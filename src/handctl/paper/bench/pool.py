@@ -95,7 +95,9 @@ def _read_result(child: WorkerProcess) -> ExperimentResult:
     line = _checked_pipe(child.stdout).readline()
     if not line:
         raise HandctlError(
-            "a worker ended before its experiment did", WORKER_MODULE, "a result; see the lines above"
+            "a worker ended before its experiment did",
+            WORKER_MODULE,
+            "a result; see the lines above",
         )
     answer = json.loads(line)
     if "error" in answer:

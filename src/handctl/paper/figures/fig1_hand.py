@@ -145,7 +145,9 @@ def _shaded_colour(face: Array, colour: str) -> tuple[float, float, float]:
     length = float(np.linalg.norm(normal))
     # The ambient light is 0.55. The rest depends on the angle between face and light.
     bright = (
-        0.55 + 0.45 * abs(float(normal @ LIGHT_DIRECTION) / (length * float(np.linalg.norm(LIGHT_DIRECTION))))
+        0.55
+        + 0.45
+        * abs(float(normal @ LIGHT_DIRECTION) / (length * float(np.linalg.norm(LIGHT_DIRECTION))))
         if length
         else 1.0
     )

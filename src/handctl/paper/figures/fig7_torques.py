@@ -5,7 +5,13 @@ from typing import Any
 import numpy as np
 
 from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
-from handctl.paper.model.motion import CLOSED_DEG, DURATIONS_S, TORQUE_PARTS, closing_torques, first_torque
+from handctl.paper.model.motion import (
+    CLOSED_DEG,
+    DURATIONS_S,
+    TORQUE_PARTS,
+    closing_torques,
+    first_torque,
+)
 
 TORQUES_FIGURE_SIZE_IN = (9.6, 9.0)
 SIZE_EQ10 = (9.0, 3.6)
@@ -27,7 +33,10 @@ def draw_torque_figure(figure: Any) -> None:
             link_axes = rows[2 * pair + 1][column]
             for part in TORQUE_PARTS:
                 total_axes.plot(
-                    1e3 * motion.times, 1e3 * motion.parts[part], color=PART_COLOURS[part], label=part
+                    1e3 * motion.times,
+                    1e3 * motion.parts[part],
+                    color=PART_COLOURS[part],
+                    label=part,
                 )
             total = sum(motion.parts.values(), np.zeros(len(motion.times)))
             total_axes.plot(
@@ -39,7 +48,9 @@ def draw_torque_figure(figure: Any) -> None:
                 label="sum",
             )
             for part in LINK_PARTS:
-                link_axes.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=PART_COLOURS[part])
+                link_axes.plot(
+                    1e3 * motion.times, 1e3 * motion.parts[part], color=PART_COLOURS[part]
+                )
             total_axes.set_title(f"{title}, {CLOSED_DEG:g}° in {duration:g} s", fontsize=9.5)
             link_axes.set_title("links alone (Eq. 3-12)", fontsize=9, weight="normal")
             for axes in (total_axes, link_axes):

@@ -106,7 +106,12 @@ def _draw_bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
         positions = np.arange(len(payload.LOAD_DIRECTIONS)) + (k - 1) * width
         heights = [rows[axis]["payload_kg"] for axis in payload.LOAD_DIRECTIONS]
         bars = axes.bar(
-            positions, heights, 0.9 * width, color=AXIS_COLOURS[k], label=f"⌀ {diameter:g} mm", zorder=3
+            positions,
+            heights,
+            0.9 * width,
+            color=AXIS_COLOURS[k],
+            label=f"⌀ {diameter:g} mm",
+            zorder=3,
         )
         more = ["≥ " if rows[axis]["ended"] == "held" else "" for axis in payload.LOAD_DIRECTIONS]
         axes.bar_label(

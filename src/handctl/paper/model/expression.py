@@ -164,9 +164,13 @@ def _pretty_text(node: ast.expr) -> tuple[str, int]:
             return "−" + _in_brackets(inner, _PRODUCT_PRECEDENCE), _SUM_PRECEDENCE
         case ast.Call(func=ast.Name(id=name), args=[inner]):
             text, strength = _pretty_text(inner)
-            return (f"{name} {text}" if strength == _POWER_PRECEDENCE else f"{name}({text})"), _PRODUCT_PRECEDENCE
+            return (
+                f"{name} {text}" if strength == _POWER_PRECEDENCE else f"{name}({text})"
+            ), _PRODUCT_PRECEDENCE
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=power)):
-            return _in_brackets(left, _POWER_PRECEDENCE) + str(power).translate(_SUPERSCRIPT_TABLE), _POWER_PRECEDENCE
+            return _in_brackets(left, _POWER_PRECEDENCE) + str(power).translate(
+                _SUPERSCRIPT_TABLE
+            ), _POWER_PRECEDENCE
         # A minus sign of the first factor moves to the front of the whole product.
         case ast.BinOp(op=ast.Mult() | ast.Div()) if (positive := _without_minus(node)) is not node:
             return "−" + _pretty_text(positive)[0], _SUM_PRECEDENCE
@@ -183,7 +187,10 @@ def _pretty_text(node: ast.expr) -> tuple[str, int]:
         case ast.BinOp(left=left, op=op, right=right):
             sign = "+" if isinstance(op, ast.Add) else "−"
             precedence = _SUM_PRECEDENCE if sign == "+" else _PRODUCT_PRECEDENCE
-            return f"{_in_brackets(left, _SUM_PRECEDENCE)} {sign} {_in_brackets(right, precedence)}", _SUM_PRECEDENCE
+            return (
+                f"{_in_brackets(left, _SUM_PRECEDENCE)} {sign} {_in_brackets(right, precedence)}",
+                _SUM_PRECEDENCE,
+            )
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 
@@ -214,4 +221,6 @@ def pretty_name(name: str) -> str:
         dots = ("θ", "θ̇", "θ̈")[len(match[1])]
         return dots + match[2].translate(_SUBSCRIPT_TABLE)
     greek = {"pi": "π", "theta": "θ", "L_L": "L_L", "mu": "μ", "sigma": "σ"}
-    return greek.get(name) or re.sub(r"\d+$", lambda number: number[0].translate(_SUBSCRIPT_TABLE), name)
+    return greek.get(name) or re.sub(
+        r"\d+$", lambda number: number[0].translate(_SUBSCRIPT_TABLE), name
+    )

@@ -75,7 +75,10 @@ def _check_paths() -> list[ErrataItem]:
         f"With equal joint angles q₁ = q₂ = q₃ = θ. The equations of the thumb are not printed. They are "
         f"X = {thumb}, and the same with sines."
     )
-    rows = (("eq1.x", "Eq. 1", "X", EQUATION_1, tips[:, 0]), ("eq2.y", "Eq. 2", "Y", EQUATION_2, tips[:, 1]))
+    rows = (
+        ("eq1.x", "Eq. 1", "X", EQUATION_1, tips[:, 0]),
+        ("eq2.y", "Eq. 2", "Y", EQUATION_2, tips[:, 1]),
+    )
     items_of_path = []
     for id, where, axis, printed, right in rows:
         off = relative_deviation(printed.value({"theta": SAMPLED_ANGLES_RAD}), right)
@@ -99,7 +102,8 @@ def _check_paths() -> list[ErrataItem]:
 def _lengths_text(name: str) -> list[str]:
     """Return the link lengths of a digit as text [mm]."""
     return [
-        str(length) for length in src.exact_millimetres(src.paper_hand().digit_named(name).link_length_m)
+        str(length)
+        for length in src.exact_millimetres(src.paper_hand().digit_named(name).link_length_m)
     ]
 
 

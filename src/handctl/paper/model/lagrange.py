@@ -59,7 +59,11 @@ def random_states() -> StateSamples:
     values: dict[str, Array] = {}
     for name in sorted(SYMBOL_DIMENSIONS):
         moves = "th" in name
-        values[name] = random.normal(scale=1.5, size=STATE_COUNT) if moves else random.uniform(0.5, 2.0, STATE_COUNT)
+        values[name] = (
+            random.normal(scale=1.5, size=STATE_COUNT)
+            if moves
+            else random.uniform(0.5, 2.0, STATE_COUNT)
+        )
     return values
 
 
@@ -104,7 +108,8 @@ def _momentum_rate(states: StateSamples, i: int) -> Array:
     # Because K is quadratic in the rates, (K(r + 1) - K(r - 1)) / 2 is exactly its derivative by r.
     rate = f"dth{i}"
     above, below = (
-        _energy_of_terms(equations.KINETIC_TERMS, {**moved, rate: moved[rate] + unit}) for unit in (1.0, -1.0)
+        _energy_of_terms(equations.KINETIC_TERMS, {**moved, rate: moved[rate] + unit})
+        for unit in (1.0, -1.0)
     )
     return np.asarray(np.imag((above - below) / 2.0) / COMPLEX_STEP)
 
@@ -112,7 +117,9 @@ def _momentum_rate(states: StateSamples, i: int) -> Array:
 def _lagrangian_slope(states: StateSamples, i: int) -> Array:
     """Return ∂L/∂θ_i, where L is the Lagrangian of the correct energies."""
     moved = {**states, f"th{i}": states[f"th{i}"] + 1j * COMPLEX_STEP}
-    lagrangian = _energy_of_terms(equations.KINETIC_TERMS, moved) - _energy_of_terms(equations.POTENTIAL_TERMS, moved)
+    lagrangian = _energy_of_terms(equations.KINETIC_TERMS, moved) - _energy_of_terms(
+        equations.POTENTIAL_TERMS, moved
+    )
     return np.asarray(np.imag(lagrangian) / COMPLEX_STEP)
 
 
@@ -120,7 +127,11 @@ def term_items() -> list[ErrataItem]:
     """Return one item for each term of Eq. 3 to 6 and 10 to 12."""
     return [
         _term_item(term)
-        for term in (*equations.KINETIC_TERMS, *equations.POTENTIAL_TERMS, *sum(equations.TORQUE_TERMS, ()))
+        for term in (
+            *equations.KINETIC_TERMS,
+            *equations.POTENTIAL_TERMS,
+            *sum(equations.TORQUE_TERMS, ()),
+        )
     ]
 
 
@@ -131,7 +142,11 @@ def _term_item(term: EquationTerm) -> ErrataItem:
     deviations = [relative_deviation(reading.value(states), correct) for reading in term.readings]
     verdict = verdict_of_readings([value < RELATIVE_TOLERANCE for value in deviations])
     # Wrong dimensions and missing symmetry are evidence that a reader can check by hand.
-    faults = [] if verdict == ErrataVerdict.EQUAL else [_dimension_evidence(term), _symmetry_evidence(term)]
+    faults = (
+        []
+        if verdict == ErrataVerdict.EQUAL
+        else [_dimension_evidence(term), _symmetry_evidence(term)]
+    )
     return ErrataItem(
         term.id, term.where, term.printed, term.right.pretty(), "", verdict, term.why,
         (*filter(None, faults), "Lagrange"), min(deviations),
@@ -153,10 +168,14 @@ def _symmetry_evidence(term: EquationTerm) -> str:
     """Return a text if the printed coefficient of a term differs from that of its mirror term, else an empty text."""
     if not term.mirror:
         return ""
-    mirror = next(other for terms in equations.TORQUE_TERMS for other in terms if other.id == term.mirror)
+    mirror = next(
+        other for terms in equations.TORQUE_TERMS for other in terms if other.id == term.mirror
+    )
     unit_states = {**random_states(), **{f"ddth{i}": 1.0 for i in (1, 2, 3)}}
     differs = (
-        relative_deviation(term.readings[0].value(unit_states), mirror.readings[0].value(unit_states))
+        relative_deviation(
+            term.readings[0].value(unit_states), mirror.readings[0].value(unit_states)
+        )
         > RELATIVE_TOLERANCE
     )
     return f"symmetry with {mirror.where}" if differs else ""
@@ -171,7 +190,8 @@ def equation_items() -> list[ErrataItem]:
     states = finger_states(digit)
     model = model_torques(digit, states)
     by_lagrange = max(
-        relative_deviation(mine, theirs) for mine, theirs in zip(model, lagrange_torques(states), strict=True)
+        relative_deviation(mine, theirs)
+        for mine, theirs in zip(model, lagrange_torques(states), strict=True)
     )
     items = [
         ErrataItem(
@@ -199,7 +219,9 @@ def equation_items() -> list[ErrataItem]:
     return items
 
 
-def _check_joint_torque(digit: DigitModel, states: StateSamples, model: Sequence[Array]) -> ErrataItem:
+def _check_joint_torque(
+    digit: DigitModel, states: StateSamples, model: Sequence[Array]
+) -> ErrataItem:
     """Check whether T_i is the torque at a joint.
 
     In fact, a motor at the joint must make tau = S^T T.

@@ -51,7 +51,9 @@ class ClosingTorques:
 def upright_digit(name: str) -> DigitModel:
     """Return a digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
     model = DigitModel.of(src.paper_hand(), name)
-    return model.with_gravity(model.mount_rotation @ np.array([0.0, -float(src.GRAVITY_M_PER_S2), 0.0]))
+    return model.with_gravity(
+        model.mount_rotation @ np.array([0.0, -float(src.GRAVITY_M_PER_S2), 0.0])
+    )
 
 
 def closing_torques(name: str, duration: float) -> ClosingTorques:
@@ -79,7 +81,9 @@ def closing_torques(name: str, duration: float) -> ClosingTorques:
         ))  # fmt: skip
     columns = np.array(rows).T
     lever = float(digit.reduced_moment_arms[0, 0])
-    return ClosingTorques(name, duration, times, dict(zip(TORQUE_PARTS, columns, strict=True)), lever)
+    return ClosingTorques(
+        name, duration, times, dict(zip(TORQUE_PARTS, columns, strict=True)), lever
+    )
 
 
 def first_torque(duration: float) -> tuple[Array, Array, Array]:
@@ -150,7 +154,10 @@ def _check_torque_value() -> ErrataItem:
     fast = closing_torques("index", DURATIONS_S[-1])
     peak = 1000.0 * float(np.abs(sum(fast.parts[part] for part in TORQUE_PARTS[:3])).max())
     terms = [
-        term for terms in equations.TORQUE_TERMS for term in terms if not term.printed.startswith("(")
+        term
+        for terms in equations.TORQUE_TERMS
+        for term in terms
+        if not term.printed.startswith("(")
     ]
     numbers = [term.id for term in terms if not any(reading.names for reading in term.readings)]
     return ErrataItem(

@@ -46,7 +46,9 @@ def number_item(
     `symbol` is printed behind the number.
     """
     verdict = verdict_of_number(printed, exact)
-    return ErrataItem(id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC_TAG)
+    return ErrataItem(
+        id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC_TAG
+    )
 
 
 def _check_moments() -> list[ErrataItem]:
@@ -226,7 +228,9 @@ def _check_wire() -> list[ErrataItem]:
     """Check the printed diameters of the wire."""
     tension = src.GRIP_FINGER_N * src.tension_per_newton(src.paper_finger())
     diameter = src.wire_diameter_mm(tension)
-    low, high = (src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in rounding_interval("0.866"))
+    low, high = (
+        src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in rounding_interval("0.866")
+    )
     return [
         number_item(
             "sec5.wire", "Sec. 5", "0.866", diameter, "mm",
@@ -263,9 +267,7 @@ def _check_knee() -> list[ErrataItem]:
     stress = src.wire_stress_mpa(knee, diameter)
     claims = [str(value) for value in src.KNEES_N]
     verdict = verdict_of_contradiction(claims, None)
-    reason = (
-        "Section 5 states 200 N, the abstract 250 N. The paper prints no data and no law that give the knee."
-    )
+    reason = "Section 5 states 200 N, the abstract 250 N. The paper prints no data and no law that give the knee."
     return [
         ErrataItem(
             "fig5.knee", "Abstract, Sec. 5", f"linear up to {knee_abstract} N / {knee} N", None, "N", verdict, reason,
@@ -312,7 +314,9 @@ def _missing_radius() -> ErrataItem:
     printed = "r_p = mm"
     # The numbers that round to 8.33 give an interval of radii. It contains one whole number of
     # millimetres.
-    low, high = sorted(src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33"))
+    low, high = sorted(
+        src.levers_mm(src.paper_thumb())[0] / edge for edge in rounding_interval("8.33")
+    )
     whole = [radius for radius in range(1, 10) if low <= radius <= high]
     return ErrataItem(
         "sec6.pulley", "Sec. 6", printed, float(whole[0]), "mm", verdict_of_statement(f"= {whole[0]} mm" in printed),

@@ -45,7 +45,10 @@ def _check_degrees_of_freedom() -> list[ErrataItem]:
     total = sum(joints)
     # The rank of the moment arms is the number of motions that the tendons of a digit control
     # independently.
-    ranks = [int(np.linalg.matrix_rank(hand.moment_arms[tendons])) for tendons in hand.digit_tendons.values()]
+    ranks = [
+        int(np.linalg.matrix_rank(hand.moment_arms[tendons]))
+        for tendons in hand.digit_tendons.values()
+    ]
     spread = " + ".join(map(str, joints))
     return [
         ErrataItem("abstract.joints", "Abstract, Sec. 1", "a total of 11 DOF", total, "",
@@ -73,7 +76,10 @@ def _check_palm_joint() -> ErrataItem:
     """
     joints = len(src.paper_finger().joints)
     angles = {
-        name for term in equations.KINETIC_TERMS for name in term.right.names if name.startswith("dth")
+        name
+        for term in equations.KINETIC_TERMS
+        for name in term.right.names
+        if name.startswith("dth")
     }
     readings = [joints - 1 == len(angles), joints == len(angles)]
     return ErrataItem(
@@ -117,7 +123,9 @@ def _check_phalanges() -> ErrataItem:
 
 def _find_undefined_symbols() -> ErrataItem:
     """Find symbols in the printed equations that the paper does not define."""
-    defined = {name[0] + "₀₁₂₃"[int(name[1])] for name in SYMBOL_DIMENSIONS if len(name) == 2} | {"g"}
+    defined = {name[0] + "₀₁₂₃"[int(name[1])] for name in SYMBOL_DIMENSIONS if len(name) == 2} | {
+        "g"
+    }
     undefined = sorted(_printed_symbols() - defined)
     return ErrataItem(
         "eq10.symbols", "Eq. 10", ", ".join(undefined), "L₁, m₁", "", verdict_of_statement(not undefined),
@@ -161,7 +169,9 @@ def _check_axis_of_inertia() -> ErrataItem:
     # The energy of rotation is half of the moment of inertia times the squared rate, which is 1
     # here.
     right = [
-        axis for axis, inertia in about.items() if abs(inertia / 2.0 - energy) < RELATIVE_TOLERANCE * energy
+        axis
+        for axis, inertia in about.items()
+        if abs(inertia / 2.0 - energy) < RELATIVE_TOLERANCE * energy
     ]
     return ErrataItem(
         "sec7.axis", "Sec. 7", "I about the y-axis", f"about the {right[0]}-axis through the centre of mass", "",

@@ -20,7 +20,13 @@ from handctl.drives.records import FRAME_RECORD_DTYPE, Frames, RecordArray
 from handctl.runtime.buses.contract import check_size
 
 CANFD_FRAME_DTYPE = np.dtype(
-    [("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "<u8", (8,))]
+    [
+        ("can_id", "<u4"),
+        ("length", "u1"),
+        ("flags", "u1"),
+        ("reserved", "<u2"),
+        ("data", "<u8", (8,)),
+    ]
 )
 CANFD_FRAME_BYTES = CANFD_FRAME_DTYPE.itemsize
 """Size of ``struct canfd_frame`` [bytes]."""
@@ -38,7 +44,10 @@ Larger batches are not cached, so that a flood of frames does not fill the memor
 WORD_DTYPE = np.dtype("<u8")
 PAYLOAD_DTYPE = np.dtype(("<u8", (8,)))
 _HEADER_DTYPE = np.dtype(CANFD_FRAME_DTYPE.descr[:-1])
-TIME_OFFSET, HEAD_OFFSET, DATA_OFFSET = (FRAME_RECORD_DTYPE.fields[name][1] for name in ("t_ns", "can_id", "data"))  # type: ignore[index]
+TIME_OFFSET, HEAD_OFFSET, DATA_OFFSET = (
+    FRAME_RECORD_DTYPE.fields[name][1]  # type: ignore[index]
+    for name in ("t_ns", "can_id", "data")
+)
 """Offsets in a record [bytes]: time, head (from identifier to length), payload."""
 
 WordArray = NDArray[np.uint64]
@@ -107,7 +116,9 @@ def _convert_received(raw: bytes, bus: int, flag_mask: int, added_flags: int) ->
     if lengths.count(8 * words) < count:
         masks = PAYLOAD_MASKS[:, 0] if words == 1 else PAYLOAD_MASKS[:, :words]
         masks = masks.take(np.frombuffer(lengths, np.uint8), axis=0)
-    return ReceivedHeads(np.frombuffer(heads, WORD_DTYPE), words, masks, 1 in raw[3::8].translate(_ERROR_FRAME_MARKS))
+    return ReceivedHeads(
+        np.frombuffer(heads, WORD_DTYPE), words, masks, 1 in raw[3::8].translate(_ERROR_FRAME_MARKS)
+    )
 
 
 class SentHeads(NamedTuple):
@@ -137,14 +148,18 @@ def _convert_sent(raw: bytes) -> SentHeads:
     fd = (records["flags"] & FDF) != 0
     lengths = records["length"]
     for i in np.flatnonzero(lengths > np.where(fd, MAX_PAYLOAD_BYTES, 8))[:1]:
-        check_size(Frame(int(records["can_id"][i]), bytes(int(lengths[i])), int(records["flags"][i])))
+        check_size(
+            Frame(int(records["can_id"][i]), bytes(int(lengths[i])), int(records["flags"][i]))
+        )
     heads = np.zeros(len(records), _HEADER_DTYPE)
     heads["can_id"] = records["can_id"]
     heads["length"] = lengths
     heads["flags"] = np.where(fd, records["flags"], 0)
     longest = max(1, -(-int(lengths.max(initial=0)) // 8))
     return SentHeads(
-        heads.view(WORD_DTYPE), longest, np.where(fd, CANFD_FRAME_BYTES, CLASSICAL_FRAME_BYTES).astype(np.uint64)
+        heads.view(WORD_DTYPE),
+        longest,
+        np.where(fd, CANFD_FRAME_BYTES, CLASSICAL_FRAME_BYTES).astype(np.uint64),
     )
 
 
@@ -164,7 +179,9 @@ class FrameStructs:
         self._first = rows[:, 1]
         self._written = 8
 
-    def converted_heads(self, count: int, bus: int, flag_mask: int = 0xFF, added_flags: int = 0) -> ReceivedHeads:
+    def converted_heads(
+        self, count: int, bus: int, flag_mask: int = 0xFF, added_flags: int = 0
+    ) -> ReceivedHeads:
         """Return the heads of the first ``count`` structs, converted to heads of records.
 
         Args:
@@ -180,7 +197,9 @@ class FrameStructs:
         """Return the value in the 16 reserved bits of the struct with index ``at``."""
         return int(self._heads[at]) >> 48
 
-    def read(self, count: int, heads: ReceivedHeads, t_ns: "int | NDArray[np.int64]") -> RecordArray:
+    def read(
+        self, count: int, heads: ReceivedHeads, t_ns: "int | NDArray[np.int64]"
+    ) -> RecordArray:
         """Return the first ``count`` structs as records.
 
         Args:
@@ -193,7 +212,9 @@ class FrameStructs:
         records.setfield(heads.heads, WORD_DTYPE, HEAD_OFFSET)
         if heads.words == 1:
             first = self._first[:count]
-            records.setfield(first if heads.masks is None else first & heads.masks, WORD_DTYPE, DATA_OFFSET)
+            records.setfield(
+                first if heads.masks is None else first & heads.masks, WORD_DTYPE, DATA_OFFSET
+            )
         else:
             data = self._data[:count, : heads.words]
             payload = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[:, : heads.words]
@@ -211,13 +232,17 @@ class FrameStructs:
         convert = _convert_sent if count <= MAX_CACHED_FRAMES else _convert_sent.__wrapped__
         sent = convert(records.getfield(WORD_DTYPE, HEAD_OFFSET).tobytes())
         self._heads[:count] = sent.heads
-        if sent.words < self._written:  # otherwise bytes of longer payloads of the previous batch would remain
+        if (
+            sent.words < self._written
+        ):  # otherwise bytes of longer payloads of the previous batch would remain
             self._data[:, sent.words :] = 0
         self._written = sent.words
         if sent.words == 1:
             self._first[:count] = records.getfield(WORD_DTYPE, DATA_OFFSET)
         else:
-            self._data[:count, : sent.words] = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[:, : sent.words]
+            self._data[:count, : sent.words] = records.getfield(PAYLOAD_DTYPE, DATA_OFFSET)[
+                :, : sent.words
+            ]
         return sent
 
 

@@ -44,7 +44,10 @@ class ClockOffset:
         The fastest of several readings is used, because the operating system may interrupt a
         reading.
         """
-        readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(READINGS_PER_MEASUREMENT)]
+        readings = [
+            (time.monotonic_ns(), time.time_ns(), time.monotonic_ns())
+            for _ in range(READINGS_PER_MEASUREMENT)
+        ]
         before, wall, after = min(readings, key=_reading_duration)
         self._offset_ns = (before + after) // 2 - wall
         self._uses_left = USES_PER_MEASUREMENT

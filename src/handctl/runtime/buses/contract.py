@@ -65,4 +65,6 @@ def check_size(frame: Frame) -> None:
     """
     size = len(frame.data)
     if size > 64 or (size > 8 and not frame.flags & FDF):
-        raise ValueError(f"payload of {size} bytes in frame {frame.can_id:#x}, expected at most 8, with CAN FD 64")
+        raise ValueError(
+            f"payload of {size} bytes in frame {frame.can_id:#x}, expected at most 8, with CAN FD 64"
+        )

@@ -61,7 +61,13 @@ CLASS_NAMES = (
     "restarted",
 )
 """Names of these classes of errors, in the order of their bits, lowest bit first."""
-OVERFLOW_MASK, TX_OVERFLOW_MASK, WARNING_MASK, PASSIVE_MASK, ACTIVE_MASK = 0x03, 0x02, 0x0C, 0x30, 0x40
+OVERFLOW_MASK, TX_OVERFLOW_MASK, WARNING_MASK, PASSIVE_MASK, ACTIVE_MASK = (
+    0x03,
+    0x02,
+    0x0C,
+    0x30,
+    0x40,
+)
 """Masks for data[1] of an error frame of class CONTROLLER_ERROR.
 
 OVERFLOW_MASK, WARNING_MASK and PASSIVE_MASK each have a receive bit and a transmit bit. TX_OVERFLOW_MASK is the

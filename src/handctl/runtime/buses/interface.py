@@ -23,7 +23,9 @@ def interface_names() -> tuple[str, ...]:
     return tuple(name for _, name in socket.if_nameindex())
 
 
-def set_up_commands(channel: str, bitrate: int, data_bitrate: int | None, exists: bool) -> tuple[CommandWords, ...]:
+def set_up_commands(
+    channel: str, bitrate: int, data_bitrate: int | None, exists: bool
+) -> tuple[CommandWords, ...]:
     """Return the shell commands that set up an interface for a hand. They need root rights.
 
     Args:
@@ -61,7 +63,9 @@ def wrong_rate_text(channel: str, bitrate: int, data_bitrate: int | None) -> str
     return rate_difference(channel, link, bitrate, data_bitrate) if link else ""
 
 
-def rate_difference(channel: str, link: CanLinkState, bitrate: int, data_bitrate: int | None) -> str:
+def rate_difference(
+    channel: str, link: CanLinkState, bitrate: int, data_bitrate: int | None
+) -> str:
     """Return a message about a wrong bit rate in ``link``, empty if the rates are right or the interface has none."""
     if link.bitrate is None:
         return ""

@@ -60,7 +60,9 @@ def read_link(name: str) -> CanLinkState | None:
     """
     command = ["ip", "-details", "-statistics", "-json", "link", "show", "dev", name]
     try:
-        output = subprocess.run(command, capture_output=True, text=True, timeout=IP_TOOL_TIMEOUT_S, check=False)
+        output = subprocess.run(
+            command, capture_output=True, text=True, timeout=IP_TOOL_TIMEOUT_S, check=False
+        )
     except (FileNotFoundError, subprocess.TimeoutExpired):
         raise MissingTool from None
     return parse_link(output.stdout) if output.returncode == 0 else None

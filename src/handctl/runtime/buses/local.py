@@ -63,7 +63,9 @@ def connect_to_hub(name: str) -> socket.socket:
     except OSError as error:
         link.close()
         right = f"a simulator there; type: python -m firmware_sim --hand jamia --bus local:{name}"
-        raise BusError(f"no simulator serves this bus: {error.strerror or error}", f"local:{name}", right) from None
+        raise BusError(
+            f"no simulator serves this bus: {error.strerror or error}", f"local:{name}", right
+        ) from None
     if not is_served_by_us(link):
         link.close()
         raise BusError("another user serves this bus", f"local:{name}", "a simulator of your own")
@@ -79,7 +81,9 @@ class LocalBus:
         early: frames read during a ``send``. The next ``drain`` returns these first.
     """
 
-    def __init__(self, channel: str, index: int, stamp: TimeConversion, max_records: int = MAX_RECORDS) -> None:
+    def __init__(
+        self, channel: str, index: int, stamp: TimeConversion, max_records: int = MAX_RECORDS
+    ) -> None:
         """Connect to the hub.
 
         Args:
@@ -252,7 +256,10 @@ class LocalBus:
             for frame in frames:
                 check_size(frame)
             return b"".join(
-                [FRAME_RECORD_STRUCT.pack(can_id, len(data), flags, 0, data) for can_id, data, flags, _, _ in frames]
+                [
+                    FRAME_RECORD_STRUCT.pack(can_id, len(data), flags, 0, data)
+                    for can_id, data, flags, _, _ in frames
+                ]
             )
         if len(frames) > self._out_structs.count:
             self._allocate(2 * len(frames))

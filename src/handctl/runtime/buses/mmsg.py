@@ -61,15 +61,31 @@ Control messages with only a loss counter are shorter.
 """
 COUNTER_CONTROL_BYTES = struct.calcsize("@NiillNiiI")
 """Length of the control messages if they have a time stamp and a loss counter [bytes]."""
-_HEADER_TAIL_BYTES = ctypes.sizeof(_MultiMessageHeader) - _MultiMessageHeader.size.offset - ctypes.sizeof(ctypes.c_uint)
-_HEADER_GAP_BYTES = _MultiMessageHeader.size.offset - _MessageHeader.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
-_HEADER_STRUCT = struct.Struct(f"@{_MessageHeader.controllen.offset}xN{_HEADER_GAP_BYTES}xI{_HEADER_TAIL_BYTES}x")
+_HEADER_TAIL_BYTES = (
+    ctypes.sizeof(_MultiMessageHeader)
+    - _MultiMessageHeader.size.offset
+    - ctypes.sizeof(ctypes.c_uint)
+)
+_HEADER_GAP_BYTES = (
+    _MultiMessageHeader.size.offset
+    - _MessageHeader.controllen.offset
+    - ctypes.sizeof(ctypes.c_size_t)
+)
+_HEADER_STRUCT = struct.Struct(
+    f"@{_MessageHeader.controllen.offset}xN{_HEADER_GAP_BYTES}xI{_HEADER_TAIL_BYTES}x"
+)
 """Values written into a header by the kernel: length of the control messages, length of the datagram."""
 _libc = ctypes.CDLL(None, use_errno=True)
 for _call in ("sendmmsg", "recvmmsg"):
     getattr(_libc, _call).restype = ctypes.c_int
 _libc.sendmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int)
-_libc.recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
+_libc.recvmmsg.argtypes = (
+    ctypes.c_int,
+    ctypes.c_void_p,
+    ctypes.c_uint,
+    ctypes.c_int,
+    ctypes.c_void_p,
+)
 
 
 NS_PER_SECOND = np.int64(1_000_000_000)
@@ -117,7 +133,9 @@ class DatagramSlots:
         self.control = memoryview(messages).cast("B")
         self.headers = ctypes.addressof(headers)
         self._view = memoryview(headers).cast("B")
-        self._sizes = np.frombuffer(memoryview(self._iovecs).cast("B"), np.uintp).reshape(count, 2)[:, 1]
+        self._sizes = np.frombuffer(memoryview(self._iovecs).cast("B"), np.uintp).reshape(count, 2)[
+            :, 1
+        ]
         longs = np.frombuffer(self.control, "l").reshape(count, -1)
         at = STAMP_OFFSET // longs.itemsize
         self._seconds = longs[:, at]
@@ -142,12 +160,22 @@ class DatagramSlots:
     def datagrams(self, count: int) -> list[Datagram]:
         """Return size, time stamp, and loss counter for each of the first ``count`` datagrams."""
         sizes = _HEADER_STRUCT.iter_unpack(self._view[: count * _HEADER_STRUCT.size])
-        control = CONTROL_MESSAGES_STRUCT.iter_unpack(self.control[: count * CONTROL_MESSAGES_STRUCT.size])
+        control = CONTROL_MESSAGES_STRUCT.iter_unpack(
+            self.control[: count * CONTROL_MESSAGES_STRUCT.size]
+        )
         result = []
-        for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped) in zip(sizes, control, strict=True):
-            stamped = length >= STAMP_CONTROL_BYTES and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
-            counted = length >= COUNTER_CONTROL_BYTES and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
-            result.append((size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0))
+        for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped) in zip(
+            sizes, control, strict=True
+        ):
+            stamped = (
+                length >= STAMP_CONTROL_BYTES and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
+            )
+            counted = (
+                length >= COUNTER_CONTROL_BYTES and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
+            )
+            result.append(
+                (size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0)
+            )
         return result
 
     def renew(self, count: int) -> None:
@@ -195,7 +223,9 @@ def send_datagrams(fd: int, slots: DatagramSlots, first: int, end: int) -> tuple
     """
     at = first
     while at < end:
-        count = _libc.sendmmsg(fd, slots.headers + at * _HEADER_STRUCT.size, end - at, socket.MSG_DONTWAIT)
+        count = _libc.sendmmsg(
+            fd, slots.headers + at * _HEADER_STRUCT.size, end - at, socket.MSG_DONTWAIT
+        )
         if count <= 0:
             return at - first, ctypes.get_errno()
         at += count

@@ -42,7 +42,11 @@ def check_bus_spec(spec: str) -> None:
 
 
 def open_bus(
-    spec: str, index: int, bitrate: int, data_bitrate: int | None = None, stamp: TimeConversion = _keep_monotonic_time
+    spec: str,
+    index: int,
+    bitrate: int,
+    data_bitrate: int | None = None,
+    stamp: TimeConversion = _keep_monotonic_time,
 ) -> Bus:
     """Open a bus.
 

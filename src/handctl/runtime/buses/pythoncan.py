@@ -34,8 +34,16 @@ def frame_of_message(message: can.Message, index: int, t_ns: int) -> Frame:
         index: index of the bus.
         t_ns: time of reception [ns].
     """
-    can_id = message.arbitration_id | EXTENDED * message.is_extended_id | REMOTE * message.is_remote_frame
-    flags = FDF | BRS * message.bitrate_switch | ESI * message.error_state_indicator if message.is_fd else 0
+    can_id = (
+        message.arbitration_id
+        | EXTENDED * message.is_extended_id
+        | REMOTE * message.is_remote_frame
+    )
+    flags = (
+        FDF | BRS * message.bitrate_switch | ESI * message.error_state_indicator
+        if message.is_fd
+        else 0
+    )
     data = bytes(message.dlc) if message.is_remote_frame else bytes(message.data)
     return Frame(can_id | ERROR * message.is_error_frame, data, flags, index, t_ns)
 
@@ -62,7 +70,9 @@ def message_of_frame(frame: Frame, timestamp: float = 0.0) -> can.Message:
     )
 
 
-def open_python_can(interface: str, channel: str, bitrate: int, data_bitrate: int | None = None) -> can.BusABC:
+def open_python_can(
+    interface: str, channel: str, bitrate: int, data_bitrate: int | None = None
+) -> can.BusABC:
     """Open a CAN interface with python-can.
 
     Args:
@@ -79,7 +89,14 @@ def open_python_can(interface: str, channel: str, bitrate: int, data_bitrate: in
         options |= {"fd": True, "data_bitrate": data_bitrate}
     try:
         return can.Bus(channel, **options)
-    except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+    except (
+        can.CanError,
+        OSError,
+        ValueError,
+        TypeError,
+        ImportError,
+        NotImplementedError,
+    ) as error:
         right = "an interface of python-can that is connected, or local:NAME, or socketcan:can0"
         raise BusError(f"cannot be opened: {error}", f"{interface}:{channel}", right) from None
 
@@ -88,7 +105,13 @@ class PythonCanBus:
     """A python-can bus, with the interface ``contract.Bus``."""
 
     def __init__(
-        self, interface: str, channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: TimeConversion
+        self,
+        interface: str,
+        channel: str,
+        index: int,
+        bitrate: int,
+        data_bitrate: int | None,
+        stamp: TimeConversion,
     ) -> None:
         """Open the interface.
 
@@ -118,7 +141,10 @@ class PythonCanBus:
             except (can.CanError, OSError) as error:
                 self._events.count_failure(_errno_of(error), "enodev")
                 break
-            except (ValueError, IndexError):  # slcan raises these errors if it cannot decode the received characters
+            except (
+                ValueError,
+                IndexError,
+            ):  # slcan raises these errors if it cannot decode the received characters
                 self._events.add("error_frame", 1, "garbled")
                 continue
             if message is None:
@@ -130,7 +156,9 @@ class PythonCanBus:
         """Append a received message to ``frames``, or count it as an event if it is an error frame."""
         if message.is_error_frame:
             self._events.error_frame(message.arbitration_id, bytes(message.data))
-        elif message.is_rx:  # the interfaces gs_usb and cantact also return the frames that this host sent
+        elif (
+            message.is_rx
+        ):  # the interfaces gs_usb and cantact also return the frames that this host sent
             frames.append(frame_of_message(message, self._index, self._stamp(time.monotonic_ns())))
 
     def send(self, frames: Sequence[Frame]) -> int:

@@ -64,7 +64,9 @@ frames.
 class SocketCanBus:
     """Raw CAN socket, with the interface ``contract.Bus``."""
 
-    def __init__(self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: TimeConversion) -> None:
+    def __init__(
+        self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: TimeConversion
+    ) -> None:
         """Set up an open socket for use as a bus.
 
         Args:
@@ -137,7 +139,9 @@ class SocketCanBus:
             return None
         stamp = self._stamp
         start = stamp(first)
-        if stamp(last) - start == last - first:  # the run's time is neither scaled nor paused in this interval
+        if (
+            stamp(last) - start == last - first
+        ):  # the run's time is neither scaled nor paused in this interval
             times += start - first
         else:
             times = np.array([stamp(t_ns) for t_ns in each])
@@ -154,7 +158,9 @@ class SocketCanBus:
         offset = self._offset.ns()
         count = len(datagrams)
         stamps = []
-        frames = Frames(self._structs.read(count, self._structs.converted_heads(count, self._index), 0))
+        frames = Frames(
+            self._structs.read(count, self._structs.converted_heads(count, self._index), 0)
+        )
         is_data = np.ones(count, bool)
         for i, ((size, realtime, dropped), frame) in enumerate(zip(datagrams, frames, strict=True)):
             if dropped != self._dropped and dropped:  # 0 means that the kernel reported no count
@@ -179,7 +185,11 @@ class SocketCanBus:
         frames = frames_as_records(frames)
         accepted = 0
         for first in range(0, len(frames), MAX_FRAMES_PER_CALL):
-            batch = frames[first : first + MAX_FRAMES_PER_CALL] if len(frames) > MAX_FRAMES_PER_CALL else frames
+            batch = (
+                frames[first : first + MAX_FRAMES_PER_CALL]
+                if len(frames) > MAX_FRAMES_PER_CALL
+                else frames
+            )
             self._out.set_lengths(self._out_structs.write(batch).sizes)
             sent, code = mmsg.send_datagrams(self._socket.fileno(), self._out, 0, len(batch))
             accepted += sent
@@ -239,12 +249,16 @@ def open_socketcan(
         link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
         right = "modprobe can-raw, or --bus local:NAME with python -m firmware_sim"
-        raise BusError(f"this kernel has no SocketCAN: {os.strerror(error.errno or 0)}", name, right) from None
+        raise BusError(
+            f"this kernel has no SocketCAN: {os.strerror(error.errno or 0)}", name, right
+        ) from None
     try:
         link.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERRORS)
         link.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(fd_mode))
         link.bind((channel,))
-        problem = _interface_problem(link, channel, fd_mode) or wrong_rate_text(channel, bitrate, data_bitrate)
+        problem = _interface_problem(link, channel, fd_mode) or wrong_rate_text(
+            channel, bitrate, data_bitrate
+        )
     except OSError as error:
         problem = f"cannot be opened: {os.strerror(error.errno or 0)}"
     if problem:
@@ -273,7 +287,9 @@ def _read_interface_number(link: socket.socket, channel: str, request: int) -> i
     return int(number)
 
 
-def setup_command(channel: str, bitrate: int, data_bitrate: int | None, exists: bool = False) -> str:
+def setup_command(
+    channel: str, bitrate: int, data_bitrate: int | None, exists: bool = False
+) -> str:
     """Return the shell command that sets up an interface for a hand."""
     if channel.startswith("vcan"):
         steps = ["sudo ip link set {0} down" if exists else "sudo ip link add {0} type vcan"]

@@ -38,7 +38,9 @@ class LockstepPeer(Protocol):
 
 def _exchange_objects(peer: LockstepPeer, t_ns: int, records: RecordArray) -> RecordArray:
     """Exchange records with a simulator that has no ``exchange``, by converting them to frame objects and back."""
-    return frames_as_records(Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))).records
+    return frames_as_records(
+        Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))
+    ).records
 
 
 def load_entry(entry: str, user: str) -> Callable[..., Any]:
@@ -56,7 +58,9 @@ def load_entry(entry: str, user: str) -> Callable[..., Any]:
         loaded: Callable[..., Any] = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
         missing = missing_extra(user, error) if isinstance(error, ImportError) else None
-        raise missing or ConfigError(f"cannot load the lockstep peer: {error}", entry, "module:Class") from None
+        raise missing or ConfigError(
+            f"cannot load the lockstep peer: {error}", entry, "module:Class"
+        ) from None
     return loaded
 
 

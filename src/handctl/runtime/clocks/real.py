@@ -62,7 +62,9 @@ class RealClock:
 
     def wait(self, k: int) -> int:
         """Wait for the deadline of tick k, and return the time since the deadline [ns], see ``TickClock``."""
-        return int(self._wait_until(self._deadline(k)) * self.scale)  # from wall time to the run's time
+        return int(
+            self._wait_until(self._deadline(k)) * self.scale
+        )  # from wall time to the run's time
 
     def now_ns(self) -> int:
         """Return the time since the start of the run [ns]."""
@@ -89,7 +91,9 @@ class RealClock:
         early = deadline - self._read_ns() - (BUSY_WAIT_NS if self.spin else 0)
         if early > 0:
             time.sleep(early / 1e9)
-        while (now := self._read_ns()) < deadline:  # sleep may return early, and the same loop spins
+        while (
+            now := self._read_ns()
+        ) < deadline:  # sleep may return early, and the same loop spins
             if not self.spin:
                 time.sleep((deadline - now) / 1e9)
         return now - deadline

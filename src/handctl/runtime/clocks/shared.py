@@ -145,7 +145,9 @@ class SharedClock(RealClock):
 
     def _let_pass(self, k: int) -> None:
         """Move the gate, so that the simulator may advance until shortly after the deadline of tick k."""
-        self._numbers[GATE_INDEX] = self._deadline(k) + int(TOLERATED_LATENESS_FRACTION * self.period_ns / self.scale)
+        self._numbers[GATE_INDEX] = self._deadline(k) + int(
+            TOLERATED_LATENESS_FRACTION * self.period_ns / self.scale
+        )
 
     def _stop_at_gate(self) -> None:
         """Add a pause if the clock has passed the gate. The clock then reads the time of the gate.
@@ -175,7 +177,10 @@ class SharedClock(RealClock):
         """Return True if the simulator has answered all frames, and is at most ``MAX_LAG_NS`` behind the deadline."""
         numbers = self._numbers
         behind_ns = int(MAX_LAG_NS / self.scale)
-        return bool(numbers[ANSWERED_INDEX] >= numbers[SENT_INDEX] and numbers[REACHED_INDEX] >= deadline - behind_ns)
+        return bool(
+            numbers[ANSWERED_INDEX] >= numbers[SENT_INDEX]
+            and numbers[REACHED_INDEX] >= deadline - behind_ns
+        )
 
     def _count_pause(self, pause_ns: int) -> None:
         """Add the pause before this tick [ns of wall time] to the totals of the run."""

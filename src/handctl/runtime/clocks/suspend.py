@@ -30,7 +30,9 @@ class SuspendWatch:
     """Detector of suspends. Each call of ``events`` compares the two clocks."""
 
     def __init__(
-        self, boot: Callable[[], int] = read_boot_clock_ns, monotonic: Callable[[], int] = time.monotonic_ns
+        self,
+        boot: Callable[[], int] = read_boot_clock_ns,
+        monotonic: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         """Read the clocks once.
 
@@ -55,4 +57,8 @@ class SuspendWatch:
             return []
         suspend_ns = 0 if self._difference_ns is None else difference_ns - self._difference_ns
         self._difference_ns = difference_ns
-        return [IoEvent("suspended", "host", suspend_ns // 1_000_000)] if suspend_ns > MIN_SUSPEND_NS else []
+        return (
+            [IoEvent("suspended", "host", suspend_ns // 1_000_000)]
+            if suspend_ns > MIN_SUSPEND_NS
+            else []
+        )

@@ -58,7 +58,9 @@ def identify_nodes(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, C
     network = canopen.Network(open_python_can(interface, channel, bitrate))
     logger = logging.getLogger("canopen")
     before = logger.level
-    logger.setLevel(logging.CRITICAL)  # the library logs an error for each object that a drive lacks
+    logger.setLevel(
+        logging.CRITICAL
+    )  # the library logs an error for each object that a drive lacks
     try:
         network.connect()
         return {number: _read_identity(network, number) for number in nodes}

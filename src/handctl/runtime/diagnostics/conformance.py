@@ -112,11 +112,17 @@ def _not_run(device: DeviceUnderTest, name: str, requirement: RequirementCheck) 
     obeyed that command in an earlier check.
     """
     if requirement is _check_disables and device.rig.state.phase == DrivePhase.ENABLED:
-        return ConformanceCheck(name, CheckVerdict.FAILED, "stays enabled after the disable command of another check")
-    return ConformanceCheck(name, CheckVerdict.NOT_APPLICABLE, "not run, because of what failed before")
+        return ConformanceCheck(
+            name, CheckVerdict.FAILED, "stays enabled after the disable command of another check"
+        )
+    return ConformanceCheck(
+        name, CheckVerdict.NOT_APPLICABLE, "not run, because of what failed before"
+    )
 
 
-def _run_check(device: DeviceUnderTest, name: str, requirement: RequirementCheck) -> ConformanceCheck:
+def _run_check(
+    device: DeviceUnderTest, name: str, requirement: RequirementCheck
+) -> ConformanceCheck:
     """Run a check, and return its result."""
     try:
         return ConformanceCheck(name, CheckVerdict.PASSED, requirement(device))
@@ -137,7 +143,9 @@ def _check_configures(device: DeviceUnderTest) -> str:
 def _enable_drive(rig: DriveRig) -> None:
     """Enable the drive. Raises Failed if the drive does not report the state enabled."""
     if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
-        raise CheckFailed(rig.state.error_text or "does not report that it is enabled within 2 s of the command")
+        raise CheckFailed(
+            rig.state.error_text or "does not report that it is enabled within 2 s of the command"
+        )
 
 
 def _check_alone(device: DeviceUnderTest) -> str:
@@ -157,7 +165,9 @@ def _check_alone(device: DeviceUnderTest) -> str:
         requests = COUNTED_TICKS
         text = f"{answers} answers to {requests} requests"
     if answers > MIN_ANSWERS_OF_TWO_DRIVES * requests:
-        raise CheckFailed(f"{text}: another drive has the same number; give each a number of its own")
+        raise CheckFailed(
+            f"{text}: another drive has the same number; give each a number of its own"
+        )
     return text
 
 
@@ -180,7 +190,9 @@ def _check_no_torque_when_ready(device: DeviceUnderTest) -> str:
         raise CheckNotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
     seen = _check_ignores_torque(device)
     if rig.state.phase != DrivePhase.READY:
-        raise CheckFailed(rig.state.error_text or f"went to {rig.state.phase.name} at a torque command")
+        raise CheckFailed(
+            rig.state.error_text or f"went to {rig.state.phase.name} at a torque command"
+        )
     return f"{seen}; {rig.state.feedback_count - before} feedback frames meanwhile"
 
 
@@ -249,7 +261,9 @@ def _rotation_check(sign: int) -> RequirementCheck:
         if not step.enabled:
             raise CheckFailed(rig.state.error_text or "was no longer enabled")
         if step.moved_rad < -MIN_MOTION_RAD:
-            raise CheckFailed(f"{step.torque:+.3f} N m turned it by {sign * step.moved_rad:+.3f} rad, the wrong way")
+            raise CheckFailed(
+                f"{step.torque:+.3f} N m turned it by {sign * step.moved_rad:+.3f} rad, the wrong way"
+            )
         if step.moved_rad > MIN_MOTION_RAD:
             brake_shaft(rig, device.limit)
             reported = "no torque" if math.isnan(step.reported) else f"{step.reported:+.3f} N m"
@@ -264,7 +278,9 @@ def _explain_no_motion(device: DeviceUnderTest, sign: int, torque: float) -> Exc
     reported = sign * torque
     limit = f"{sign * device.limit:+.3f} N m"
     if math.isfinite(reported) and reported < 0.3 * device.limit:
-        return CheckFailed(f"{limit} did not turn it, and the drive reports {sign * reported:+.3f} N m")
+        return CheckFailed(
+            f"{limit} did not turn it, and the drive reports {sign * reported:+.3f} N m"
+        )
     return CheckNotApplicable(f"did not turn at {limit}: held, or friction is larger")
 
 
@@ -304,7 +320,9 @@ def _check_watchdog(device: DeviceUnderTest) -> str:
     silence = max(SILENCE_S, 3.0 * device.watchdog_s)
     rig.keep(DriveTarget.LISTEN, silence)
     if not rig.until(DriveTarget.ENABLE, lambda state: state.phase != DrivePhase.ENABLED, 0.5):
-        hint = f" ({rig.drive.unverified_protections[0]})" if rig.drive.unverified_protections else ""
+        hint = (
+            f" ({rig.drive.unverified_protections[0]})" if rig.drive.unverified_protections else ""
+        )
         raise CheckFailed(f"still enabled after {silence * 1e3:.0f} ms without a command{hint}")
     text = rig.state.error_text
     rig.keep(DriveTarget.ENABLE, 0.3)
@@ -333,7 +351,9 @@ def _check_readable(device: DeviceUnderTest) -> str:
     state = device.rig.state
     if state.misread:
         raise CheckFailed(f"{state.misread} frames on its identifiers could not be decoded")
-    return f"{state.feedback_count} feedback frames, every frame on its identifiers could be decoded"
+    return (
+        f"{state.feedback_count} feedback frames, every frame on its identifiers could be decoded"
+    )
 
 
 def release_drive(rig: DriveRig, watchdog_s: float, restoring: Drive | None = None) -> bool:

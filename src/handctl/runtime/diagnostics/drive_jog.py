@@ -141,7 +141,10 @@ class _JogExecution:
             return f"is at {self._start:+.2f} rad, the target is beyond its range of {rig.drive.torque_limit:g} rad"
         self._command = self._start if self._position_mode else 0.0
         if not rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 2.0):
-            return rig.state.error_text or "does not report that it is enabled within 2 s of the command"
+            return (
+                rig.state.error_text
+                or "does not report that it is enabled within 2 s of the command"
+            )
         return ""
 
     def move(self) -> str:
@@ -175,7 +178,9 @@ class _JogExecution:
         if not self._position_mode:
             return self._towards(goal.target)
         speed = HOST_LIMIT_FRACTION * goal.limits.speed
-        return self._start + distance_at(t_s, goal.target, speed, HOST_LIMIT_FRACTION * goal.limits.acceleration)
+        return self._start + distance_at(
+            t_s, goal.target, speed, HOST_LIMIT_FRACTION * goal.limits.acceleration
+        )
 
     def _towards(self, target: float) -> float:
         """Return the last command, moved one step of the ramp towards a target velocity or torque."""

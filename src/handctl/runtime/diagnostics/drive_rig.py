@@ -74,7 +74,9 @@ class DriveRig:
         """
         return (self._positions[-1] - self._positions[0]) / (VELOCITY_TICKS * PERIOD_NS * 1e-9)
 
-    def tick(self, target: DriveTarget, torque: float | None = None, extra: Sequence[Frame] = ()) -> DriveState:
+    def tick(
+        self, target: DriveTarget, torque: float | None = None, extra: Sequence[Frame] = ()
+    ) -> DriveState:
         """Run one tick and return the state after it.
 
         Args:
@@ -96,7 +98,9 @@ class DriveRig:
         self.k += 1
         return self.state
 
-    def until(self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float) -> bool:
+    def until(
+        self, target: DriveTarget, reached: Callable[[DriveState], bool], for_s: float
+    ) -> bool:
         """Run ticks with the idle command until ``reached`` returns True for the state of the drive.
 
         Returns False if the time ``for_s`` [s] passes before.
@@ -135,6 +139,8 @@ class DriveRig:
         """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
             self.keep(DriveTarget.LISTEN, silence)
-            if self.until(DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0):
+            if self.until(
+                DriveTarget.DISABLE, lambda state: state.phase != DrivePhase.ENABLED, 1.0
+            ):
                 return True
         return False

@@ -12,7 +12,9 @@ UDEV_QUEUE_RULE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queu
 UDEV_NAME_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
 UDEV_SERIAL_RULE = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="{1}", NAME="{0}"'
 UDEV_FILE = "/etc/udev/rules.d/90-can.rules"
-WIRING_ADVICE = "check that the drives have power, both ends have 120 ohm, and all have the same bit rate"
+WIRING_ADVICE = (
+    "check that the drives have power, both ends have 120 ohm, and all have the same bit rate"
+)
 ERROR_COUNTER_TEXTS = {
     "bus_error": "bus errors", "error_warning": "times error warning", "error_passive": "times error passive",
     "bus_off": "times bus-off", "arbitration_lost": "arbitrations lost", "restarts": "restarts",
@@ -47,12 +49,20 @@ class LinkFinding(NamedTuple):
 def missing_interface_finding(name: str, bitrate: int, data_bitrate: int | None) -> LinkFinding:
     """Return the finding for an interface that does not exist."""
     if name.startswith("vcan"):
-        return LinkFinding(f"{name} does not exist", False, setup_command(name, bitrate, data_bitrate), fatal=True)
-    fix = f"plug the adapter in and check: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
-    return LinkFinding(f"{name} does not exist", False, fix + UDEV_NAME_RULE.format(name), fatal=True)
+        return LinkFinding(
+            f"{name} does not exist", False, setup_command(name, bitrate, data_bitrate), fatal=True
+        )
+    fix = (
+        f"plug the adapter in and check: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
+    )
+    return LinkFinding(
+        f"{name} does not exist", False, fix + UDEV_NAME_RULE.format(name), fatal=True
+    )
 
 
-def interface_findings(name: str, link: CanLinkState, bitrate: int, data_bitrate: int | None) -> list[LinkFinding]:
+def interface_findings(
+    name: str, link: CanLinkState, bitrate: int, data_bitrate: int | None
+) -> list[LinkFinding]:
     """Return the findings about an interface.
 
     Args:
@@ -62,19 +72,29 @@ def interface_findings(name: str, link: CanLinkState, bitrate: int, data_bitrate
         data_bitrate: bit rate of the data phase in the hand file [bit/s]. None for a classical bus.
     """
     set_up = setup_command(name, bitrate, data_bitrate, exists=True)
-    result = [LinkFinding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
+    result = [
+        LinkFinding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)
+    ]
     if link.bitrate is not None or link.kind == "can":
         result.append(_rate_finding("bit rate", link.bitrate, bitrate, set_up))
     if data_bitrate is not None:
-        result.append(LinkFinding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up))
+        result.append(
+            LinkFinding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up)
+        )
         if link.kind == "can":
-            result.append(_rate_finding("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up))
+            result.append(
+                _rate_finding("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up)
+            )
     queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE_RULE.format(name)}"
-    result.append(LinkFinding(f"transmit queue of {link.queue} frames", link.queue >= MIN_QUEUE_FRAMES, queue))
+    result.append(
+        LinkFinding(f"transmit queue of {link.queue} frames", link.queue >= MIN_QUEUE_FRAMES, queue)
+    )
     return [*result, *_controller_findings(name, link), *_counter_findings(link)]
 
 
-def adapter_findings(name: str, adapter: UsbAdapter | None, kind: str, others: Sequence[str]) -> list[LinkFinding]:
+def adapter_findings(
+    name: str, adapter: UsbAdapter | None, kind: str, others: Sequence[str]
+) -> list[LinkFinding]:
     """Return the findings about the adapter of an interface.
 
     Args:
@@ -95,7 +115,9 @@ def adapter_findings(name: str, adapter: UsbAdapter | None, kind: str, others: S
     rows = [LinkFinding(what, True)]
     if adapter.driver == "mcp251x":
         what = "MCP2515 has two receive buffers and loses frames of a bus at 1 Mbit/s"
-        rows.append(LinkFinding(what, False, "use a hat with MCP2518FD (driver mcp251xfd), or 250 kbit/s"))
+        rows.append(
+            LinkFinding(what, False, "use a hat with MCP2518FD (driver mcp251xfd), or 250 kbit/s")
+        )
     if adapter.serial and others:
         rule = UDEV_SERIAL_RULE.format(name, adapter.serial)
         rows.append(
@@ -109,7 +131,9 @@ def adapter_findings(name: str, adapter: UsbAdapter | None, kind: str, others: S
 
 def _rate_finding(what: str, has: int | None, required: int, fix: str) -> LinkFinding:
     """Return the finding that compares the bit rate of an interface with the required bit rate [bit/s]."""
-    return LinkFinding(f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix)
+    return LinkFinding(
+        f"{what} {has or 'not set'}, the hand needs {required}", has == required, fix
+    )
 
 
 def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
@@ -121,8 +145,14 @@ def _controller_findings(name: str, link: CanLinkState) -> list[LinkFinding]:
     good = link.state == "ERROR-ACTIVE" and link.sending + link.receiving == 0
     result = [LinkFinding(counters, good or not link.up, restart + WIRING_ADVICE)]
     if link.restart_ms is not None:
-        command = f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms 100"
-        result.append(LinkFinding(f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command))
+        command = (
+            f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms 100"
+        )
+        result.append(
+            LinkFinding(
+                f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command
+            )
+        )
     return result
 
 
@@ -134,7 +164,9 @@ def _counter_findings(link: CanLinkState) -> list[LinkFinding]:
         if number and key in ERROR_COUNTER_TEXTS
     ]
     bad = any(
-        number for key, number in link.counts.items() if key in ERROR_COUNTER_TEXTS and key not in HARMLESS_COUNTERS
+        number
+        for key, number in link.counts.items()
+        if key in ERROR_COUNTER_TEXTS and key not in HARMLESS_COUNTERS
     )
     fix = f"since it was created; {WIRING_ADVICE}; repeat this check after a run"
     return [LinkFinding("counted: " + (", ".join(counted) or "no errors"), not bad, fix)]

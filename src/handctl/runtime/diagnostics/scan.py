@@ -9,7 +9,13 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-from handctl.drives.discovery import PROBE_ANSWER_S, PROBE_ROUNDS, SCAN_LISTEN_S, DiscoveredNode, split_probes
+from handctl.drives.discovery import (
+    PROBE_ANSWER_S,
+    PROBE_ROUNDS,
+    SCAN_LISTEN_S,
+    DiscoveredNode,
+    split_probes,
+)
 from handctl.drives.frame import Frame
 from handctl.drives.registry import DISCOVERY_BY_PROTOCOL
 from handctl.runtime.buses.contract import Bus
@@ -106,7 +112,9 @@ def _round_requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[
     """
     requests: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
-        allowed_frames, dropped = split_probes(discovery.probe_frames(turn, seen), _commands_of_others(name, seen))
+        allowed_frames, dropped = split_probes(
+            discovery.probe_frames(turn, seen), _commands_of_others(name, seen)
+        )
         requests += allowed_frames
         omitted += dropped
     return requests
@@ -127,7 +135,9 @@ def _foreign_frames(seen: list[Frame]) -> tuple[Frame, ...]:
     foreign: list[Frame] = []
     for name, discovery in DISCOVERY_BY_PROTOCOL.items():
         explained = frozenset().union(*_commands_of_others(name, seen))
-        foreign += [frame for frame in discovery.other_host_frames(seen) if frame.can_id not in explained]
+        foreign += [
+            frame for frame in discovery.other_host_frames(seen) if frame.can_id not in explained
+        ]
     return tuple(dict.fromkeys(foreign)) if len(foreign) > MAX_IGNORED_FRAMES else ()
 
 

@@ -68,13 +68,19 @@ def apply_torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
             return TorqueStep(moved, torque, rig.state.torque, False)
         travel = sign * (rig.state.position - start)
         coasted = abs(coasting) * (i + 1) * PERIOD_S
-        moved = math.copysign(max(0.0, abs(travel) - coasted), travel) if math.isfinite(coasted) else travel
+        moved = (
+            math.copysign(max(0.0, abs(travel) - coasted), travel)
+            if math.isfinite(coasted)
+            else travel
+        )
         if abs(moved) > MIN_MOTION_RAD:
             break
     reported = rig.state.torque
     rig.keep(DriveTarget.ENABLE, COAST_TICKS * PERIOD_S)
     gained = rig.velocity - (coasting if math.isfinite(coasting) else 0.0)
-    if impulse * gained > 0.0:  # the inertia is the angular impulse [N m s] divided by the change of velocity
+    if (
+        impulse * gained > 0.0
+    ):  # the inertia is the angular impulse [N m s] divided by the change of velocity
         rig.inertia = impulse / gained
     return TorqueStep(moved, torque, reported, True)
 
@@ -95,5 +101,8 @@ def brake_shaft(rig: DriveRig, limit: float) -> bool:
         still = still + 1 if abs(speed) < MAX_REST_VELOCITY_RAD_S else 0
         if still > COAST_TICKS:
             return True
-        rig.tick(DriveTarget.ENABLE, max(-limit, min(limit, -gain * speed)) if math.isfinite(speed) else 0.0)
+        rig.tick(
+            DriveTarget.ENABLE,
+            max(-limit, min(limit, -gain * speed)) if math.isfinite(speed) else 0.0,
+        )
     return not abs(rig.velocity) > MAX_REST_VELOCITY_RAD_S

@@ -38,7 +38,9 @@ class SensorReading(NamedTuple):
 
     def at(self, t_ns: int) -> float:
         """Return the value, or NaN if the value is older than ``STALE_AFTER_S`` at the time ``t_ns`` [ns]."""
-        return self.value if self.t_ns >= 0 and t_ns - self.t_ns <= STALE_AFTER_S * 1e9 else math.nan
+        return (
+            self.value if self.t_ns >= 0 and t_ns - self.t_ns <= STALE_AFTER_S * 1e9 else math.nan
+        )
 
 
 def is_saturated(tension: float, cell_range: tuple[float, float]) -> bool:
@@ -84,7 +86,9 @@ class BusWatch:
         self.angles = {index: SensorReading() for channels in encoders for index in channels}
 
     def other_host(
-        self, for_s: float = LISTEN_S, listen: Callable[[Bus, float, list[Frame]], None] = collect_frames
+        self,
+        for_s: float = LISTEN_S,
+        listen: Callable[[Bus, float, list[Frame]], None] = collect_frames,
     ) -> str:
         """Listen for a time [s], and return the identifier of the first frame that only a host sends.
 
@@ -95,7 +99,9 @@ class BusWatch:
         seen: list[Frame] = []
         for bus in self.buses:
             listen(bus, for_s / len(self.buses), seen)
-        return next((f"{frame.can_id:#x}" for frame in seen if (frame.bus, frame.can_id) in own), "")
+        return next(
+            (f"{frame.can_id:#x}" for frame in seen if (frame.bus, frame.can_id) in own), ""
+        )
 
     def tick(self) -> None:
         """Wait for the next tick, process all received frames, and send the requests of the tick."""
@@ -109,7 +115,9 @@ class BusWatch:
             self.states[n], frames = drive.advance(self.states[n], now, DriveTarget.POLL, 0.0)
             out += frames
         for i, amplifier in enumerate(self.sensors.amplifiers):
-            self.amplifiers[i], frames = amplifier.advance(self.amplifiers[i], now, DriveTarget.POLL)
+            self.amplifiers[i], frames = amplifier.advance(
+                self.amplifiers[i], now, DriveTarget.POLL
+            )
             out += frames
         self._send(out)
         self.k += 1
@@ -123,7 +131,9 @@ class BusWatch:
         """Return the names of the motors whose latest feedback is older than ``STALE_AFTER_S``."""
         now = self.clock.now_ns()
         return [
-            drive.name for drive, age in zip(self.drives, self.ages_s(now), strict=True) if not age <= STALE_AFTER_S
+            drive.name
+            for drive, age in zip(self.drives, self.ages_s(now), strict=True)
+            if not age <= STALE_AFTER_S
         ]
 
     def ages_s(self, now_ns: int) -> list[float]:
@@ -136,7 +146,10 @@ class BusWatch:
         group = self._group.get(frame.can_id, -1) if frame.bus == self.sensors.bus else -1
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.amplifiers[i] = amplifier.receive(self.amplifiers[i], frame)
-            if group in self.sensors.group_ranges[i] and self.amplifiers[i].phase != DrivePhase.READY:
+            if (
+                group in self.sensors.group_ranges[i]
+                and self.amplifiers[i].phase != DrivePhase.READY
+            ):
                 return  # before the amplifier is set up, the unit of its readings is unknown
         if group < 0:
             for n, drive in enumerate(self.drives):
@@ -150,7 +163,11 @@ class BusWatch:
         # An amplifier may send NaN for an overload. The reading is then set to the low end of the
         # range.
         low = self.sensors.cell_range[0]
-        values = [low if math.isnan(value) else value for kind, value in decoded if kind != Quantity.COUNTER]
+        values = [
+            low if math.isnan(value) else value
+            for kind, value in decoded
+            if kind != Quantity.COUNTER
+        ]
         into = self.tensions if group < self.sensors.tension_frames else self.angles
         for index, value in zip(self.sensors.channels[group], values, strict=True):
             into[index] = SensorReading(value, frame.t_ns)

@@ -35,10 +35,15 @@ _COUNTER_VISIBILITY = (
     "because their replies have no counter"
 )
 _ORDER_VISIBILITY = f"{WEAKER_SIGN}: load cells by their counter (CiA 404 amplifiers have none), drives have no counter"
-_CHECKSUM_VISIBILITY = f"{WEAKER_SIGN}: by wrong length, NaN and jumps (N05), because payloads have no checksum"
-_EXCESS_REPLY_VISIBILITY = f"{NOT_VISIBLE}: excess replies look like cyclic messages, which come in addition to replies"
+_CHECKSUM_VISIBILITY = (
+    f"{WEAKER_SIGN}: by wrong length, NaN and jumps (N05), because payloads have no checksum"
+)
+_EXCESS_REPLY_VISIBILITY = (
+    f"{NOT_VISIBLE}: excess replies look like cyclic messages, which come in addition to replies"
+)
 SILENCE_REASON = (
-    "30 ms of silence, because a busy host is sometimes late. While other motors reply, 4 ticks are enough (B17)"
+    "30 ms of silence, because a busy host is sometimes "
+    "late. While other motors reply, 4 ticks are enough (B17)"
 )
 """Reason for the reaction times of the faults B02 and N02."""
 _SILENCE_CONDITION = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} ticks in a row"
@@ -100,7 +105,9 @@ B05 = declare_fault(
     remedy="Check the adapter's driver and settings, and the identifiers of all nodes with handctl scan.",
 )  # fmt: skip
 
-declare_row("B06", "duplicate, different bytes", odrive=_EXCESS_REPLY_VISIBILITY, ticks=2, required=2)
+declare_row(
+    "B06", "duplicate, different bytes", odrive=_EXCESS_REPLY_VISIBILITY, ticks=2, required=2
+)
 B06 = declare_fault(
     "B06", "a conflicting duplicate frame",
     "A node sends more replies than requests, and the replies have different bytes",
@@ -236,7 +243,9 @@ B17 = declare_fault(
     remedy="Check plug, cable and supply of this motor, then start a new run.",
 )  # fmt: skip
 
-declare_row("B18", "alone on the bus", CHECKED_BEFORE_ARMING, tested="tests/safety/test_reported.py")
+declare_row(
+    "B18", "alone on the bus", CHECKED_BEFORE_ARMING, tested="tests/safety/test_reported.py"
+)
 declare_fault(
     "B18", "alone on the bus", "The interface reports error frames, and no node replies before arming",
     Action.RELAX, ENDED_BY_OPERATOR, debounce=20, reports=("error_frame",),

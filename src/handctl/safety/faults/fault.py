@@ -181,7 +181,20 @@ def declare_fault(
         First row of the fault in the table of the detectors' results. -1 for a fault without a
         detector, which a drive or a bus reports.
     """
-    declared = Fault(id_, title, detection, action, clears, cause, remedy, debounce, relax_method, per, name, reports)
+    declared = Fault(
+        id_,
+        title,
+        detection,
+        action,
+        clears,
+        cause,
+        remedy,
+        debounce,
+        relax_method,
+        per,
+        name,
+        reports,
+    )
     DECLARED_FAULTS.append(declared)
     # The detectors' result table has one row for each kind of instance. For the second kind,
     # detectors add 1 to the index of the first kind.

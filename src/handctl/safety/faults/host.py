@@ -61,7 +61,14 @@ declare_row("H05", "the controller is killed", CHECKED_BY_DRIVE,
     why="watchdog_ms of the hand file is 50 ms from the last command, and the current decays in 4 ms",
     tested="tests/runtime/test_killed.py")  # fmt: skip
 declare_row("H06", "SIGTERM, SIGINT, also twice", CHECKED_BY_LOOP, ticks=1, required=1)
-declare_row("H07", "exception in the loop", CHECKED_BY_LOOP, ticks=1, required=1, tested="tests/runtime/test_loop.py")
+declare_row(
+    "H07",
+    "exception in the loop",
+    CHECKED_BY_LOOP,
+    ticks=1,
+    required=1,
+    tested="tests/runtime/test_loop.py",
+)
 
 declare_row("H08", "disk full", ticks=1, required=200)
 declare_fault(
@@ -96,7 +103,12 @@ declare_row(
     _WALL_CLOCK_VISIBILITY,
     tested="tests/vcan/inside/test_host_faults.py",
 )
-declare_row("H12", "second controller, same host", CHECKED_BEFORE_ARMING, tested="tests/runtime/test_mailbox.py")
+declare_row(
+    "H12",
+    "second controller, same host",
+    CHECKED_BEFORE_ARMING,
+    tested="tests/runtime/test_mailbox.py",
+)
 
 declare_row("H13", "second controller, same bus", ticks=2, required=2)
 declare_fault(
@@ -116,10 +128,19 @@ declare_row(
     tested="tests/view/test_live.py",
 )
 declare_row("H15", "memory or descriptors leak", CHECKED_BY_LOOP, tested="soak")
-declare_row("I01", "NaN, inf, bool for number", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py")
-declare_row("I02", "negative mass, zero length", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py")
+declare_row(
+    "I01", "NaN, inf, bool for number", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py"
+)
+declare_row(
+    "I02", "negative mass, zero length", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py"
+)
 declare_row("I03", "wrong unit", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py")
-declare_row("I04", "unknown, missing, duplicate keys", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py")
+declare_row(
+    "I04",
+    "unknown, missing, duplicate keys",
+    CHECKED_IN_FILES,
+    tested="tests/hand/test_refusals.py",
+)
 declare_row("I05", "contradiction", CHECKED_IN_FILES, tested="tests/hand/test_cross_checks.py")
 declare_row("I06", "bad trajectory", CHECKED_IN_FILES, tested="tests/controller/test_task.py")
 
@@ -140,7 +161,9 @@ I07B = declare_fault(
 
 declare_row("I08", "truncated or corrupt log", CHECKED_IN_FILES, tested="tests/log/test_recover.py")
 declare_row("I09", "hostile log", CHECKED_IN_FILES, tested="tests/log/test_reader.py")
-declare_row("I10", "log of another hand or version", CHECKED_IN_FILES, tested="tests/replay/test_execute.py")
+declare_row(
+    "I10", "log of another hand or version", CHECKED_IN_FILES, tested="tests/replay/test_execute.py"
+)
 
 declare_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
     tested="tests/controller/test_stream.py")  # fmt: skip

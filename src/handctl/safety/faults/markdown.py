@@ -34,16 +34,25 @@ def catalogue_markdown(entries: tuple[CatalogueRow, ...] = FAULT_CATALOGUE) -> s
     """Return the catalogue as Markdown, with the visibility of each row for each protocol."""
     names = [PROTOCOL_TRAITS[protocol].title for protocol in GUARDED_PROTOCOLS]
     columns = ["id", "fault", "judged by", *names, "latest reaction", "tested by"]
-    return "\n".join([f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_catalogue_row, entries)])
+    return "\n".join(
+        [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *map(_catalogue_row, entries)]
+    )
 
 
 def _catalogue_row(entry: CatalogueRow) -> str:
     # The faults of a row are its stages. A row that is not checked in ticks has no faults.
-    judged = ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == entry.id) or entry.where
+    judged = (
+        ", ".join(f"{f.id} {f.action.name}" for f in FAULT_TABLE if f.row == entry.id)
+        or entry.where
+    )
     latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks_text(entry)} ticks"
     latest += f", ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""
     latest = (
-        latest if entry.ticks or entry.ms else "before torque" if entry.where != CHECKED_BY_FAULT_TABLE else "1 tick"
+        latest
+        if entry.ticks or entry.ms
+        else "before torque"
+        if entry.where != CHECKED_BY_FAULT_TABLE
+        else "1 tick"
     )
     return (
         f"| {entry.id} | {entry.title} | {judged} | {' | '.join(map(entry.visibility, GUARDED_PROTOCOLS))} | {latest} "

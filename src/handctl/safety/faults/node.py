@@ -68,9 +68,15 @@ REPORTED_S = 0.25
 
 # Texts of the fault catalogue, for protocols with which a fault is not visible directly.
 _HEARTBEAT_VISIBILITY = f"{DETECTED_FAULT}: by the heartbeat, every 100 ms"
-_EXCESS_REPLY_VISIBILITY = f"{NOT_VISIBLE}: excess replies look like cyclic messages, which come in addition to replies"
-_JOINT_ENCODER_VISIBILITY = f"{WEAKER_SIGN}: only with joint encoders, else the motor's encoder has no reference"
-_SINGLE_LOSS_VISIBILITY = f"{WEAKER_SIGN}: by single losses (B01), because cyclic messages come in between"
+_EXCESS_REPLY_VISIBILITY = (
+    f"{NOT_VISIBLE}: excess replies look like cyclic messages, which come in addition to replies"
+)
+_JOINT_ENCODER_VISIBILITY = (
+    f"{WEAKER_SIGN}: only with joint encoders, else the motor's encoder has no reference"
+)
+_SINGLE_LOSS_VISIBILITY = (
+    f"{WEAKER_SIGN}: by single losses (B01), because cyclic messages come in between"
+)
 _REREAD_REASON = "While enabled, limit and watchdog are read in turn, one every 500 ms"
 _SILENCE_CONDITION = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} in a row"
 _MODES_TEST = "tests/controller/test_modes.py"
@@ -182,7 +188,14 @@ N09B = declare_fault(
     remedy="Let the drive cool down. Hold with less tension, or improve the cooling.",
 )  # fmt: skip
 
-declare_row("N10", "under- or over-voltage", odrive=_HEARTBEAT_VISIBILITY, ticks=2, odrive_ms=100, required=2)
+declare_row(
+    "N10",
+    "under- or over-voltage",
+    odrive=_HEARTBEAT_VISIBILITY,
+    ticks=2,
+    odrive_ms=100,
+    required=2,
+)
 N10 = declare_fault(
     "N10", "wrong supply voltage", "The drive reports that the voltage is too low or too high",
     Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,
@@ -190,7 +203,9 @@ N10 = declare_fault(
     remedy="Measure the supply under load. Use a stronger supply, or a brake resistor.",
 )  # fmt: skip
 
-declare_row("N11", "node fault code", odrive=_HEARTBEAT_VISIBILITY, ticks=2, odrive_ms=100, required=2)
+declare_row(
+    "N11", "node fault code", odrive=_HEARTBEAT_VISIBILITY, ticks=2, odrive_ms=100, required=2
+)
 N11 = declare_fault(
     "N11", "a drive reports an error",
     "The feedback of the drive contains an error code", Action.RELAX, ENDED_BY_OPERATOR, MOTOR_INSTANCE,

@@ -54,7 +54,9 @@ DERAILED_DEG = 15.0
 DERAILED_READINGS = 3
 """Thresholds for a derailed tendon: difference of joint and spool beyond any stretch [deg], and readings in a row."""
 
-_SLACK_VISIBILITY = f"{WEAKER_SIGN}: only with joint encoders, by three readings, else by slack (T02)"
+_SLACK_VISIBILITY = (
+    f"{WEAKER_SIGN}: only with joint encoders, by three readings, else by slack (T02)"
+)
 _ODRIVE_VISIBILITY = f"{DETECTED_FAULT}: by comparison with the commanded torque"
 
 declare_row("T01", "snap", ticks=10, required=3,
@@ -149,7 +151,10 @@ T06 = declare_fault(
 )  # fmt: skip
 
 declare_row(
-    "T07", "load cells swapped or inverted", CHECKED_BEFORE_ARMING, tested="tests/controller/test_commission.py"
+    "T07",
+    "load cells swapped or inverted",
+    CHECKED_BEFORE_ARMING,
+    tested="tests/controller/test_commission.py",
 )
 
 declare_row("T08", "derailed or crossed", CHECKED_BY_FAULT_TABLE, _SLACK_VISIBILITY, _SLACK_VISIBILITY,
@@ -165,7 +170,12 @@ T08 = declare_fault(
 )  # fmt: skip
 
 declare_row(
-    "T09", "friction grows", odrive=_ODRIVE_VISIBILITY, ticks=4, ms=15000, tested="tests/safety/test_residuals.py"
+    "T09",
+    "friction grows",
+    odrive=_ODRIVE_VISIBILITY,
+    ticks=4,
+    ms=15000,
+    tested="tests/safety/test_residuals.py",
 )
 T09 = declare_fault(
     "T09", "friction has grown",

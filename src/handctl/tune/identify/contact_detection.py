@@ -115,7 +115,9 @@ def steepest_ramp(
     for start in np.linspace(low, high, RAMP_STARTS + 2)[1:-1].tolist():
         if not END_FRACTION < (start - low) / (high - low) < 1.0 - END_FRACTION:
             continue
-        shape = np.repeat(np.maximum(0.0, angle - start) / (high - start), count // len(angle)) * used
+        shape = (
+            np.repeat(np.maximum(0.0, angle - start) / (high - start), count // len(angle)) * used
+        )
         for unit in units:
             column = np.zeros(len(residual))
             column[rows] = shape * unit
@@ -128,11 +130,20 @@ def steepest_ramp(
     mean_square = float(np.mean(residual[rows][used] ** 2))
     contact_score = CONTACT_SCORE if len(units) == 1 else MULTI_TENDON_CONTACT_SCORE
     return ResidualRamp(
-        best[0], best[1], high, best[2], len(angle), 1.0 - float(used.mean()), mean_square, contact_score
+        best[0],
+        best[1],
+        high,
+        best[2],
+        len(angle),
+        1.0 - float(used.mean()),
+        mean_square,
+        contact_score,
     )
 
 
-def are_joints_moving(joint_count: int, preload: float, half_width: float, travel: float, full: float) -> bool:
+def are_joints_moving(
+    joint_count: int, preload: float, half_width: float, travel: float, full: float
+) -> bool:
     """Return True if preload and travel of a digit with one tendon show that all its joints move.
 
     Args:

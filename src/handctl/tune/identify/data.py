@@ -84,7 +84,11 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     """
     period = log.header.period_ns * 1e-9
     phases = phase_of_each(log.phases, log.k)
-    excited = {name.partition(" ")[0] for name in phases if name.partition(" ")[2] in (*STOP_STEPS, *FREE_STEPS)}
+    excited = {
+        name.partition(" ")[0]
+        for name in phases
+        if name.partition(" ")[2] in (*STOP_STEPS, *FREE_STEPS)
+    }
     settle = round(SETTLE_S / period)
     transient = round(TRANSIENT_S / period)
     # No measurement follows the last tick. Therefore every array ends one tick early.
@@ -115,7 +119,9 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
         if excited:
             result += [_restrict_to_excitation(data, phases, digit)] if digit in excited else []
         else:
-            taut = (log.field("tension_goal")[:-1, i] > MIN_TENSION_N) & (data.tension > MIN_TENSION_N)
+            taut = (log.field("tension_goal")[:-1, i] > MIN_TENSION_N) & (
+                data.tension > MIN_TENSION_N
+            )
             taut |= bool(hand.is_pair[i])
             free = active & taut & (contact[:, d] < 0.5) & _free_motion(log, hand, digit)[:-1]
             result.append(replace(data, free=free))
@@ -148,9 +154,13 @@ def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
     # Near the ends of a joint's range, the joint stop carries a part of the load.
     q = np.degrees(log.field("q")[:, joints])
     margin = STOP_DISTANCE_DEG
-    inside = (q > np.array(digit_file.joint_min_deg) + margin) & (q < np.array(digit_file.joint_max_deg) - margin)
+    inside = (q > np.array(digit_file.joint_min_deg) + margin) & (
+        q < np.array(digit_file.joint_max_deg) - margin
+    )
     moving = ~np.isnan(log.field("q_goal")[:, joints]).any(axis=1)
-    return _lasting_mask(np.asarray(moving & inside.all(axis=1)), round(TRANSIENT_S * 1e9 / log.header.period_ns))
+    return _lasting_mask(
+        np.asarray(moving & inside.all(axis=1)), round(TRANSIENT_S * 1e9 / log.header.period_ns)
+    )
 
 
 def _lasting_mask(mask: Mask, late: int) -> Mask:

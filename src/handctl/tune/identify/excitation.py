@@ -68,7 +68,10 @@ def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, .
     for name in digits:
         if not has_springs(hand, name):
             continue
-        if LIFT_FRACTION * (tension := lift_off_tension(hand, name)) < MIN_TENSION_N + MIN_STRETCH_RANGE_N:
+        if (
+            LIFT_FRACTION * (tension := lift_off_tension(hand, name))
+            < MIN_TENSION_N + MIN_STRETCH_RANGE_N
+        ):
             min_preload = (MIN_TENSION_N + MIN_STRETCH_RANGE_N) / LIFT_FRACTION
             problem = f"the digit leaves its open stop at {tension:.2f} N, too low a tension to stretch the tendon"
             raise ConfigError(
@@ -77,7 +80,9 @@ def excitation_steps(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, .
                 f"springs with a preload of {min_preload:.2f} N or more, or other --digits",
             )
     return tuple(
-        step for name in digits for step in (_digit_steps if has_springs(hand, name) else antagonist_steps)(hand, name)
+        step
+        for name in digits
+        for step in (_digit_steps if has_springs(hand, name) else antagonist_steps)(hand, name)
     )
 
 
@@ -96,7 +101,9 @@ def check_identifiable(hand: Hand, digits: tuple[str, ...]) -> None:
         if name not in hand.digit_names:
             raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
         tendons = hand.digit_tendons[name]
-        known = zip(hand.tendon[tendons], hand.has_cell[tendons] | hand.is_pair[tendons], strict=True)
+        known = zip(
+            hand.tendon[tendons], hand.has_cell[tendons] | hand.is_pair[tendons], strict=True
+        )
         bare = [tendon.name for tendon, is_known in known if not is_known]
         if bare:
             right = "a load cell on every tendon that is not a spool pair"
@@ -128,9 +135,17 @@ def _digit_steps(hand: Hand, digit: str) -> list[ExciteStep]:
         )
 
     swing_step = excite_step("swing", "chirp", 2.4, middle)
-    swing_step = swing_step.model_copy(update={"amplitude": swing, "low_Hz": SWING_LOW_HZ, "high_Hz": SWING_HIGH_HZ})
-    sweeps = [excite_step("sweep", "move", duration, goal) for duration in SWEEP_S for goal in (high, low)]
-    presses = [excite_step("press", "tension", 0.22, goal, 250.0, held=True) for _ in range(3) for goal in (hard, soft)]
+    swing_step = swing_step.model_copy(
+        update={"amplitude": swing, "low_Hz": SWING_LOW_HZ, "high_Hz": SWING_HIGH_HZ}
+    )
+    sweeps = [
+        excite_step("sweep", "move", duration, goal) for duration in SWEEP_S for goal in (high, low)
+    ]
+    presses = [
+        excite_step("press", "tension", 0.22, goal, 250.0, held=True)
+        for _ in range(3)
+        for goal in (hard, soft)
+    ]
     stretch = [
         excite_step("stretch", "tension", STRETCH_S, goal, (lift - MIN_TENSION_N) / STRETCH_S)
         for _ in range(STRETCH_COUNT)

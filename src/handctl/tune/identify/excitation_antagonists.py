@@ -102,7 +102,9 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     middle = 0.5 * (low + high)
     half = 0.5 * (high - low)
 
-    def step(step_name: str, kind: str, duration_s: float, targets: Array | None = None, **more: object) -> ExciteStep:
+    def step(
+        step_name: str, kind: str, duration_s: float, targets: Array | None = None, **more: object
+    ) -> ExciteStep:
         angles_or_tensions = () if targets is None else tuple(targets.tolist())
         given = {"digit": name, "name": step_name, "kind": kind, "duration_s": duration_s} | more
         return ExciteStep.model_validate(given | {"targets": angles_or_tensions})
@@ -111,9 +113,20 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
     for signs in _sign_patterns(len(middle)):
         sweeps.append(step("approach", "move", 0.4, middle - signs * half))
         for duration in SWEEP_S:
-            sweeps += [step("sweep", "move", duration, middle + side * signs * half) for side in (1.0, -1.0)]
+            sweeps += [
+                step("sweep", "move", duration, middle + side * signs * half)
+                for side in (1.0, -1.0)
+            ]
     amplitudes = tuple(_swing_amplitudes(hand, digit, middle, half).tolist())
-    swing = step("swing", "chirp", SWING_S, middle, amplitudes=amplitudes, low_Hz=SWING_LOW_HZ, high_Hz=SWING_HIGH_HZ)
+    swing = step(
+        "swing",
+        "chirp",
+        SWING_S,
+        middle,
+        amplitudes=amplitudes,
+        low_Hz=SWING_LOW_HZ,
+        high_Hz=SWING_HIGH_HZ,
+    )
     rest, stretches = _stretched_tensions(hand, digit)
     pairs = bool(hand.is_pair[digit.tendons].any())
     _, largest = _limits(hand, digit)
@@ -124,14 +137,29 @@ def antagonist_steps(hand: Hand, name: str) -> list[ExciteStep]:
         stretch_steps.append(step("close", "tension", 0.5, lower, rate=80.0, held=True))
         for _ in range(PAIR_STRETCHES if pairs else STRETCH_COUNT):
             for goal in (upper, lower):
-                stretch_steps.append(step("stretch", "tension", duration, goal, rate=RATE_N_PER_S, held=True))
+                stretch_steps.append(
+                    step("stretch", "tension", duration, goal, rate=RATE_N_PER_S, held=True)
+                )
     return [
-        step("taut", "tension" if pairs else "taut", 0.4, rest if pairs else _balance(hand, digit), rate=40.0),
+        step(
+            "taut",
+            "tension" if pairs else "taut",
+            0.4,
+            rest if pairs else _balance(hand, digit),
+            rate=40.0,
+        ),
         *sweeps,
         step("approach", "move", 0.4, middle),
         swing,
         step("approach", "move", 0.6, low),
-        step("close", "tension", CLOSE_S if pairs else 0.8, onto_stop, rate=20.0 if pairs else 60.0, held=True),
+        step(
+            "close",
+            "tension",
+            CLOSE_S if pairs else 0.8,
+            onto_stop,
+            rate=20.0 if pairs else 60.0,
+            held=True,
+        ),
         *stretch_steps,
         step("open", "tension", 0.4, rest if pairs else stretches[0][0], rate=100.0, held=True),
         step("open", "move", OPEN_S, low),
@@ -160,7 +188,8 @@ def _sign_patterns(count: int) -> list[Array]:
         # With two coordinates, one pattern is enough, because each coordinate moves against the
         # other.
         patterns += [
-            np.where(np.arange(count) == i, -COUNTER_MOTION_FRACTION, 1.0) for i in range(count if count > 2 else 1)
+            np.where(np.arange(count) == i, -COUNTER_MOTION_FRACTION, 1.0)
+            for i in range(count if count > 2 else 1)
         ]
     return patterns
 
@@ -176,7 +205,9 @@ def _swing_amplitudes(hand: Hand, digit: DigitModel, middle: Array, half: Array)
     force = np.abs(digit.torque_to_tension @ digit.joints_to_coordinates.T @ inertia)
     force = force + digit.motor_mass * np.abs(arms).sum(axis=1)
     motors = [hand.motor_of(tendon) for tendon in digit.tendon_names]
-    available = SWING_TORQUE * np.array([motor.torque_max_N_m / motor.spool_radius_m for motor in motors])
+    available = SWING_TORQUE * np.array(
+        [motor.torque_max_N_m / motor.spool_radius_m for motor in motors]
+    )
     largest = float((available / (force * (2.0 * math.pi * SWING_HIGH_HZ) ** 2)).min())
     return np.minimum(np.minimum(math.radians(SWING_DEG), 0.7 * half), largest)
 

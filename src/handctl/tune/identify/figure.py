@@ -62,7 +62,9 @@ def _draw_stop(axis: Any, result: TendonResult) -> None:
         return
     order = np.argsort(bins.travel)
     # The tendon and the open stop are springs in series.
-    slope = stop_stiffness(values["tendon_stiffness"], values["stop_softness"], result.fit.problem.nominal)
+    slope = stop_stiffness(
+        values["tendon_stiffness"], values["stop_softness"], result.fit.problem.nominal
+    )
     axis.plot(
         1e6 * bins.travel,
         bins.tension - _drift_at(result, bins.t),
@@ -105,8 +107,12 @@ def _draw_motor(axis: Any, result: TendonResult) -> None:
     windows = result.fit.problem.motor
     values = result.fit.values
     r = result.fit.problem.spool
-    drive = values["torque_gain"] * windows.command(values["delay"]) - (windows.tension - _drift_at(result, windows.t))
-    friction = (values["motor_viscous"] / r * windows.speed + values["motor_coulomb"] * windows.sign) / r
+    drive = values["torque_gain"] * windows.command(values["delay"]) - (
+        windows.tension - _drift_at(result, windows.t)
+    )
+    friction = (
+        values["motor_viscous"] / r * windows.speed + values["motor_coulomb"] * windows.sign
+    ) / r
     axis.plot(
         windows.acceleration,
         drive - friction,

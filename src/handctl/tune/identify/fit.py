@@ -30,7 +30,9 @@ PARAMETER_NAMES = (
 
 In the vector of the fit, the drift of the load cell follows after these parameters.
 """
-LOAD_PARAMETERS = slice(PARAMETER_NAMES.index("tendon_stiffness"), PARAMETER_NAMES.index("stretch_offset") + 1)
+LOAD_PARAMETERS = slice(
+    PARAMETER_NAMES.index("tendon_stiffness"), PARAMETER_NAMES.index("stretch_offset") + 1
+)
 """Indexes of the parameters that `fit_load.LoadParameters` contains."""
 SCALE_DELAY_S = 1e-3
 """Scale of the parameter `delay` [s]."""
@@ -153,7 +155,9 @@ class TendonFitProblem:
         free = np.full(len(PARAMETER_NAMES) + len(self.knots), np.inf)
         low = -free
         high = free
-        sized = [i for i, name in enumerate(PARAMETER_NAMES) if name not in ("delay", "stretch_offset")]
+        sized = [
+            i for i, name in enumerate(PARAMETER_NAMES) if name not in ("delay", "stretch_offset")
+        ]
         low[sized] = MIN_SCALE
         high[sized] = MAX_SCALE
         return low, high
@@ -183,7 +187,10 @@ class TendonFitProblem:
         # friction.
         driven = gain * m.command(delay)
         losses = (inertia / r * m.acceleration + viscous / r * m.speed) / r + coulomb / r * m.sign
-        rows = [(driven - losses - (m.tension - self._cell_offset(m.t, drift))) / (self.sigma * m.spread)]
+        rows = [
+            (driven - losses - (m.tension - self._cell_offset(m.t, drift)))
+            / (self.sigma * m.spread)
+        ]
         for bin_means, model in self._expected_tensions(p, stiffness):
             rows.append(
                 # The mean of n samples has 1/sqrt(n) of their standard deviation.
@@ -203,7 +210,12 @@ class TendonFitProblem:
             (self.slack, np.zeros_like(self.slack.t)),
         ]
         if self.load is not None and len(self.free.t):
-            rows.append((self.free, self.load.tension(LoadParameters(*p[LOAD_PARAMETERS].tolist()), self.free)))
+            rows.append(
+                (
+                    self.free,
+                    self.load.tension(LoadParameters(*p[LOAD_PARAMETERS].tolist()), self.free),
+                )
+            )
         return rows
 
     def _cell_offset(self, t: Array, drift: Array) -> Array:
@@ -212,8 +224,14 @@ class TendonFitProblem:
 
     def _prior_residuals(self, z: Array, drift: Array) -> list[Array]:
         """Return the residuals of the load cell's drift and of the prior knowledge."""
-        spread = np.array([PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES])
-        return [np.diff(drift) / self.step, drift[:1] / TARE_SIGMA_N, (z[: len(PARAMETER_NAMES)] - 1.0) / spread]
+        spread = np.array(
+            [PRIOR_DEVIATIONS.get(name, DEFAULT_PRIOR_DEVIATION) for name in PARAMETER_NAMES]
+        )
+        return [
+            np.diff(drift) / self.step,
+            drift[:1] / TARE_SIGMA_N,
+            (z[: len(PARAMETER_NAMES)] - 1.0) / spread,
+        ]
 
 
 def parameter_scales(hand: Hand, tendon: str) -> Array:
@@ -232,7 +250,9 @@ def parameter_scales(hand: Hand, tendon: str) -> Array:
 def stop_stiffness(stiffness: float, softness: float, nominal: Array) -> float:
     """Return the stiffness of the tendon and the open stop in series [N/m]."""
     # Compliances in series add up.
-    return stiffness / (1.0 + softness * stiffness / float(nominal[PARAMETER_NAMES.index("tendon_stiffness")]))
+    return stiffness / (
+        1.0 + softness * stiffness / float(nominal[PARAMETER_NAMES.index("tendon_stiffness")])
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +283,13 @@ class TendonFit:
 
         Factors that multiply a value of the hand file have no unit.
         """
-        return dict(zip(PARAMETER_NAMES, (self.z[: len(PARAMETER_NAMES)] * self.problem.nominal).tolist(), strict=True))
+        return dict(
+            zip(
+                PARAMETER_NAMES,
+                (self.z[: len(PARAMETER_NAMES)] * self.problem.nominal).tolist(),
+                strict=True,
+            )
+        )
 
     @property
     def half_widths(self) -> dict[str, float]:
@@ -277,7 +303,9 @@ class TendonFit:
             independent.
         """
         spread = np.sqrt(np.diag(self.covariance))[: len(PARAMETER_NAMES)] * self.problem.nominal
-        wide = student.ppf(0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / count), self.freedom[: len(PARAMETER_NAMES)])
+        wide = student.ppf(
+            0.5 + 0.5 * CONFIDENCE_LEVEL ** (1.0 / count), self.freedom[: len(PARAMETER_NAMES)]
+        )
         return dict(zip(PARAMETER_NAMES, (wide * spread).tolist(), strict=True))
 
 
@@ -331,7 +359,11 @@ def _cell_noise(quiet: Array, stated: float) -> float:
         stated: value of the hand file, which is returned if there are too few samples [N].
     """
     quiet = quiet[np.isfinite(quiet)]
-    return stated if len(quiet) < 200 else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated, 1e-3)
+    return (
+        stated
+        if len(quiet) < 200
+        else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated, 1e-3)
+    )
 
 
 def merge_solution(

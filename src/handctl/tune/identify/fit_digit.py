@@ -77,7 +77,9 @@ class TorqueBalance:
     drift_sigma: Array
 
     @staticmethod
-    def of(digit: DigitModel, data: Sequence[TendonData], fits: Sequence[TendonFit]) -> "TorqueBalance | None":
+    def of(
+        digit: DigitModel, data: Sequence[TendonData], fits: Sequence[TendonFit]
+    ) -> "TorqueBalance | None":
         """Return the data of a digit for the fit, from data and fits of its tendons.
 
         If too few times are usable, return None.
@@ -89,14 +91,17 @@ class TorqueBalance:
         """
         first_tendon = data[0]
         reach = max(1, round(HALF_WINDOW_S / data[0].period))
-        free = np.all([average_samples(tendon.free.astype(float), reach) > 0.999 for tendon in data], axis=0)
+        free = np.all(
+            [average_samples(tendon.free.astype(float), reach) > 0.999 for tendon in data], axis=0
+        )
         cells = [
             average_samples(tendon.tension - _cell_drift(tendon, fit), reach)
             for tendon, fit in zip(data, fits, strict=True)
         ]
         tension = np.column_stack(cells)
         speed, acceleration = (
-            np.column_stack(values) for values in zip(*(_tendon_rates(tendon, reach) for tendon in data), strict=True)
+            np.column_stack(values)
+            for values in zip(*(_tendon_rates(tendon, reach) for tendon in data), strict=True)
         )
         fast = (np.abs(speed) > MIN_SPEED_M_S).all(axis=1)
         complete = np.isfinite(np.hstack([first_tendon.joints, tension, speed])).all(axis=1)
@@ -106,7 +111,8 @@ class TorqueBalance:
         q = first_tendon.joints[selected]
         dq, ddq = _joint_rates(digit, q, speed[selected], acceleration[selected])
         rigid_body_torque = [
-            inverse_dynamics(digit, *row) for row in zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
+            inverse_dynamics(digit, *row)
+            for row in zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)
         ]
         return TorqueBalance(
             digit=digit,
@@ -151,7 +157,9 @@ class TorqueBalance:
         Whitened torques of one sample time are independent, with a standard deviation of 1.
         """
         arms = self.digit.moment_arms
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(arms.T @ np.diag(self.noise**2) @ arms)).T)
+        return np.asarray(
+            np.linalg.inv(np.linalg.cholesky(arms.T @ np.diag(self.noise**2) @ arms)).T
+        )
 
     def load(self, spring: float, preload: float, damping: float, mass: float) -> Array:
         """Return the torque (m, joints) that springs, damping, inertia and weight need [N m].
@@ -159,11 +167,21 @@ class TorqueBalance:
         The arguments are factors that multiply the values of the hand file.
         """
         digit = self.digit
-        springs = spring * np.array(digit.spring_stiffness) * (self.q + preload * np.array(digit.spring_preload))
-        return np.asarray(springs + damping * np.array(digit.joint_damping) * self.dq + mass * self.rigid_body_torque)
+        springs = (
+            spring
+            * np.array(digit.spring_stiffness)
+            * (self.q + preload * np.array(digit.spring_preload))
+        )
+        return np.asarray(
+            springs
+            + damping * np.array(digit.joint_damping) * self.dq
+            + mass * self.rigid_body_torque
+        )
 
 
-def _joint_rates(digit: DigitModel, q: Array, speed: Array, acceleration: Array) -> tuple[Array, Array]:
+def _joint_rates(
+    digit: DigitModel, q: Array, speed: Array, acceleration: Array
+) -> tuple[Array, Array]:
     """Return joint rates [rad/s] and accelerations [rad/s^2], (m, joints), from those of the tendons, (m, tendons).
 
     If moment arms R depend on the joint angle, the acceleration of a tendon has the additional part
@@ -175,7 +193,9 @@ def _joint_rates(digit: DigitModel, q: Array, speed: Array, acceleration: Array)
     to_rates = np.array([digit.at(row).excursion_to_joints for row in q])
     dq = np.einsum("mjn,mn->mj", to_rates, speed)
     bend = np.einsum(
-        "mnj,mj->mn", digit.arms_at(q + DIFFERENCE_STEP_S * dq) - digit.arms_at(q - DIFFERENCE_STEP_S * dq), dq
+        "mnj,mj->mn",
+        digit.arms_at(q + DIFFERENCE_STEP_S * dq) - digit.arms_at(q - DIFFERENCE_STEP_S * dq),
+        dq,
     )
     return dq, np.einsum("mjn,mn->mj", to_rates, acceleration - bend / (2.0 * DIFFERENCE_STEP_S))
 
@@ -199,7 +219,9 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
 
     def residuals(z: Array) -> Array:
         offset = z[n + tendons :]
-        imbalance = balance.pull(z[n : n + tendons] * friction, offset) - balance.load(*z[:n].tolist())
+        imbalance = balance.pull(z[n : n + tendons] * friction, offset) - balance.load(
+            *z[:n].tolist()
+        )
         return np.concatenate(
             [
                 (imbalance @ whiten).ravel(),
@@ -214,7 +236,9 @@ def fit_digit(balance: TorqueBalance) -> FitSolution:
     return solve_least_squares(residuals, start, (low, high), np.repeat(balance.t, arms.shape[1]))
 
 
-def fits_with_digit(fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance) -> list[TendonFit]:
+def fits_with_digit(
+    fits: Sequence[TendonFit], solution: FitSolution, balance: TorqueBalance
+) -> list[TendonFit]:
     """Return the fits of a digit's tendons, completed with the parameters from the fit of the digit.
 
     Each tendon gets its capstan coefficient. The first tendon also gets the shared factors.
@@ -232,7 +256,9 @@ def fits_with_digit(fits: Sequence[TendonFit], solution: FitSolution, balance: T
 def _unexplained_ramp(solution: FitSolution, balance: TorqueBalance) -> ResidualRamp | None:
     """Return the ramp of the torque at a single joint with the largest score in the residuals of the sweeps."""
     units = [np.tile(row, len(balance.t)) for row in balance.whiten]
-    return steepest_ramp(solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units)
+    return steepest_ramp(
+        solution.jacobian, solution.residual, 0, np.asarray(balance.q.mean(axis=1)), units
+    )
 
 
 def _friction_scales(digit: DigitModel) -> Array:
@@ -274,5 +300,7 @@ def _cell_drift(data: TendonData, fit: TendonFit) -> Array:
 def _drift_deviation(fit: TendonFit, t: Array) -> float:
     """Return the standard deviation of a load cell's drift during the times `t` [N]."""
     knots = fit.problem.knots
-    used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(PARAMETER_NAMES)
+    used = np.flatnonzero((knots >= t.min() - 1.0) & (knots <= t.max() + 1.0)) + len(
+        PARAMETER_NAMES
+    )
     return max(float(np.sqrt(np.diag(fit.covariance)[used].mean())), 1e-3)

@@ -94,7 +94,9 @@ class SignalBins:
     count: int
 
 
-def average_in_bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_DURATION_S) -> SignalBins:
+def average_in_bins(
+    data: TendonData, mask: Mask, moving: bool, bin_s: float = BIN_DURATION_S
+) -> SignalBins:
     """Return averages of the samples that a mask selects, over bins of equal duration.
 
     A bin is used if the mask is True for all its samples, and if all its samples were read. If
@@ -108,7 +110,9 @@ def average_in_bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = B
     def table(values: Array) -> Array:
         return values[: n * count].reshape(n, count)
 
-    complete = table(mask.astype(float)).all(axis=1) & np.isfinite(table(data.tension + data.travel)).all(axis=1)
+    complete = table(mask.astype(float)).all(axis=1) & np.isfinite(
+        table(data.tension + data.travel)
+    ).all(axis=1)
     if moving:
         speeds = table(speed)
         complete &= np.abs(speeds).min(axis=1) > MIN_SPEED_M_S
@@ -118,7 +122,9 @@ def average_in_bins(data: TendonData, mask: Mask, moving: bool, bin_s: float = B
     def mean(values: Array) -> Array:
         return np.asarray(table(values).mean(axis=1)[complete])
 
-    return SignalBins(mean(data.t), mean(data.travel), mean(data.tension), mean(speed), mean(acceleration), count)
+    return SignalBins(
+        mean(data.t), mean(data.travel), mean(data.tension), mean(speed), mean(acceleration), count
+    )
 
 
 def _central_rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
@@ -168,7 +174,9 @@ class DigitLoad:
             preload=np.array(digit.spring_preload),
             damping=np.array(digit.joint_damping),
             wrap=float(digit.wrap[0]),
-            inertia=np.array([mass_matrix(digit, [q] * n).sum(axis=1) for q in TABLE_ANGLES_RAD.tolist()]),
+            inertia=np.array(
+                [mass_matrix(digit, [q] * n).sum(axis=1) for q in TABLE_ANGLES_RAD.tolist()]
+            ),
             weight=np.array([gravity_torque(digit, [q] * n) for q in TABLE_ANGLES_RAD.tolist()]),
             varying=digit if digit.has_varying_arm else None,
         )
@@ -178,7 +186,8 @@ class DigitLoad:
         if self.varying is None:
             return np.asarray(excursion / self.arms.sum())
         grid = [
-            float(self.varying.excursion_at(np.full(len(self.arms), angle))[0]) for angle in TABLE_ANGLES_RAD.tolist()
+            float(self.varying.excursion_at(np.full(len(self.arms), angle))[0])
+            for angle in TABLE_ANGLES_RAD.tolist()
         ]
         return np.interp(excursion, grid, TABLE_ANGLES_RAD)
 
@@ -192,7 +201,11 @@ class DigitLoad:
         angle = q[:, None]
         here = arms_at(polynomial, limits, angle)[:, 0, 0]
         ahead = arms_at(polynomial, limits, angle + DIFFERENCE_STEP_RAD)[:, 0, 0]
-        return here, (ahead - here) / DIFFERENCE_STEP_RAD, excursions_at(polynomial, limits, angle)[:, 0, 0]
+        return (
+            here,
+            (ahead - here) / DIFFERENCE_STEP_RAD,
+            excursions_at(polynomial, limits, angle)[:, 0, 0],
+        )
 
     def tension(self, p: LoadParameters, means: SignalBins) -> Array:
         """Return the load-cell tension (m,) expected for a freely moving digit [N]."""
@@ -228,9 +241,15 @@ class DigitLoad:
                     )
                 )
                 arm, bend, _ = self._joint(i, q[i])
-                rest = (arm - bend * q[i]) * f * friction_factor - extra[i] - stiffness[i] * p.preload * self.preload[i]
+                rest = (
+                    (arm - bend * q[i]) * f * friction_factor
+                    - extra[i]
+                    - stiffness[i] * p.preload * self.preload[i]
+                )
                 # A moment arm that increases with the joint angle acts against the spring.
-                held = np.maximum(stiffness[i] - bend * f * friction_factor, MIN_STIFFNESS_FRACTION * stiffness[i])
+                held = np.maximum(
+                    stiffness[i] - bend * f * friction_factor, MIN_STIFFNESS_FRACTION * stiffness[i]
+                )
                 q[i] = rest / held
                 angle = angle + q[i]
                 arm, _, taken_up = self._joint(i, q[i])

@@ -163,5 +163,8 @@ def _cumulative(s: Array) -> Array:
     """Return the integral of the window function from -1 to s."""
     c = np.clip(s, -1.0, 1.0)
     return np.asarray(
-        0.5 + 0.5 * c + np.sin(np.pi * c) * 2.0 / (3.0 * np.pi) + np.sin(2.0 * np.pi * c) / (12.0 * np.pi)
+        0.5
+        + 0.5 * c
+        + np.sin(np.pi * c) * 2.0 / (3.0 * np.pi)
+        + np.sin(2.0 * np.pi * c) / (12.0 * np.pi)
     )

@@ -41,7 +41,12 @@ from handctl.tune.identify.fit import (
 from handctl.tune.identify.fit_load import SignalBins
 from handctl.tune.identify.fit_motor import MotorWindows, WindowWeights, motor_windows, quick_speed
 from handctl.tune.identify.fit_travel import SKEW_S, excursions
-from handctl.tune.identify.solve import MIN_FREEDOM, OUTLIER_RESIDUAL, FitSolution, solve_least_squares
+from handctl.tune.identify.solve import (
+    MIN_FREEDOM,
+    OUTLIER_RESIDUAL,
+    FitSolution,
+    solve_least_squares,
+)
 
 PAIR_PARAMETERS = (
     "motor_inertia", "motor_viscous", "motor_coulomb", "delay", "tendon_stiffness", "capstan", "moment_arm",
@@ -118,7 +123,9 @@ class PairWindows:
     readings: Array
 
     @staticmethod
-    def of(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData], rest: Array) -> "PairWindows":
+    def of(
+        hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonData], rest: Array
+    ) -> "PairWindows":
         """Return the windowed signals of a spool pair.
 
         Args:
@@ -145,7 +152,9 @@ class PairWindows:
             raise LogError(f"{own.tendon} hardly moves", "the log", "a run in which it moves")
         q, dq, ddq = _joint_motion(digit, means[:, :, clear], data, rest[digit.joints])
         tree = HandTree.of(hand)
-        rigid = np.array([_torque_of_digit(tree, digit, rest, *row) for row in zip(q, dq, ddq, strict=True)])
+        rigid = np.array(
+            [_torque_of_digit(tree, digit, rest, *row) for row in zip(q, dq, ddq, strict=True)]
+        )
         to_tension = digit.torque_to_tension[tendon]
         passed = digit.moment_arms[tendon] != 0.0
         quick = quick_speed(own.travel, own.period)[rows]
@@ -180,11 +189,17 @@ def _joint_motion(
     travel, speed, acceleration = (means[:, i].T for i in range(3))
     back = digit.excursion_to_joints.T
     angles = np.column_stack([pair.travel for pair in data]) @ back
-    offset = np.nanmean(data[0].joints - angles, axis=0) if np.isfinite(data[0].joints).any() else rest - angles[0]
+    offset = (
+        np.nanmean(data[0].joints - angles, axis=0)
+        if np.isfinite(data[0].joints).any()
+        else rest - angles[0]
+    )
     return travel @ back + offset, speed @ back, acceleration @ back
 
 
-def _torque_of_digit(tree: HandTree, digit: DigitModel, rest: Array, q: Array, dq: Array, ddq: Array) -> Array:
+def _torque_of_digit(
+    tree: HandTree, digit: DigitModel, rest: Array, q: Array, dq: Array, ddq: Array
+) -> Array:
     """Return the torques (joints,) that a digit needs against inertia and weight of its links [N m].
 
     The links of digits that it carries are included.
@@ -271,7 +286,9 @@ class PairProblem:
         inertia = self.value(z, "motor_inertia") * m.acceleration
         viscous = self.value(z, "motor_viscous") * m.speed
         coulomb = self.value(z, "motor_coulomb") * m.sign
-        return np.asarray(m.command(self.value(z, "delay")) - (inertia + viscous) / r**2 - coulomb / r)
+        return np.asarray(
+            m.command(self.value(z, "delay")) - (inertia + viscous) / r**2 - coulomb / r
+        )
 
     def free_tension(self, z: Array) -> Array:
         """Return the net tension (m,) that links and tendon friction need in free motion [N]."""
@@ -280,7 +297,9 @@ class PairProblem:
         rotor = self.nominal[PARAMETER_NAMES.index("motor_inertia")] / self.spool**2
         load = load + z[-2] * LOAD_INERTIA_SIGMA * rotor * w.motor.acceleration
         passed = np.exp(np.clip(-self.value(z, "capstan") * w.developed * w.angle, -3.0, 3.0))
-        return tension_of_pair(load / self.value(z, "moment_arm"), self.value(z, "pretension"), passed)
+        return tension_of_pair(
+            load / self.value(z, "moment_arm"), self.value(z, "pretension"), passed
+        )
 
     def stretch(self, z: Array) -> Array:
         """Return the length (m,) by which the spool is ahead of the joints [m].
@@ -289,7 +308,12 @@ class PairProblem:
         """
         w = self.windows
         skew = np.where(w.free, z[-1] * SKEW_S * w.motor.speed, 0.0)
-        return np.asarray(w.travel - self.value(z, "moment_arm") * w.excursion - self.value(z, "stretch_offset") - skew)
+        return np.asarray(
+            w.travel
+            - self.value(z, "moment_arm") * w.excursion
+            - self.value(z, "stretch_offset")
+            - skew
+        )
 
     def residuals(self, z: Array) -> Array:
         """Return the residuals (rows,) in standard deviations, in the order motor, stretch, priors."""
@@ -304,12 +328,16 @@ class PairProblem:
         noise = np.hypot(self.reading_noise / np.sqrt(w.readings), np.where(w.free, 0.0, softest))
         known = np.isfinite(w.excursion)
         second = np.where(known, self.stretch(z) - by_tension, 0.0) / noise
-        spread = np.array([*(PAIR_PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in PAIR_PARAMETERS), 1.0, 1.0])
+        spread = np.array(
+            [*(PAIR_PRIOR.get(name, DEFAULT_PRIOR_DEVIATION) for name in PAIR_PARAMETERS), 1.0, 1.0]
+        )
         return np.concatenate([motor, second, (z - self.start) / spread])
 
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of the scaled parameters."""
-        signed = np.array([name in ("delay", "stretch_offset") for name in PAIR_PARAMETERS] + [True, True])
+        signed = np.array(
+            [name in ("delay", "stretch_offset") for name in PAIR_PARAMETERS] + [True, True]
+        )
         return np.where(signed, -np.inf, MIN_SCALE), np.where(signed, np.inf, MAX_SCALE)
 
     def with_noise_of(self, z: Array) -> "PairProblem":
@@ -341,7 +369,9 @@ def fit_pair(hand: Hand, digit: DigitModel, tendon: int, data: Sequence[TendonDa
     reading = hand.sensor_node.joint_noise_rad * float(np.linalg.norm(digit.moment_arms[tendon]))
     motor = hand.motor_of(own.tendon)
     scales = parameter_scales(hand, own.tendon)
-    problem = PairProblem(windows, motor.spool_radius_m, scales, INITIAL_NOISE_N, reading, _start_parameters(windows))
+    problem = PairProblem(
+        windows, motor.spool_radius_m, scales, INITIAL_NOISE_N, reading, _start_parameters(windows)
+    )
     times = np.tile(windows.motor.t, 2)
     tried = [
         solve_least_squares(problem.residuals, start, problem.bounds(), times)
@@ -357,7 +387,9 @@ def _start_parameters(windows: PairWindows) -> Array:
     """Return the scaled parameters at which the fit starts: those of the hand file and a first stretch offset."""
     first = np.ones(len(PAIR_PARAMETERS) + 2)
     known = np.isfinite(windows.excursion)
-    offset = float(np.median(windows.travel[known] - windows.excursion[known])) if known.any() else 0.0
+    offset = (
+        float(np.median(windows.travel[known] - windows.excursion[known])) if known.any() else 0.0
+    )
     first[PAIR_PARAMETERS.index("stretch_offset")] = offset / SCALE_OFFSET_M
     first[-2:] = 0.0
     return first
@@ -409,7 +441,10 @@ def _as_fit(hand: Hand, problem: PairProblem, solution: FitSolution) -> TendonFi
             spool=problem.spool,
             nominal=problem.nominal,
             load=None,
-            motor=replace(windows.motor, tension=np.where(windows.free, problem.free_tension(solution.z), measured)),
+            motor=replace(
+                windows.motor,
+                tension=np.where(windows.free, problem.free_tension(solution.z), measured),
+            ),
             free=nothing,
             stop=SignalBins(t, stretch, measured[seen], rest, rest, 1),
             slack=nothing,

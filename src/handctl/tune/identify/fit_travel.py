@@ -69,7 +69,9 @@ def with_arms(digit: DigitModel, factors: Array) -> DigitModel:
     )
 
 
-def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: TendonFit, joint_noise: float) -> TendonFit:
+def fit_travel(
+    digit: DigitModel, tendon: int, data: TendonData, fit: TendonFit, joint_noise: float
+) -> TendonFit:
     """Return the fit of a tendon, with stiffness and moment arm fitted to its travel.
 
     If there are too few joint readings, the fit is returned without changes.
@@ -84,7 +86,11 @@ def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: TendonFit,
     problem = fit.problem
     tension = average_samples(data.tension, SAMPLES_EACH_SIDE)
     speed = np.gradient(data.travel, data.period)
-    used = np.isfinite(data.joints).all(axis=1) & np.isfinite(tension + data.travel + speed) & (tension > MIN_TENSION_N)
+    used = (
+        np.isfinite(data.joints).all(axis=1)
+        & np.isfinite(tension + data.travel + speed)
+        & (tension > MIN_TENSION_N)
+    )
     if used.sum() < MIN_ROWS:
         return fit
     excursion = excursions(digit, tendon, data.joints[used])
@@ -105,7 +111,12 @@ def fit_travel(digit: DigitModel, tendon: int, data: TendonData, fit: TendonFit,
         # The offset follows the drift of the load cell, which is a random walk.
         steps = np.diff(z[own:]) * SCALE_OFFSET_M * nominal / problem.step
         prior = np.array(
-            [(z[0] - 1.0) / DEFAULT_PRIOR_DEVIATION, (z[1] - 1.0) / DEFAULT_PRIOR_DEVIATION, z[2], z[own] / 10.0]
+            [
+                (z[0] - 1.0) / DEFAULT_PRIOR_DEVIATION,
+                (z[1] - 1.0) / DEFAULT_PRIOR_DEVIATION,
+                z[2],
+                z[own] / 10.0,
+            ]
         )
         return np.concatenate([(travel - expected) / noise, steps, prior])
 

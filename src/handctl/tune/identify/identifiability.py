@@ -66,9 +66,15 @@ def assess_identifiability(fit: TendonFit, hand: Hand, digit: str, tendon: str) 
     names = tuple(
         name
         for name in PARAMETER_UNITS
-        if name not in unseen and _is_narrow(name, values[name], widths[name]) and _is_excited(jacobian, name)
+        if name not in unseen
+        and _is_narrow(name, values[name], widths[name])
+        and _is_excited(jacobian, name)
     )
-    reasons = {name: _reason_not_identified(jacobian, name) for name in PARAMETER_UNITS if name not in names} | unseen
+    reasons = {
+        name: _reason_not_identified(jacobian, name)
+        for name in PARAMETER_UNITS
+        if name not in names
+    } | unseen
     spread = np.sqrt(np.diag(fit.covariance))
     correlation = fit.covariance / np.outer(spread, spread)
     pairs = [
@@ -113,7 +119,9 @@ def _reason_not_identified(jacobian: Array, name: str) -> str:
         return "no data depend on this parameter"
     if name == "delay":
         return f"the 95 % interval is wider than {1e3 * MAX_HALF_WIDTH * SCALE_DELAY_S:g} ms to either side"
-    return f"the 95 % interval is wider than {100 * MAX_HALF_WIDTH:.0f} % of the value to either side"
+    return (
+        f"the 95 % interval is wider than {100 * MAX_HALF_WIDTH:.0f} % of the value to either side"
+    )
 
 
 def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, str]:
@@ -131,11 +139,17 @@ def unobservable_parameters(hand: Hand, digit: str, tendon: str) -> dict[str, st
     sprung = any(hand.digit_named(digit).spring_stiffness_N_m_per_rad)
     unseen = {} if is_pair else {"pretension": ""}
     if is_pair:
-        unseen["torque_gain"] = "without a load cell the torque of the drive is the unit of all forces"
+        unseen["torque_gain"] = (
+            "without a load cell the torque of the drive is the unit of all forces"
+        )
     if not sprung:
-        unseen |= dict.fromkeys(("spring_stiffness", "spring_preload"), "the hand file has no springs")
+        unseen |= dict.fromkeys(
+            ("spring_stiffness", "spring_preload"), "the hand file has no springs"
+        )
     if sprung:
-        unseen["moment_arm"] = "it trades off with springs and stretch, so the moment arms of the hand file are used"
+        unseen["moment_arm"] = (
+            "it trades off with springs and stretch, so the moment arms of the hand file are used"
+        )
     elif not hand.tendons_with_encoders[index]:
         unseen["moment_arm"] = "a joint of this tendon has no encoder"
     return unseen
@@ -177,7 +191,9 @@ def _never_identifiable(fit: TendonFit, hand: Hand, name: str) -> list[str]:
 def _combination_text(direction: Array) -> str:
     """Return the largest components of a combination of parameters as text."""
     order = np.argsort(-np.abs(direction))[:3]
-    return ", ".join(f"{direction[i]:+.2f} {PARAMETER_NAMES[i]}" for i in order if abs(direction[i]) > 0.1)
+    return ", ".join(
+        f"{direction[i]:+.2f} {PARAMETER_NAMES[i]}" for i in order if abs(direction[i]) > 0.1
+    )
 
 
 def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
@@ -192,5 +208,7 @@ def excitation_coherence(data: TendonData) -> tuple[Array, Array]:
     if len(force) < 64:
         return np.zeros(0), np.zeros(0)
     speed = np.gradient(travel, data.period)
-    f, c = coherence(force, speed, fs=1.0 / data.period, nperseg=max(64, len(force) // COHERENCE_SEGMENTS))
+    f, c = coherence(
+        force, speed, fs=1.0 / data.period, nperseg=max(64, len(force) // COHERENCE_SEGMENTS)
+    )
     return np.asarray(f), np.asarray(c)

@@ -70,7 +70,11 @@ class TendonResult:
         """Return the names of the identified parameters that no contact made invalid."""
         if self.blocked:
             return ()
-        return tuple(name for name in self.identifiability.names if not (self.contact and name in SWEEP_PARAMETERS))
+        return tuple(
+            name
+            for name in self.identifiability.names
+            if not (self.contact and name in SWEEP_PARAMETERS)
+        )
 
     def identified(self, log: Path, made_at: str) -> IdentifiedParameters | None:
         """Return the tendon's entry for the calibration file, or None if no parameter is identified and valid."""
@@ -105,7 +109,9 @@ class TendonResult:
                 "half_width_95": widths[name],
                 "half_width_95_all_at_once": together[name],
                 "unit": PARAMETER_UNITS[name],
-                "hand_file": 0.0 if name == "delay" else float(nominal[PARAMETER_NAMES.index(name)]),
+                "hand_file": 0.0
+                if name == "delay"
+                else float(nominal[PARAMETER_NAMES.index(name)]),
                 "identified": name in self.names,
             }
             for name in PARAMETER_UNITS
@@ -149,7 +155,14 @@ def identify_tendons(
     for data in data_of_all:
         progress(f"fitting {data.tendon}")
         try:
-            solved.append((data, _fit_alone(hand, data, [other for other in data_of_all if other.digit == data.digit])))
+            solved.append(
+                (
+                    data,
+                    _fit_alone(
+                        hand, data, [other for other in data_of_all if other.digit == data.digit]
+                    ),
+                )
+            )
         except LogError as error:
             failure = error
     if not solved:
@@ -163,7 +176,10 @@ def identify_tendons(
             for (data, _), fit in zip(fits_of_digit, fits, strict=True)
         }
     events = blocked_digits(log)
-    return {name: _with_contacts(hand, fit, events.get(fit.data.digit, "")) for name, fit in results.items()}
+    return {
+        name: _with_contacts(hand, fit, events.get(fit.data.digit, ""))
+        for name, fit in results.items()
+    }
 
 
 def _fit_alone(hand: Hand, data: TendonData, digit_data: list[TendonData]) -> TendonFit:
@@ -202,7 +218,9 @@ def contact_text(hand: Hand, result: TendonResult) -> str:
     ramp = result.fit.ramp
     if ramp is not None and ramp.is_contact:
         several = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
-        size = f"{1e3 * abs(ramp.rise):.1f} mN m at a joint" if several else f"{abs(ramp.rise):.1f} N"
+        size = (
+            f"{1e3 * abs(ramp.rise):.1f} mN m at a joint" if several else f"{abs(ramp.rise):.1f} N"
+        )
         kind = "higher" if ramp.rise > 0.0 else "lower"
         start, end = np.degrees([ramp.begin, ramp.end])
         return (
@@ -255,7 +273,9 @@ def blocked_digits(log: RunLog) -> dict[str, str]:
     for event_entry, phase in zip(events, phases, strict=True):
         digit, _, step = str(phase).partition(" ")
         if step:
-            texts.setdefault(digit, f"{event_entry.event.text} at {event_entry.t_ns / 1e9:.1f} s, in its {step}")
+            texts.setdefault(
+                digit, f"{event_entry.event.text} at {event_entry.t_ns / 1e9:.1f} s, in its {step}"
+            )
     return texts
 
 
@@ -269,7 +289,11 @@ def _of_digit(
     """
     fits = [fit for _, fit in fitted]
     digit = DigitModel.of(hand, name)
-    if hand.is_pair[digit.tendons].any() or len(fitted) < 2 or len(fitted) < len(digit.tendon_names):
+    if (
+        hand.is_pair[digit.tendons].any()
+        or len(fitted) < 2
+        or len(fitted) < len(digit.tendon_names)
+    ):
         return None, fits
     if not any(digit.spring_stiffness):
         digit = with_arms(digit, np.array([fit.values["moment_arm"] for fit in fits]))
@@ -277,12 +301,21 @@ def _of_digit(
     return balance, fits if balance is None else fits_with_digit(fits, fit_digit(balance), balance)
 
 
-def _tendon_result(hand: Hand, data: TendonData, fit: TendonFit, balance: TorqueBalance | None) -> TendonResult:
+def _tendon_result(
+    hand: Hand, data: TendonData, fit: TendonFit, balance: TorqueBalance | None
+) -> TendonResult:
     """Return the result for a tendon, without information about contacts."""
     spectrum = excitation_coherence(data)
     inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
     mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
-    return TendonResult(data, fit, assess_identifiability(fit, hand, data.digit, data.tendon), mean, spectrum, balance)
+    return TendonResult(
+        data,
+        fit,
+        assess_identifiability(fit, hand, data.digit, data.tendon),
+        mean,
+        spectrum,
+        balance,
+    )
 
 
 def utc_now_text() -> str:
@@ -294,7 +327,9 @@ def result_table(results: dict[str, TendonResult]) -> list[str]:
     """Return lines for a terminal: each parameter with its interval and its value in the hand file."""
     lines = []
     for name, result in results.items():
-        lines.append(f"{name}: coherence {result.coherence:.2f}, load cell {result.fit.problem.sigma:.2f} N rms")
+        lines.append(
+            f"{name}: coherence {result.coherence:.2f}, load cell {result.fit.problem.sigma:.2f} N rms"
+        )
         values = result.fit.values
         widths = result.fit.half_widths
         for key, unit in PARAMETER_UNITS.items():
@@ -304,9 +339,15 @@ def result_table(results: dict[str, TendonResult]) -> list[str]:
             width = size * widths[key]
             if key not in result.names:
                 is_invalid = key in result.identifiability.names
-                lines.append(f"  {key:<17} {'invalid because of a contact' if is_invalid else 'not identified'}")
+                lines.append(
+                    f"  {key:<17} {'invalid because of a contact' if is_invalid else 'not identified'}"
+                )
                 continue
-            note = "" if key == "delay" else f"{100 * width / abs(value):5.1f} %   hand file {nominal:.4g}"
+            note = (
+                ""
+                if key == "delay"
+                else f"{100 * width / abs(value):5.1f} %   hand file {nominal:.4g}"
+            )
             lines.append(f"  {key:<17} {value:10.4g} +- {width:<9.2g} {shown:<11} {note}")
         count = max(1, len(result.names))
         wider = [result.fit.half_widths_of(count)[name] / widths[name] for name in result.names]
@@ -316,7 +357,12 @@ def result_table(results: dict[str, TendonResult]) -> list[str]:
                 f"{min(wider):.2f} to {max(wider):.2f} times as wide"
             )
         rank = f"{result.identifiability.rank} of {result.identifiability.columns} combinations"
-        lines.append(f"  the data determine {rank}, with the least information about {result.identifiability.weakest}")
-        lines += [f"  {a} and {b} trade off: correlation {r:+.2f}" for a, b, r in result.identifiability.correlated]
+        lines.append(
+            f"  the data determine {rank}, with the least information about {result.identifiability.weakest}"
+        )
+        lines += [
+            f"  {a} and {b} trade off: correlation {r:+.2f}"
+            for a, b, r in result.identifiability.correlated
+        ]
         lines += [f"  not identifiable: {text}" for text in result.identifiability.missing]
     return lines

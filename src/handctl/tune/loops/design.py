@@ -160,7 +160,9 @@ def gains_with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float
         ValueError: No weights lead to these poles.
     """
     w = 2.0 * math.pi * hz
-    position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(model, w, damping)
+    position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(
+        model, w, damping
+    )
     shared = _without_tendon_forces(model.gains, kind)
     if kind == LoopKind.MOTION:
         motion = shared.motion
@@ -219,10 +221,13 @@ def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float,
     a0 = k / m
     a1 = float((space.motor_damping + space.damping).mean()) / m
     expected = (
-        f"tension poles above {math.sqrt(a0) / (2.0 * math.pi):.1f} Hz, the frequency of the free rotor on its tendon"
+        f"tension poles above {math.sqrt(a0) / (2.0 * math.pi):.1f} "
+        "Hz, the frequency of the free rotor on its tendon"
     )
     speed = 2.0 * a0 - a1**2 - 2.0 * w**2 * (1.0 - 2.0 * damping**2)
-    return _positive_root(w**4 - a0**2, expected) * m / k, m * _positive_root(speed, MIN_DAMPING_TEXT)
+    return _positive_root(w**4 - a0**2, expected) * m / k, m * _positive_root(
+        speed, MIN_DAMPING_TEXT
+    )
 
 
 MIN_DAMPING_TEXT = "a damping of more than 0.71"
@@ -257,7 +262,10 @@ def worst_margins(
 
 def weakest_plant(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
     """Return the index of the plant that has the loop with the smallest disk margin."""
-    disks = [min(margin.disk for margin in _each_margin(model, (factors,), LoopKind)) for factors in plants]
+    disks = [
+        min(margin.disk for margin in _each_margin(model, (factors,), LoopKind))
+        for factors in plants
+    ]
     return disks.index(min(disks))
 
 
@@ -272,7 +280,9 @@ def keeps_required_margins(
     Without `tendons`, all tendons are checked. The check ends at the first loop with too small a
     margin.
     """
-    return all(margin.are_sufficient for margin in _each_margin(model, plants, kinds, tendons=tendons))
+    return all(
+        margin.are_sufficient for margin in _each_margin(model, plants, kinds, tendons=tendons)
+    )
 
 
 def _each_margin(
@@ -290,7 +300,8 @@ def _each_margin(
         for i in distinct_tendons(model) if tendons is None else tendons:
             loop_controller = controller_system(model, i, kind)
             yield from (
-                judge(join_to_open_loop(plant_system(model, i, kind, factors), loop_controller)) for factors in plants
+                judge(join_to_open_loop(plant_system(model, i, kind, factors), loop_controller))
+                for factors in plants
             )
 
 
@@ -353,10 +364,14 @@ def design_gains(
             raise ValueError(
                 "the gains that keep the margins do not come to rest in simulation; expected other weights"
             )
-    raise ValueError("no authority keeps the margins with this filter; expected a filter with more sensor noise")
+    raise ValueError(
+        "no authority keeps the margins with this filter; expected a filter with more sensor noise"
+    )
 
 
-def _with_decreasing_authority(model: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[HandModel]:
+def _with_decreasing_authority(
+    model: HandModel, plants: tuple[PlantFactors, ...]
+) -> Iterator[HandModel]:
     """Yield the model, then models with less and less authority, as far as they keep the margins."""
     yield model
     for step in range(1, MAX_COMMON_REDUCTIONS + 1):
@@ -370,7 +385,10 @@ def _with_scaled_forces(model: HandModel, factor: float) -> HandModel:
     gains = _checked_gains(
         model.gains,
         motion={**model.gains.motion.model_dump(), "force_N": model.gains.motion.force_N * factor},
-        tension={**model.gains.tension.model_dump(), "force_N": model.gains.tension.force_N * factor},
+        tension={
+            **model.gains.tension.model_dump(),
+            "force_N": model.gains.tension.force_N * factor,
+        },
         tendon=_scaled_tendon_forces(model.gains, factor, factor),
     )
     return model_with_gains(model, gains)
@@ -382,7 +400,9 @@ def _with_motion(model: HandModel, **values: float) -> HandModel:
     return model_with_gains(model, gains)
 
 
-def _with_largest_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
+def _with_largest_authority(
+    model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]
+) -> HandModel | None:
     """Return the model with the largest authority of each tendon's loop that keeps the margins.
 
     If no authority keeps the margins, return None.
@@ -396,11 +416,15 @@ def _with_largest_authority(model: HandModel, kind: LoopKind, plants: tuple[Plan
         forces |= dict.fromkeys(group, force)
     shared = min(forces.values())
     with_shared = _with_force(model, kind, shared)
-    own = {model.space.names[i]: force for i, force in forces.items() if force > FORCE_RATIO * shared}
+    own = {
+        model.space.names[i]: force for i, force in forces.items() if force > FORCE_RATIO * shared
+    }
     return _with_tendon_forces(with_shared, kind, own) if own else with_shared
 
 
-def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]) -> float | None:
+def _largest_force(
+    model: HandModel, kind: LoopKind, tendon: int, plants: tuple[PlantFactors, ...]
+) -> float | None:
     """Return the largest authority of a tendon's loop that keeps the margins [N], or None if none does.
 
     The search starts at the smallest force. This force may violate the margins, because the
@@ -410,7 +434,9 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
     """
 
     def keeps_margins(log_force: float) -> bool:
-        return keeps_required_margins(_with_force(model, kind, _rounded_force(log_force)), plants, (kind,), (tendon,))
+        return keeps_required_margins(
+            _with_force(model, kind, _rounded_force(log_force)), plants, (kind,), (tendon,)
+        )
 
     best = None
     at = math.log(MIN_FORCE_N)
@@ -433,7 +459,10 @@ def _largest_force(model: HandModel, kind: LoopKind, tendon: int, plants: tuple[
     # response of the search.
     for _ in range(MAX_REDUCTIONS):
         tried = _with_force(model, kind, _rounded_force(best))
-        if all(margin.are_sufficient for margin in _each_margin(tried, plants, (kind,), confirmed_margins, (tendon,))):
+        if all(
+            margin.are_sufficient
+            for margin in _each_margin(tried, plants, (kind,), confirmed_margins, (tendon,))
+        ):
             break
         best -= LOG_REDUCTION_STEP
     return _rounded_force(best)

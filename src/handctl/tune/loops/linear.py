@@ -101,7 +101,9 @@ class LinearSystem:
         """Return the frequency response (len(omega), p, m) at angular frequencies [rad/s]."""
         # The frequencies lie on the unit circle of the z-plane.
         z = np.exp(1j * omega * self.period)
-        inverse = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
+        inverse = np.linalg.solve(
+            z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex)
+        )
         return np.asarray(self.C @ inverse + self.D)
 
 
@@ -197,18 +199,28 @@ def controller_system(model: HandModel, tendon: int, kind: LoopKind) -> LinearSy
     tick, state, reading, scale = _operating_point(model, tendon, kind)
     n = len(state)
     centre = tick(state, reading)
-    columns = [_central_difference(partial(_tick_with_state, tick, state, reading, j), scale[j]) for j in range(n)]
+    columns = [
+        _central_difference(partial(_tick_with_state, tick, state, reading, j), scale[j])
+        for j in range(n)
+    ]
     steps = (DIFFERENCE_STEPS["travel"], DIFFERENCE_STEPS["tension"], DIFFERENCE_STEPS["travel"])
-    entries = [_central_difference(partial(_tick_with_reading, tick, state, reading, j), steps[j]) for j in range(3)]
+    entries = [
+        _central_difference(partial(_tick_with_reading, tick, state, reading, j), steps[j])
+        for j in range(3)
+    ]
     J = np.column_stack(columns)
     E = np.column_stack(entries)
     assert len(centre) == n + 1
     return LinearSystem(J[:n], E[:n], J[n:], E[n:], model.period)
 
 
-def open_loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS) -> LinearSystem:
+def open_loop(
+    model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL_FACTORS
+) -> LinearSystem:
     """Return the open loop of a tendon, see `join_to_open_loop`."""
-    return join_to_open_loop(plant_system(model, tendon, kind, factors), controller_system(model, tendon, kind))
+    return join_to_open_loop(
+        plant_system(model, tendon, kind, factors), controller_system(model, tendon, kind)
+    )
 
 
 def join_to_open_loop(P: LinearSystem, K: LinearSystem) -> LinearSystem:
@@ -254,14 +266,18 @@ def _central_difference(function: Callable[[float], Matrix], step: float) -> Mat
     return np.asarray((function(step) - function(-step)) / (2.0 * step))
 
 
-def _tick_with_state(tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+def _tick_with_state(
+    tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float
+) -> Matrix:
     """Return the result of a tick in which state j is changed by a step."""
     moved = state.copy()
     moved[j] += step
     return tick(moved, reading)
 
 
-def _tick_with_reading(tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+def _tick_with_reading(
+    tick: _TickFunction, state: Matrix, reading: Matrix, j: int, step: float
+) -> Matrix:
     """Return the result of a tick in which reading j is changed by a step."""
     moved = reading.copy()
     moved[j] += step
@@ -320,7 +336,9 @@ class _LinearizationBench:
         stages.compute_motor_torques(block, self.layout.places, *self._constant_args, 0.0, 0, 1)
 
 
-def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
+def _operating_point(
+    model: HandModel, tendon: int, kind: LoopKind
+) -> tuple[_TickFunction, Matrix, Matrix, Matrix]:
     """Return the tick function of a tendon, its state and reading at the operating point, and the state steps."""
     bench = _LinearizationBench(model)
     point = _operating_block(bench, tendon, kind)
@@ -332,7 +350,9 @@ def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Ti
         table[MEASUREMENT_ROWS, tendon] = reading
         bench.estimate(block)
         bench.act(block)
-        return np.append(table[STATE_ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon])
+        return np.append(
+            table[STATE_ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon]
+        )
 
     table = bench.layout.table(point, "tendon")
     return (
@@ -353,15 +373,27 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     layout = bench.layout
     moving = kind == LoopKind.MOTION
     coordinates = [_half_closed(digit) for digit in model.digits]
-    rates = [_winding_rates(model, d, tendon, OPERATING_SPEED_M_S if moving else 0.0) for d in range(len(model.digits))]
-    q = np.concatenate([digit.coupling @ position for digit, position in zip(model.digits, coordinates, strict=True)])
-    dq = np.concatenate([digit.coupling @ position for digit, position in zip(model.digits, rates, strict=True)])
+    rates = [
+        _winding_rates(model, d, tendon, OPERATING_SPEED_M_S if moving else 0.0)
+        for d in range(len(model.digits))
+    ]
+    q = np.concatenate(
+        [
+            digit.coupling @ position
+            for digit, position in zip(model.digits, coordinates, strict=True)
+        ]
+    )
+    dq = np.concatenate(
+        [digit.coupling @ position for digit, position in zip(model.digits, rates, strict=True)]
+    )
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
     digits = [digit.at(q[digit.joints]) for digit in model.digits]
     table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
     table[s.TRAVEL] = table[s.EXCURSION] + OPERATING_TENSION_N / model.space.stiffness
-    table[s.SPEED] = table[s.EXCURSION_RATE] = block_diag(*(digit.moment_arms for digit in digits)) @ dq
+    table[s.SPEED] = table[s.EXCURSION_RATE] = (
+        block_diag(*(digit.moment_arms for digit in digits)) @ dq
+    )
     table[s.FILTER_FORCE] = table[s.MEASURED_TENSION] = OPERATING_TENSION_N
     table[s.MEASURED_TRAVEL] = table[s.TRAVEL]
     seen = np.isfinite(_joint_gain(model))
@@ -439,10 +471,17 @@ def _joint_gain(model: HandModel) -> Matrix:
 def _hold_goal(tendons: slice) -> DigitGoal:
     """Return a goal that holds the tension of the operating point."""
     n = tendons.stop - tendons.start
-    return DigitGoal(GoalKind.TENSION, tension=np.full(n, OPERATING_TENSION_N), rate=0.0, force_limit=UNREACHABLE_LIMIT)
+    return DigitGoal(
+        GoalKind.TENSION,
+        tension=np.full(n, OPERATING_TENSION_N),
+        rate=0.0,
+        force_limit=UNREACHABLE_LIMIT,
+    )
 
 
-def _move_goal(digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int) -> DigitGoal:
+def _move_goal(
+    digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int
+) -> DigitGoal:
     """Return a motion goal that equals the estimated excursion [m] and speed [m/s] of tendon i of a digit."""
     q = digit.coupling @ position
     arms = digit.at(q).reduced_moment_arms

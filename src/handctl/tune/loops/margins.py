@@ -74,7 +74,11 @@ class LoopMargins:
     @property
     def are_sufficient(self) -> bool:
         """Return True if the margins are large enough for tuned gains."""
-        return self.stable and self.gain_db >= MIN_GAIN_MARGIN_DB and self.phase_deg >= MIN_PHASE_MARGIN_DEG
+        return (
+            self.stable
+            and self.gain_db >= MIN_GAIN_MARGIN_DB
+            and self.phase_deg >= MIN_PHASE_MARGIN_DEG
+        )
 
     @property
     def shortfall(self) -> float:
@@ -84,7 +88,9 @@ class LoopMargins:
         """
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
-        return max(1.0 - self.gain_db / MIN_GAIN_MARGIN_DB, 1.0 - self.phase_deg / MIN_PHASE_MARGIN_DEG)
+        return max(
+            1.0 - self.gain_db / MIN_GAIN_MARGIN_DB, 1.0 - self.phase_deg / MIN_PHASE_MARGIN_DEG
+        )
 
 
 def unproven_margins(linear_margins: LoopMargins) -> LoopMargins:
@@ -182,7 +188,9 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
             result.phase_deg, lambda x: _stable_with_all(system, (np.exp(1j * math.radians(x)),))
         ),
         disk=_largest_confirmed(
-            result.disk, lambda x: _stable_with_all(system, _disk_factors(x)), CHECKED_FRACTIONS // 3
+            result.disk,
+            lambda x: _stable_with_all(system, _disk_factors(x)),
+            CHECKED_FRACTIONS // 3,
         ),
         delay_s=min(result.delay_s, MAX_DELAY_S)
         if first_unstable is None
@@ -190,7 +198,9 @@ def confirmed_margins(system: LinearSystem) -> LoopMargins:
     )
 
 
-def _stable_with_all(system: LinearSystem, factors: Sequence[complex] | NDArray[np.complex128]) -> bool:
+def _stable_with_all(
+    system: LinearSystem, factors: Sequence[complex] | NDArray[np.complex128]
+) -> bool:
     """Return True if the loop is stable with its gain multiplied by each of the factors."""
     return all(is_stable(system, complex(factor)) for factor in factors)
 
@@ -224,7 +234,9 @@ def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
     # real parts.
     i = np.flatnonzero((np.diff(np.sign(L.imag)) != 0.0) & (L.real[:-1] < 0.0) & (L.real[1:] < 0.0))
     fraction = L.imag[i] / (L.imag[i] - L.imag[i + 1])
-    return [1.0 / abs(value) for value in (L.real[i] + fraction * (L.real[i + 1] - L.real[i])).tolist()]
+    return [
+        1.0 / abs(value) for value in (L.real[i] + fraction * (L.real[i + 1] - L.real[i])).tolist()
+    ]
 
 
 def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float, float]]:
@@ -234,10 +246,16 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
     fraction = size[i] / (size[i] - size[i + 1])
     # Log magnitude and phase are interpolated, because a response is almost linear in them.
     angle = np.abs(np.angle(-L[i] * (L[i + 1] / L[i]) ** fraction))
-    return list(zip(angle.tolist(), (omega[i] * (omega[i + 1] / omega[i]) ** fraction).tolist(), strict=True))
+    return list(
+        zip(
+            angle.tolist(), (omega[i] * (omega[i + 1] / omega[i]) ** fraction).tolist(), strict=True
+        )
+    )
 
 
-def all_margins(model: HandModel, factors: PlantFactors = NOMINAL_FACTORS) -> dict[tuple[str, LoopKind], LoopMargins]:
+def all_margins(
+    model: HandModel, factors: PlantFactors = NOMINAL_FACTORS
+) -> dict[tuple[str, LoopKind], LoopMargins]:
     """Return the confirmed margins of both loops of every tendon."""
     names = model.hand.tendon_names
     return {
@@ -254,7 +272,9 @@ def worst_loop(
     return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
 
 
-def step_response(model: HandModel, tendon: int, kind: LoopKind, duration: float) -> tuple[Matrix, Matrix]:
+def step_response(
+    model: HandModel, tendon: int, kind: LoopKind, duration: float
+) -> tuple[Matrix, Matrix]:
     """Return the response of the closed loop to a step of the disturbance force on the rotor by 1 N.
 
     Args:

@@ -57,7 +57,9 @@ class StepExercise(ExerciseProgram):
         """Return all stages of the exercise in order."""
         return (
             ExerciseStage("settle", 0.5, HOME_ANGLE_RAD),
-            ExerciseStage("move", 0.1 + REST_DURATION_S, HOME_ANGLE_RAD + ANGLE_STEP_RAD, rest=REST_DURATION_S),
+            ExerciseStage(
+                "move", 0.1 + REST_DURATION_S, HOME_ANGLE_RAD + ANGLE_STEP_RAD, rest=REST_DURATION_S
+            ),
             ExerciseStage("close", 0.8, tension=HOLD_TENSION_N),
             ExerciseStage("hold", REST_DURATION_S, tension=HOLD_TENSION_N + TENSION_STEP_N),
         )
@@ -99,7 +101,8 @@ class StepOscillation:
     def minus_plant_swings(self, plant_swings_N: tuple[float, ...]) -> "StepOscillation":
         """Return the oscillation of the held tensions minus the oscillation of the plant itself [N]."""
         remaining = (
-            max(0.0, swing - plant_swing) for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
+            max(0.0, swing - plant_swing)
+            for swing, plant_swing in zip(self.hold_swings_N, plant_swings_N, strict=True)
         )
         return replace(self, hold_swings_N=tuple(remaining))
 
@@ -111,7 +114,9 @@ class StepOscillation:
         return f"swings by {angle:.2f} deg, {self.free_N:.1f} N free and {self.largest_hold_swing:.1f} N held"
 
 
-def simulate_swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> StepOscillation:
+def simulate_swing(
+    hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int
+) -> StepOscillation:
     """Run both steps on a simulated plant, and return the largest oscillations.
 
     Args:
@@ -122,17 +127,29 @@ def simulate_swing(hand: Hand, model: HandModel, factors: Mapping[str, float], s
     """
     ticks, truth, failure = simulate_program(hand, model, StepExercise(), factors, seed)
     active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == Mode.ACTIVE]
-    ends = {name: max((t for t, phase in active if phase == name), default=None) for name in ("move", "hold")}
+    ends = {
+        name: max((t for t, phase in active if phase == name), default=None)
+        for name in ("move", "hold")
+    }
     if failure or ends["hold"] is None or ends["move"] is None:
-        return StepOscillation(np.inf, np.inf, (np.inf,) * model.tendon_count, failure or "never active")
+        return StepOscillation(
+            np.inf, np.inf, (np.inf,) * model.tendon_count, failure or "never active"
+        )
     angle, free = _measure_swing(hand, truth, model, ends["move"])
     _, hold = _measure_swing(hand, truth, model, ends["hold"])
     return StepOscillation(float(angle.max()), float(free.max()), tuple(hold.tolist()))
 
 
-def _measure_swing(hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int) -> tuple[Matrix, Matrix]:
+def _measure_swing(
+    hand: Hand, truth: TruthRecord, model: HandModel, end_ns: int
+) -> tuple[Matrix, Matrix]:
     """Return the oscillations of angles and tensions during `EVALUATED_DURATION_S` before `end_ns`."""
-    times = np.arange(end_ns - round(EVALUATED_DURATION_S * 1e9), end_ns, round(model.period * 1e9), dtype=np.int64)
+    times = np.arange(
+        end_ns - round(EVALUATED_DURATION_S * 1e9),
+        end_ns,
+        round(model.period * 1e9),
+        dtype=np.int64,
+    )
     real = GroundTruth.of(truth, hand, times)
     return _peak_to_peak(real.angle), _peak_to_peak(real.tension)
 
@@ -146,7 +163,9 @@ def _peak_to_peak(values: Matrix) -> Matrix:
     # The columns are t^2, t and 1.
     powers = np.vander(t, 3)
     # The residual of the least-squares parabola is the oscillation.
-    return np.asarray(np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0))
+    return np.asarray(
+        np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0)
+    )
 
 
 def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
@@ -164,7 +183,9 @@ def is_loop_ringing(model: HandModel, factors: PlantFactors) -> bool:
     for i in distinct_tendons(model):
         system = open_loop(model, i, LoopKind.TENSION, factors)
         poles = np.linalg.eigvals(system.A - system.B @ system.C)
-        size = float(np.abs(poles[np.abs(np.angle(poles)) > OSCILLATION_ANGLE_RAD]).max(initial=0.0))
+        size = float(
+            np.abs(poles[np.abs(np.angle(poles)) > OSCILLATION_ANGLE_RAD]).max(initial=0.0)
+        )
         if not size < 1.0 or TENSION_STEP_N * size**ticks > MAX_HOLD_SWING_N:
             return True
     return False
@@ -231,7 +252,10 @@ class RestTest:
         """Simulate the plants, and return the reason why the hand does not come to rest, empty if it does."""
         friction = [factors.get("friction", 1.0) for factors in self.factors]
         indices = sorted({0, weakest_plant(model, self.plants), friction.index(max(friction))})
-        cases = {f"plant {i + 1} of {len(self.plants)}": (self.factors[i], self.seed + i) for i in indices}
+        cases = {
+            f"plant {i + 1} of {len(self.plants)}": (self.factors[i], self.seed + i)
+            for i in indices
+        }
         cases[f"the plant with {MIN_FRICTION['friction']:g} of the friction"] = (
             MIN_FRICTION,
             self.seed,
@@ -245,19 +269,27 @@ class RestTest:
             if (
                 result.failure
                 or ringing
-                or not result.minus_plant_swings(self._plant_swing(model, name, factors, seed)).at_rest
+                or not result.minus_plant_swings(
+                    self._plant_swing(model, name, factors, seed)
+                ).at_rest
             ):
                 return f": {name} {result}{' of a loop that oscillates' if ringing else ''}"
         return ""
 
-    def _plant_swing(self, model: HandModel, name: str, factors: Mapping[str, float], seed: int) -> tuple[float, ...]:
+    def _plant_swing(
+        self, model: HandModel, name: str, factors: Mapping[str, float], seed: int
+    ) -> tuple[float, ...]:
         """Return the largest oscillation of each held tension without feedback [N].
 
         In a failed run, the oscillations count as zero.
         """
         if name not in self._chatter:
-            still = HandModel.of(model.hand, Gains.model_validate(WITHOUT_FEEDBACK), 1.0 / model.period)
-            runs = [simulate_swing(self.hand, still, factors, seed + i) for i in range(CHATTER_SEEDS)]
+            still = HandModel.of(
+                model.hand, Gains.model_validate(WITHOUT_FEEDBACK), 1.0 / model.period
+            )
+            runs = [
+                simulate_swing(self.hand, still, factors, seed + i) for i in range(CHATTER_SEEDS)
+            ]
             none = (0.0,) * model.tendon_count
             each = zip(*(none if run.failure else run.hold_swings_N for run in runs), strict=True)
             self._chatter[name] = tuple(max(values) for values in each)

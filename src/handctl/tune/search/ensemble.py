@@ -28,7 +28,9 @@ MAX_FACTOR_SPREAD = 0.9
 """Largest half width of the range of a factor. No real plant has a factor near zero."""
 
 
-def draw_ensemble(count: int, seed: int, spread: Mapping[str, float] | None = None) -> tuple[dict[str, float], ...]:
+def draw_ensemble(
+    count: int, seed: int, spread: Mapping[str, float] | None = None
+) -> tuple[dict[str, float], ...]:
     """Return factors of plant parameters: first those of the nominal plant, then those of random plants.
 
     The random plants come from a scrambled Sobol sequence.
@@ -48,7 +50,9 @@ def draw_ensemble(count: int, seed: int, spread: Mapping[str, float] | None = No
     }
     # A Sobol sequence is balanced if its length is a power of two. Therefore the length is rounded
     # up.
-    drawn = qmc.Sobol(len(half), seed=seed).random(1 << max(0, (max(count - 1, 1) - 1).bit_length()))
+    drawn = qmc.Sobol(len(half), seed=seed).random(
+        1 << max(0, (max(count - 1, 1) - 1).bit_length())
+    )
     factors = 1.0 + np.array(list(half.values())) * (2.0 * drawn[: max(count - 1, 0)] - 1.0)
     nominal = dict.fromkeys(half, 1.0)
     return (nominal, *(dict(zip(half, map(float, row), strict=True)) for row in factors))[:count]
@@ -76,5 +80,7 @@ def ensemble_widths(identified: Mapping[str, IdentifiedParameters]) -> dict[str,
     for tendon in identified.values():
         for name, value, half in zip(tendon.names, tendon.values, tendon.half_widths, strict=True):
             if name in FACTOR_OF_PARAMETER and value > 0.0:
-                spread[FACTOR_OF_PARAMETER[name]] = max(spread.get(FACTOR_OF_PARAMETER[name], 0.0), half / value)
+                spread[FACTOR_OF_PARAMETER[name]] = max(
+                    spread.get(FACTOR_OF_PARAMETER[name], 0.0), half / value
+                )
     return spread

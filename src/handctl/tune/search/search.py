@@ -118,12 +118,17 @@ class SearchResult:
         """Return the result of a search, given its finished trials."""
         feasible = [trial for trial in trials if trial.is_feasible]
         best = (
-            min(feasible, key=lambda trial: (trial.score.cost(_cost_reference(trials)), trial.number))
+            min(
+                feasible,
+                key=lambda trial: (trial.score.cost(_cost_reference(trials)), trial.number),
+            )
             if feasible
             else None
         )
         front = [
-            trial.number for trial in feasible if not any(_dominates(other.score, trial.score) for other in feasible)
+            trial.number
+            for trial in feasible
+            if not any(_dominates(other.score, trial.score) for other in feasible)
         ]
         return SearchResult(trials, best, tuple(front))
 
@@ -184,7 +189,9 @@ def _exclusive_lock(path: Path) -> Iterator[None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield
     except BlockingIOError:
-        raise ConfigError("another search uses it", str(path), "another --study, or to wait") from None
+        raise ConfigError(
+            "another search uses it", str(path), "another --study, or to wait"
+        ) from None
     except OSError as error:
         if error.filename != str(path):
             raise
@@ -216,7 +223,9 @@ def _open_study(plan: SearchPlan, path: Path) -> Any:
         TypeError,
         AssertionError,
     ) as error:  # Optuna does not validate the file, and a damaged journal raises any of these errors.
-        raise ConfigError(f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`") from None
+        raise ConfigError(
+            f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`"
+        ) from None
     if study.user_attrs.get("plan", plan.identity) != plan.identity:
         raise ConfigError(
             "holds another search",
@@ -245,7 +254,9 @@ def _truncate_partial_line(path: Path) -> None:
         file.truncate(content.rfind(b"\n") + 1)
 
 
-def _run_batch(study: Any, plan: SearchPlan, workers: SearchWorkers, show: Callable[[SearchResult], None]) -> None:
+def _run_batch(
+    study: Any, plan: SearchPlan, workers: SearchWorkers, show: Callable[[SearchResult], None]
+) -> None:
     """Evaluate the trials of the present batch that have no score, and report their scores in order."""
     finished_count = len(_finished_trials(study))
     trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
@@ -273,7 +284,9 @@ def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]
     still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
     # If the whole batch was requested before, its open trials have the right number and all
     # parameters.
-    if len(still_open) == count and all(len(trial.params) == len(GAIN_RANGES) for trial in still_open):
+    if len(still_open) == count and all(
+        len(trial.params) == len(GAIN_RANGES) for trial in still_open
+    ):
         return [OptunaTrial(study, trial._trial_id) for trial in still_open]
     _close_open_trials(study)
     if finished_count == 0:
@@ -329,5 +342,6 @@ def _finished_trials(study: Any) -> tuple[SearchTrial, ...]:
 
     done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
     return tuple(
-        SearchTrial(i, dict(trial.params), GainScore(**trial.user_attrs["score"])) for i, trial in enumerate(done)
+        SearchTrial(i, dict(trial.params), GainScore(**trial.user_attrs["score"]))
+        for i, trial in enumerate(done)
     )

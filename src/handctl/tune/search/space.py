@@ -37,4 +37,7 @@ The force of Bryson's rule is fixed, because only ratios of weights have an effe
 def clamped_gains(gains: Gains) -> dict[str, float]:
     """Return gains as a point of the search space, clamped to the ranges."""
     values = values_by_key(gains)
-    return {key: min(max(values[key], gain_range.low), gain_range.high) for key, gain_range in GAIN_RANGES.items()}
+    return {
+        key: min(max(values[key], gain_range.low), gain_range.high)
+        for key, gain_range in GAIN_RANGES.items()
+    }

@@ -69,7 +69,9 @@ class ProcessPool:
     def _start() -> "subprocess.Popen[bytes]":
         # Each worker uses one core. Additional threads of numerical libraries would compete for the
         # cores.
-        environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+        environment = os.environ | dict.fromkeys(
+            ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+        )
         command = [sys.executable, "-m", "handctl.tune.search.worker"]
         # In a separate session, the worker does not receive Ctrl-C from the terminal, not even
         # during its imports.
@@ -104,7 +106,11 @@ class ProcessPool:
                 self._replace(slot)
                 attempts[i] += 1
                 if attempts[i] == MAX_JOB_ATTEMPTS:
-                    raise ConfigError(f"a worker died {MAX_JOB_ATTEMPTS} times on one trial", "tune search", "--jobs 1")
+                    raise ConfigError(
+                        f"a worker died {MAX_JOB_ATTEMPTS} times on one trial",
+                        "tune search",
+                        "--jobs 1",
+                    )
                 # The job of a dead worker is repeated next. Thus the order of the results changes
                 # little.
                 waiting.appendleft(i)
@@ -159,7 +165,9 @@ class DaskCluster:
         try:
             self._client = Client(address, timeout="10s")
         except (OSError, ValueError) as error:
-            raise ConfigError(f"no cluster answers: {error}", f"--scheduler {address}", "tcp://HOST:PORT") from None
+            raise ConfigError(
+                f"no cluster answers: {error}", f"--scheduler {address}", "tcp://HOST:PORT"
+            ) from None
 
     def scores(self, jobs: Sequence[ScoreJob]) -> Iterator[tuple[int, ScoreResult]]:
         """Yield index and score of each job.

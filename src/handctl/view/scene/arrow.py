@@ -20,7 +20,9 @@ FloatArray = NDArray[np.float64]
 
 def times_since_start(chunk: Chunk, offset_ns: int) -> TimesNs:
     """Return the time since the start of the run of each row in a chunk (n,) [ns]."""
-    return np.asarray(chunk.to_record_batch().column(LOG_TIME_TIMELINE).cast(pa.int64())) - offset_ns
+    return (
+        np.asarray(chunk.to_record_batch().column(LOG_TIME_TIMELINE).cast(pa.int64())) - offset_ns
+    )
 
 
 def timed_chunk(entity: str, times: TimesNs, columns: Iterable[ComponentColumn]) -> Chunk:

@@ -40,16 +40,25 @@ def dashboard(run: RunInfo, live: bool = False) -> rrb.Blueprint:
         live: True to show only the last seconds, and to move on with the run.
     """
     window = [LIVE_TIME_RANGE] if live else None
-    left = rrb.Vertical(_hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26])
+    left = rrb.Vertical(
+        _hand_view(run), _timing_plots(run, window), _log_view(), row_shares=[0.56, 0.18, 0.26]
+    )
     right = rrb.Vertical(
-        _force_plots(run, window), _angle_plots(run, window), _state_lanes(window), row_shares=ROW_HEIGHTS
+        _force_plots(run, window),
+        _angle_plots(run, window),
+        _state_lanes(window),
+        row_shares=ROW_HEIGHTS,
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[0.40, 0.60]),
         rrb.TopPanel(state=PanelState.Hidden),
         rrb.BlueprintPanel(state=PanelState.Collapsed),
         rrb.SelectionPanel(state=PanelState.Collapsed),
-        rrb.TimePanel(state=PanelState.Collapsed, timeline=RUN_TIME_TIMELINE, play_state="following" if live else None),
+        rrb.TimePanel(
+            state=PanelState.Collapsed,
+            timeline=RUN_TIME_TIMELINE,
+            play_state="following" if live else None,
+        ),
         auto_layout=False,
         auto_views=False,
     )
@@ -59,7 +68,11 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
     """Return the three-dimensional view of the hand."""
     mounts = np.array([digit.mount_position_m for digit in run.hand.digit])
     middle = mounts.mean(axis=0) * (1, 0, 1) + run.reach * np.array([0.4, -0.05, -0.06])
-    shown = "object and table as in the simulator" if run.truth else "forces of the object on the fingertips"
+    shown = (
+        "object and table as in the simulator"
+        if run.truth
+        else "forces of the object on the fingertips"
+    )
     return rrb.Spatial3DView(
         name=f"{run.hand.name}, {run.name}: {shown}",
         contents=["+ /hand/**", "+ /force/**", "+ /true/**", "+ /tf/**", "+ /tf_static/**"],
@@ -67,7 +80,9 @@ def _hand_view(run: RunInfo) -> rrb.Spatial3DView:
         background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND_RGB),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
-            position=middle + run.reach * np.array(CAMERA_POSITION), look_target=middle, eye_up=(0, 0, 1)
+            position=middle + run.reach * np.array(CAMERA_POSITION),
+            look_target=middle,
+            eye_up=(0, 0, 1),
         ),
     )
 
@@ -143,5 +158,7 @@ def _log_view() -> rrb.TextLogView:
     return rrb.TextLogView(
         name="Log",
         contents="/rosout",
-        columns=rrb.TextLogColumns(timeline_columns=[RUN_TIME_TIMELINE], text_log_columns=["loglevel", "body"]),
+        columns=rrb.TextLogColumns(
+            timeline_columns=[RUN_TIME_TIMELINE], text_log_columns=["loglevel", "body"]
+        ),
     )

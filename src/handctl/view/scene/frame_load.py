@@ -35,7 +35,10 @@ class FrameLoad:
         seconds = [
             [
                 [
-                    [frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, extended) for size in range(MAX_PAYLOAD + 1)]
+                    [
+                        frame_time_s(size, fd, bus.bitrate, bus.data_bitrate, extended)
+                        for size in range(MAX_PAYLOAD + 1)
+                    ]
                     for extended in (False, True)
                 ]
                 for fd in (False, True)
@@ -62,7 +65,9 @@ class FrameLoad:
         span = np.clip(now + self._period_ns, self._period_ns, LOAD_WINDOW_NS)
         self._t = t[first[-1] :]
         self._spent = spent[first[-1] :]
-        return np.asarray((total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64)
+        return np.asarray(
+            (total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64
+        )
 
     def _spent_on(self, frames: pa.ListArray) -> NDArray[np.int64]:
         """Return for how long the frames of each tick occupy each bus (n, buses) [ns].

@@ -43,7 +43,9 @@ def solid_chunks(chunk: Chunk, run: RunInfo) -> Iterator[Chunk]:
     archetypes = {field.name.split(":")[0] for field in chunk.to_record_batch().schema}
     for archetype, shape in _SHAPE_ARCHETYPES.items():
         if archetype in archetypes:
-            style = shape.columns(fill_mode=[rr.components.FillMode.Solid], colors=[link_colour(link, run)])
+            style = shape.columns(
+                fill_mode=[rr.components.FillMode.Solid], colors=[link_colour(link, run)]
+            )
             yield static_chunk(path, style)
 
 
@@ -53,11 +55,15 @@ def mesh_chunks(run: RunInfo) -> Iterator[Chunk]:
         mesh = attached.mesh
         path = f"/hand/{link}/mesh"
         asset = rr.Asset3D.columns(
-            blob=[attached.data], media_type=[MEDIA_TYPES[mesh.suffix]], albedo_factor=[link_colour(link, run)]
+            blob=[attached.data],
+            media_type=[MEDIA_TYPES[mesh.suffix]],
+            albedo_factor=[link_colour(link, run)],
         )
         yield static_chunk(path, asset)
         pose = rr.InstancePoses3D.columns(
-            translations=[mesh.position], quaternions=[quaternion_of_rotation(mesh.rotation)], scales=[mesh.scale]
+            translations=[mesh.position],
+            quaternions=[quaternion_of_rotation(mesh.rotation)],
+            scales=[mesh.scale],
         )
         yield static_chunk(path, pose)
         yield static_chunk(path, rr.CoordinateFrame.columns(frame=[link]))

@@ -79,9 +79,12 @@ class RunInfo:
         """
         slices = columns_of_fields(self.header, row_fields(self.header, table.shape[1]))
         missing = {
-            name: np.full((len(table), len(self.header.axis(axis))), np.nan) for name, axis in _missing_fields(slices)
+            name: np.full((len(table), len(self.header.axis(axis))), np.nan)
+            for name, axis in _missing_fields(slices)
         }
-        return {name: table[:, columns_of_field] for name, columns_of_field in slices.items()} | missing
+        return {
+            name: table[:, columns_of_field] for name, columns_of_field in slices.items()
+        } | missing
 
     @property
     def limits(self) -> list[float]:

@@ -37,12 +37,18 @@ def style_chunks(run: RunInfo) -> Iterator[Chunk]:
     )
     for name, axis in TELEMETRY_AXES.items():
         names = run.header.axis(axis)
-        yield _line_style(f"/controller/{name}", names, [palette.digit_colour(i) for i in range(len(names))], 1.2)
+        yield _line_style(
+            f"/controller/{name}", names, [palette.digit_colour(i) for i in range(len(names))], 1.2
+        )
 
 
-def _line_style(entity: str, names: Sequence[str], colours: Sequence[Colour], width: float) -> Chunk:
+def _line_style(
+    entity: str, names: Sequence[str], colours: Sequence[Colour], width: float
+) -> Chunk:
     """Return the chunk with the style of the plot lines of an entity."""
-    style = rr.SeriesLines.columns(names=list(names), colors=list(colours), widths=[width] * len(names))
+    style = rr.SeriesLines.columns(
+        names=list(names), colors=list(colours), widths=[width] * len(names)
+    )
     return static_chunk(entity, style.partition([len(names)]))
 
 
@@ -99,7 +105,9 @@ def _force_styles(run: RunInfo) -> Iterator[Chunk]:
 
     Each arrow starts at the fingertip on which the force acts.
     """
-    for index, digit in zip(colour_numbers(run.hand.digit_names), run.hand.digit_names, strict=True):
+    for index, digit in zip(
+        colour_numbers(run.hand.digit_names), run.hand.digit_names, strict=True
+    ):
         colour = palette.digit_colour(index).mixed(palette.WHITE, 0.3)
         yield static_chunk(f"/force/{digit}", rr.CoordinateFrame.columns(frame=[f"{digit}_tip"]))
         yield static_chunk(f"/force/{digit}", rr.Arrows3D.columns(colors=[colour]))
@@ -113,5 +121,7 @@ def _state_styles() -> Iterator[Chunk]:
         ("safety", palette.ACTION_COLOURS),
     ):
         names = list(colours)
-        style = rr.StateConfiguration.columns(values=names, labels=names, colors=list(colours.values()))
+        style = rr.StateConfiguration.columns(
+            values=names, labels=names, colors=list(colours.values())
+        )
         yield static_chunk(f"/state/{lane}", style.partition([len(names)]))

@@ -88,7 +88,9 @@ class TopicConverters:
         table = column_as_array(messages.field("values"))
         times = times_since_start(chunk, self._offset)
         part = self._run.fields(table)
-        yield timed_chunk("/tension/estimate", times, lines_with_band(part["tension"], part["tension_sigma"]))
+        yield timed_chunk(
+            "/tension/estimate", times, lines_with_band(part["tension"], part["tension_sigma"])
+        )
         yield timed_chunk("/tension/command", times, plot_lines(part["tension_goal"]))
         limits = np.tile(self._run.limits, (2, 1))
         yield timed_chunk("/tension/limit", times[[0, -1]], plot_lines(limits))
@@ -99,7 +101,9 @@ class TopicConverters:
                 times,
                 lines_with_band(angle, np.degrees(part["q_sigma"][:, joints])),
             )
-            yield timed_chunk(f"/angle/{digit}/command", times, plot_lines(np.degrees(part["q_goal"][:, joints])))
+            yield timed_chunk(
+                f"/angle/{digit}/command", times, plot_lines(np.degrees(part["q_goal"][:, joints]))
+            )
         for index, digit in enumerate(self._run.hand.digit_names):
             yield timed_chunk(f"/force/{digit}", times, force_arrows(part["tip_force"][:, index]))
         for name in TELEMETRY_AXES:
@@ -110,7 +114,9 @@ class TopicConverters:
         messages = decoded_messages(chunk)
         if messages is not None:
             late = np.asarray(messages.field("late"), np.float64) * 1e6
-            yield timed_chunk("/loop/late", times_since_start(chunk, self._offset), plot_lines(late[:, None]))
+            yield timed_chunk(
+                "/loop/late", times_since_start(chunk, self._offset), plot_lines(late[:, None])
+            )
 
     def _convert_tick(self, chunk: Chunk) -> Iterator[Chunk]:
         """Convert the CAN frames of each tick to the load of each bus [%]."""
@@ -125,7 +131,9 @@ class TopicConverters:
         if messages is not None:
             names = messages.field("name").to_pylist()
             entity = STATE_TOPICS[chunk.entity_path]
-            yield timed_chunk(entity, times_since_start(chunk, self._offset), rr.StateChange.columns(state=names))
+            yield timed_chunk(
+                entity, times_since_start(chunk, self._offset), rr.StateChange.columns(state=names)
+            )
 
 
 def lines_with_band(values: FloatArray, sigma: FloatArray) -> rr.ComponentColumnList:
@@ -133,7 +141,9 @@ def lines_with_band(values: FloatArray, sigma: FloatArray) -> rr.ComponentColumn
 
     Where the standard deviation is unknown, there is no band.
     """
-    measured = rr.Measurements.columns(values=values.ravel(), variances=np.nan_to_num(sigma**2).ravel())
+    measured = rr.Measurements.columns(
+        values=values.ravel(), variances=np.nan_to_num(sigma**2).ravel()
+    )
     return measured.partition([values.shape[1]] * len(values))
 
 
