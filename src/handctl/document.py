@@ -6,7 +6,7 @@ A mistake in a file is reported in one line with file, key path, value and expec
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -33,6 +33,8 @@ class Document(BaseModel):
 
 
 D = TypeVar("D", bound=Document)
+MAX_LISTED_KEYS = 12
+"""Largest number of valid keys that a message lists."""
 
 
 def load_document(path: Path, model: type[D]) -> D:
@@ -74,7 +76,9 @@ def _error_line(
     location = _without_tags(content, detail["loc"], detail["type"])
     where = f"{source}: {key_path(content, location)}" if location else source
     if detail["type"] == "extra_forbidden":
-        return ConfigError("unknown key", where, _nearest_key(str(location[-1]), model))
+        return ConfigError(
+            "unknown key", where, _expected_key(str(location[-1]), model, detail["loc"][:-1])
+        )
     if detail["type"] == "missing":
         return ConfigError("missing", where, "this key")
     value = detail["input"]
@@ -109,16 +113,40 @@ def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tup
     return tuple(path)
 
 
-def _nearest_key(key: str, model: type[BaseModel]) -> str:
-    valid = sorted(_all_keys(model))
+def _expected_key(key: str, model: type[BaseModel], location: Sequence[str | int]) -> str:
+    """Return the key that was probably meant, or all keys that may stand in the same table."""
+    valid = sorted(_keys_at(model, location) or _keys_at(model, ()))
     near = similar_name(key, valid)
-    return f"{near}?" if near else "one of the documented keys"
+    if near:
+        return f"{near}?"
+    return f"one of {', '.join(valid)}" if len(valid) <= MAX_LISTED_KEYS else "a documented key"
 
 
-def _all_keys(annotation: Any) -> set[str]:
-    """Return every key that may occur anywhere in a document of a given model."""
+def _keys_at(annotation: Any, location: Sequence[str | int]) -> set[str]:
+    """Return the keys of the table at a location of a document.
+
+    Args:
+        annotation: type of the content, as annotated in the model of the document.
+        location: location of the table as pydantic gives it, with the names of the alternatives of unions.
+    """
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        fields = annotation.model_fields
-        nested = [_all_keys(field.annotation) for field in fields.values()]
-        return {field.alias or name for name, field in fields.items()}.union(*nested)
-    return set[str]().union(*(_all_keys(part) for part in getattr(annotation, "__args__", ())))
+        fields = {field.alias or name: field for name, field in annotation.model_fields.items()}
+        if not location:
+            return set(fields)
+        first, *rest = location
+        if first in fields:
+            return _keys_at(fields[str(first)].annotation, rest)
+        return _keys_at(annotation, rest) if _is_alternative(annotation, first) else set()
+    arguments = get_args(annotation)
+    # A list or a table has one more part in the location, a union or an annotated type has none.
+    is_container = get_origin(annotation) in (tuple, list, dict)
+    below = location[1:] if is_container else location
+    if is_container and not location:
+        return set()
+    return set[str]().union(*(_keys_at(argument, below) for argument in arguments))
+
+
+def _is_alternative(model: type[BaseModel], name: str | int) -> bool:
+    """Return True if pydantic names a model of a union like this: by its tag, or by its class."""
+    tags = [get_args(field.annotation) for field in model.model_fields.values()]
+    return name == model.__name__ or (name,) in tags

@@ -56,11 +56,27 @@ LINES: dict[str, tuple[dict[str, Any], str]] = {
     "missing below": ({"name": "a", "step": [{"kind": "move"}]}, "step[0].speed_deg_s: missing; expected this key"),
     "unknown": ({"name": "a", "nome": 1}, "nome: unknown key; expected name?"),
     "unknown, like two": ({"name": "a", "nade": 1}, "nade: unknown key; expected name?"),
-    "unknown, like none": ({"name": "a", "xyzzy": 1}, "xyzzy: unknown key; expected one of the documented keys"),
+    "unknown, like none": (
+        {"name": "a", "xyzzy": 1},
+        "xyzzy: unknown key; expected one of either, made, name, part, point, step",
+    ),
     "unknown and missing": ({"nme": "a"}, "nme: unknown key; expected name?"),
     "unknown below": (
         {"name": "a", "step": [MOVE, MOVE | {"speed": 3}]},
         "step[1].speed: unknown key; expected speed_deg_s?",
+    ),
+    # Regression: the key of another alternative was suggested, which is the key itself.
+    "unknown in this alternative": (
+        {"name": "a", "step": [MOVE | {"tension_N": 1.0}]},
+        "step[0].tension_N: unknown key; expected one of kind, speed_deg_s",
+    ),
+    "unknown in a table of this alternative": (
+        {"name": "a", "step": [{"kind": "hold", "tension_N": 1.0, "spare": MOVE | {"tension_N": 1.0}}]},
+        "step[0].spare.tension_N: unknown key; expected one of kind, speed_deg_s",
+    ),
+    "unknown in an alternative without tag": (
+        {"name": "a", "either": MOVE | {"sped_deg_s": 1.0}},
+        "either.sped_deg_s: unknown key; expected speed_deg_s?",
     ),
     "wrong": ({"name": 3}, "name: 3; expected a valid string"),
     "a table": ({"name": {"a": 1}}, "name: a table; expected a valid string"),
