@@ -429,7 +429,7 @@ def test_a_report_is_predicted_within_the_limit_of_its_command(sign: int) -> Non
 )
 def test_a_protocol_without_position_commands_is_refused(protocol: str, reason: str) -> None:
     hand = with_position_loop(hand_with_protocol("jamia", protocol))
-    right = rf'motor\[index_motor\].protocol: "{protocol}"; expected mit, cubemars, .*{reason}'
+    right = rf'motor\[index_motor\].protocol: "{protocol}"; expected mit, moteus with .*{reason}'
     with pytest.raises(ConfigError, match=right):
         make_drives(hand)
 

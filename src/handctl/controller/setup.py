@@ -17,6 +17,7 @@ from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.cia404.load_cells import Cia404LoadCells
 from handctl.drives.contract import Drive
 from handctl.drives.identifiers import check_identifiers
+from handctl.drives.motor_description import PROTOCOL_TRAITS, position_loop_protocols_text
 from handctl.drives.registry import make_drive
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.sensors.node import SensorNode
@@ -36,11 +37,6 @@ from handctl.programs.program import Program
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.task import Task
 
-NO_POSITION_LOOP = {
-    "odrive": ". Set_Input_Pos of an ODrive contains no gains, and torque commands need another mode",
-    "cia402": ". CiA 402 standardises no gains of position loops, and torque commands need another mode",
-}
-"""Reason why the drives of a protocol close no position loop, as the end of an error message."""
 SETUP_ATTACHMENT = "setup.json"
 """Name of the log attachment that holds the ``RunSetup``."""
 
@@ -210,9 +206,10 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
     where = f"motor[{motor.name}]"
     message = drive.cyclic.position
     if message is None:
-        right = 'mit, cubemars, robstride, robstride_mit or moteus with control = "position"'
-        reason = NO_POSITION_LOOP.get(motor.protocol, "")
-        raise ConfigError(f'"{motor.protocol}"', f"{where}.protocol", f"{right}{reason}")
+        right = position_loop_protocols_text()
+        if reason := PROTOCOL_TRAITS[motor.protocol].no_position_loop:
+            right += f". {reason}"
+        raise ConfigError(f'"{motor.protocol}"', f"{where}.protocol", right)
     given = {Quantity.STIFFNESS: "kp_N_m_per_rad", Quantity.DAMPING: "kd_N_m_s_per_rad"}
     for signal in message.signals:
         value = getattr(motor, given[signal.quantity]) if signal.quantity in given else None

@@ -17,12 +17,17 @@ class ProtocolTraits(NamedTuple):
             campaign and the option ``--protocol`` of a simulated hand accept only such protocols.
         can_fd: True if the bus of the drives needs CAN FD.
         options: values of the drive options in a simulated hand.
+        position_option: drive option with which the drives close the position loop of a digit. The
+            text is empty if they need no option.
+        no_position_loop: reason why the drives close no position loop. The text is empty if they do.
     """
 
     title: str
     guarded: bool = True
     can_fd: bool = False
     options: Mapping[str, Any] = {}
+    position_option: str = ""
+    no_position_loop: str = ""
 
 
 PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
@@ -30,9 +35,12 @@ PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
     "odrive": ProtocolTraits("ODrive", options={
         "endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202,
         "endpoint_torque_max": 203, "endpoint_torque_min": 204,
-    }),
-    "cia402": ProtocolTraits("CiA 402", options={"rated_torque_N_m": 0.4, "counts_per_turn": 65536}),
-    "moteus": ProtocolTraits("moteus", can_fd=True),
+    }, no_position_loop="Set_Input_Pos of an ODrive contains no gains, and torque commands need another mode"),
+    "cia402": ProtocolTraits(
+        "CiA 402", options={"rated_torque_N_m": 0.4, "counts_per_turn": 65536},
+        no_position_loop="CiA 402 standardises no gains of position loops, and torque commands need another mode",
+    ),
+    "moteus": ProtocolTraits("moteus", can_fd=True, position_option='control = "position"'),
     "robstride": ProtocolTraits("RobStride", options={"motor_type": "rs05"}),
     "cubemars": ProtocolTraits("CubeMars", guarded=False, options={"motor_type": "ak80-6"}),
     "robstride_mit": ProtocolTraits("RobStride in MIT mode", guarded=False, options={"motor_type": "rs05"}),
@@ -40,6 +48,16 @@ PROTOCOL_TRAITS: dict[str, ProtocolTraits] = {
 """Properties of each protocol, by the name of the protocol in the hand file."""
 GUARDED_PROTOCOLS = tuple(name for name, traits in PROTOCOL_TRAITS.items() if traits.guarded)
 """Names of the guarded protocols, see ``ProtocolTraits.guarded``."""
+
+
+def position_loop_protocols_text() -> str:
+    """List the protocols whose drives close a position loop, each with the option that it needs."""
+    names = [
+        f"{name} with {traits.position_option}" if traits.position_option else name
+        for name, traits in PROTOCOL_TRAITS.items()
+        if not traits.no_position_loop
+    ]
+    return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 class MotorDescription(Protocol):
