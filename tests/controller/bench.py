@@ -22,8 +22,8 @@ from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from tests.drives.motor import ScriptedMotor
 
-SUBSTEPS = 4
-SLACK_M = 0.3e-3
+SUBSTEPS_PER_TICK = 4
+INITIAL_SLACK_M = 0.3e-3
 """Length that a rotor must wind before its tendon is taut [m]."""
 
 
@@ -33,10 +33,10 @@ class ToyHand:
     Attributes:
         motors: the scripted motors, one per tendon.
         tension: (N,) true tension of each tendon [N].
-        bias: (N,) error that each load cell adds to the tension [N].
-        order: index of the tendon that each load-cell channel measures.
+        cell_bias: (N,) error that each load cell adds to the tension [N].
+        tendon_of_channel: index of the tendon that each load-cell channel measures.
         silent_sensors: whether the sensor node sends no frames.
-        braked: whether the rotor of a disabled motor stands still.
+        locked_when_disabled: whether the rotor of a disabled motor stands still.
     """
 
     def __init__(self, hand: Hand, period_ns: int) -> None:
@@ -45,67 +45,89 @@ class ToyHand:
         self.motors = [
             ScriptedMotor(m.node_id, m.options.get("reply_id", m.node_id + 0x10)) for m in motors
         ]
-        self.spool = np.array([m.spool_radius_m for m in motors])
-        self.mass = np.array([m.inertia_kg_m2 for m in motors]) / self.spool**2
-        self.coulomb = np.array([m.coulomb_N_m for m in motors]) / self.spool
-        self.stiffness = np.array([t.stiffness_N_per_m for t in hand.tendon])
-        self.damping = np.full(len(self.stiffness), 150.0)
+        self.spool_radius = np.array([m.spool_radius_m for m in motors])
+        self.motor_mass = np.array([m.inertia_kg_m2 for m in motors]) / self.spool_radius**2
+        self.coulomb_friction = np.array([m.coulomb_N_m for m in motors]) / self.spool_radius
+        self.tendon_stiffness = np.array([t.stiffness_N_per_m for t in hand.tendon])
+        self.tendon_damping = np.full(len(self.tendon_stiffness), 150.0)
         n = len(motors)
-        self.x, self.v, self.tension, self.bias = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-        self.order, self.silent_sensors, self.braked = list(range(n)), False, False
-        self.force_of = [0.0] * n
+        self.spool_travel, self.spool_speed, self.tension, self.cell_bias = (
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(n),
+        )
+        self.tendon_of_channel, self.silent_sensors, self.locked_when_disabled = (
+            list(range(n)),
+            False,
+            False,
+        )
+        self.motor_force = [0.0] * n
 
     def step(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
         """Reply to the frames of a tick, and advance the tendons to the next tick."""
         answers: list[Frame] = []
-        for raw in frames:
-            frame = Frame(*raw)
+        for sent_frame in frames:
+            frame = Frame(*sent_frame)
             if frame.can_id == self.hand.sensor_node.sync_id:
-                answers += [] if self.silent_sensors else self._sensors(frame.data[0])
+                answers += [] if self.silent_sensors else self._sensor_frames(frame.data[0])
             for i, motor in enumerate(self.motors):
-                motor.codes = self._codes(i)
+                motor.codes = self._feedback_codes(i)
                 answers += motor.answer(frame, t_ns)
                 if motor.torques:
-                    self.force_of[i] = (motor.torques.pop() / 4095.0 * 1.6 - 0.8) / self.spool[i]
+                    self.motor_force[i] = (
+                        motor.torques.pop() / 4095.0 * 1.6 - 0.8
+                    ) / self.spool_radius[i]
                 if motor.nibble != 1:
-                    self.force_of[i] = 0.0
-        self._move()
+                    self.motor_force[i] = 0.0
+        self._advance_tendons()
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
 
-    def tear(self, i: int) -> None:
+    def tear_tendon(self, i: int) -> None:
         """Tear tendon i. From then on its tension is zero, at any speed of its spool."""
-        self.stiffness[i] = self.damping[i] = 0.0
+        self.tendon_stiffness[i] = self.tendon_damping[i] = 0.0
 
     def close(self) -> None:
         """Do nothing, because this peer has nothing to close."""
 
-    def _codes(self, i: int) -> tuple[int, int, int]:
-        angle, speed = self.x[i] / self.spool[i], self.v[i] / self.spool[i]
-        torque = self.force_of[i] * self.spool[i]
+    def _feedback_codes(self, i: int) -> tuple[int, int, int]:
+        angle, speed = (
+            self.spool_travel[i] / self.spool_radius[i],
+            self.spool_speed[i] / self.spool_radius[i],
+        )
+        torque = self.motor_force[i] * self.spool_radius[i]
         scaled = ((angle / 12.5, 65535), (speed / 50.0, 4095), (torque / 0.8, 4095))
         position, velocity, effort = (
             round((min(max(v, -1.0), 1.0) + 1) / 2 * top) for v, top in scaled
         )
         return position, velocity, effort
 
-    def _move(self) -> None:
-        dt = self.period_s / SUBSTEPS
-        force = np.array(self.force_of)
-        free = np.array([motor.nibble == 1 for motor in self.motors]) | (not self.braked)
-        for _ in range(SUBSTEPS):
-            stretch = self.x - SLACK_M
+    def _advance_tendons(self) -> None:
+        dt = self.period_s / SUBSTEPS_PER_TICK
+        force = np.array(self.motor_force)
+        free = np.array([motor.nibble == 1 for motor in self.motors]) | (
+            not self.locked_when_disabled
+        )
+        for _ in range(SUBSTEPS_PER_TICK):
+            stretch = self.spool_travel - INITIAL_SLACK_M
             self.tension = np.where(
-                stretch > 0, np.maximum(self.stiffness * stretch + self.damping * self.v, 0.0), 0.0
+                stretch > 0,
+                np.maximum(
+                    self.tendon_stiffness * stretch + self.tendon_damping * self.spool_speed, 0.0
+                ),
+                0.0,
             )
-            friction = self.coulomb * np.tanh(self.v / 2e-3)
-            self.v = np.where(
-                free, self.v + dt * (force - self.tension - friction) / self.mass, 0.0
+            friction = self.coulomb_friction * np.tanh(self.spool_speed / 2e-3)
+            self.spool_speed = np.where(
+                free,
+                self.spool_speed + dt * (force - self.tension - friction) / self.motor_mass,
+                0.0,
             )
-            self.x = self.x + dt * self.v
+            self.spool_travel = self.spool_travel + dt * self.spool_speed
 
-    def _sensors(self, counter: int) -> list[Frame]:
+    def _sensor_frames(self, counter: int) -> list[Frame]:
         node = self.hand.sensor_node
-        cells = (self.tension + self.bias)[self.order]
+        cells = (self.tension + self.cell_bias)[self.tendon_of_channel]
         raw = [int(np.clip(round((f + 6.0) / 0.0625), 0, 4095)) for f in cells]
         frames = [(node.base_id, raw)]
         if node.joints and counter % node.joint_decimation == 0:
@@ -133,7 +155,7 @@ def register(value: float) -> bytes:
     return struct.pack("<f", value)
 
 
-def controller(model: HandModel, program: Program, arm: bool = True) -> Controller:
+def uncommissioned_controller(model: HandModel, program: Program, arm: bool = True) -> Controller:
     """Return a controller of all tendons of a hand that is not commissioned."""
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
@@ -144,14 +166,14 @@ def controller(model: HandModel, program: Program, arm: bool = True) -> Controll
 
 
 @dataclass
-class Bench:
+class ControllerBench:
     """A controller and the simulated hand, tick by tick.
 
     Attributes:
         controller: the controller under test.
         peer: the simulated hand that replies to the controller.
         to_host, to_nodes: functions that change the frames of a tick on their way to the host or to the nodes.
-        history: input and output of every tick so far, with the controller's state before the tick.
+        tick_history: input and output of every tick so far, with the controller's state before the tick.
     """
 
     controller: Controller
@@ -161,31 +183,38 @@ class Bench:
     history: list[tuple[State, TickIn, TickOut]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.state, self.k, self.waiting = self.controller.initial(), 0, list[Frame]()
+        self.state, self.k, self.frames_on_bus = self.controller.initial(), 0, list[Frame]()
         self.period_ns = round(self.controller.model.period * 1e9)
 
     def tick(
         self,
         *requests: str,
-        io: tuple[IoEvent, ...] = (),
+        io_events: tuple[IoEvent, ...] = (),
         late_ns: int = 0,
-        skip: int = 0,
-        extra: tuple[Frame, ...] = (),
+        missed_ticks: int = 0,
+        extra_frames: tuple[Frame, ...] = (),
     ) -> TickOut:
-        """Run one tick of the controller, after ``skip`` ticks that it missed."""
-        for _ in range(skip):
-            self.waiting += self.peer.step(self.k * self.period_ns, [])
+        """Run one tick of the controller, after ``missed_ticks`` ticks that it missed."""
+        for _ in range(missed_ticks):
+            self.frames_on_bus += self.peer.step(self.k * self.period_ns, [])
             self.k += 1
         t_ns = self.k * self.period_ns
-        entry = TickIn(self.k, t_ns, late_ns, (*self.to_host(self.waiting), *extra), io, requests)
+        entry = TickIn(
+            self.k,
+            t_ns,
+            late_ns,
+            (*self.to_host(self.frames_on_bus), *extra_frames),
+            io_events,
+            requests,
+        )
         before = self.state
         self.state, out = self.controller.tick(before, entry)
-        self.history.append((before, entry, out))
-        self.waiting = self.peer.step(t_ns, self.to_nodes(list(out.frames)))
+        self.tick_history.append((before, entry, out))
+        self.frames_on_bus = self.peer.step(t_ns, self.to_nodes(list(out.frames)))
         self.k += 1
         return out
 
-    def until(self, mode: Mode, timeout: float = 12.0) -> TickOut:
+    def run_until_mode(self, mode: Mode, timeout: float = 12.0) -> TickOut:
         """Run ticks until the controller enters a mode."""
         for _ in range(round(timeout / self.controller.model.period)):
             out = self.tick()
@@ -202,10 +231,10 @@ class Bench:
         return out
 
     @property
-    def modes(self) -> list[Mode]:
+    def mode_history(self) -> list[Mode]:
         """Return the modes of the controller so far, in order."""
         seen: list[Mode] = []
-        for _, _, out in self.history:
+        for _, _, out in self.tick_history:
             if not seen or seen[-1] != out.mode:
                 seen.append(out.mode)
         return seen
@@ -213,9 +242,12 @@ class Bench:
     @property
     def events(self) -> list[TickEvent]:
         """Return all events that the controller has emitted so far."""
-        return [event for _, _, out in self.history for event in out.events]
+        return [event for _, _, out in self.tick_history for event in out.events]
 
 
-def bench(model: HandModel, program: Program, arm: bool = True) -> Bench:
+def make_controller_bench(model: HandModel, program: Program, arm: bool = True) -> ControllerBench:
     """Return a bench that connects a controller with a hand without faults."""
-    return Bench(controller(model, program, arm), ToyHand(model.hand, round(model.period * 1e9)))
+    return ControllerBench(
+        uncommissioned_controller(model, program, arm),
+        ToyHand(model.hand, round(model.period * 1e9)),
+    )

@@ -19,10 +19,10 @@ from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, TablePlaces
 from handctl.safety.action import Action
 from tests.controller.synthetic import (
-    Estimate,
+    SyntheticEstimate,
     active_state,
-    constants,
     controller_of,
+    stage_constants,
     state_with_estimate,
 )
 
@@ -53,15 +53,15 @@ class LawState(NamedTuple):
     @staticmethod
     def initial(n: int) -> "LawState":
         """Return the state of the control law of N tendons before its first command."""
-        return LawState.idle(np.zeros(n))
+        return LawState.idle_at_tensions(np.zeros(n))
 
     @staticmethod
-    def idle(tension: np.ndarray) -> "LawState":
+    def idle_at_tensions(tension: np.ndarray) -> "LawState":
         """Return the state of the control law before its first command, with set-points at given tensions (N,) [N]."""
         return LawState(tension, *np.zeros((4, len(tension))))
 
 
-class Command(NamedTuple):
+class LawCommand(NamedTuple):
     """Output of the control law: (N,) motor torque [N m] and tension goal [N], (J,) joint torque [N m] and goals."""
 
     torque: np.ndarray
@@ -71,7 +71,7 @@ class Command(NamedTuple):
     dq: np.ndarray
 
 
-def warm(model: HandModel, limit: np.ndarray) -> np.ndarray:
+def temperatures_for_limits(model: HandModel, limit: np.ndarray) -> np.ndarray:
     """Return the temperatures (N,) [degC] at which drives are limited to tensions [N] between floor and ceiling."""
     limits = controller_of(model).limits
     fraction = (limit - model.floor) / (model.ceiling - model.floor)
@@ -88,15 +88,15 @@ def run_control_law(
     controller_of(model)._compute_torques(state, action, 1)
 
 
-def step(
+def run_law_tick(
     model: HandModel,
     law: LawState,
-    estimate: Estimate,
+    estimate: SyntheticEstimate,
     goals: tuple[DigitGoal, ...],
     t: float,
-    most: np.ndarray | None = None,
+    temperature_limit_N: np.ndarray | None = None,
     held: np.ndarray | None = None,
-) -> tuple[LawState, Command]:
+) -> tuple[LawState, LawCommand]:
     """Run one tick of the control law for all digits of a hand.
 
     Args:
@@ -113,8 +113,8 @@ def step(
         state.set_whole(s.TRIMMED, 1)
     if law.friction_state is not None:
         state.view("friction_state")[...] = law.friction_state
-    if most is not None:
-        state.view("temperature")[...] = warm(model, most)
+    if temperature_limit_N is not None:
+        state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
     if held is not None:
         state.view("limit_held")[...] = held
         state.set_whole(s.HOLDING, 1)
@@ -132,29 +132,31 @@ def law_state_of(state: State) -> LawState:
     return LawState(**kept, trim=trim, held=held)
 
 
-def command_of(state: State) -> Command:
+def command_of(state: State) -> LawCommand:
     """Return the commands that the control law has written into a controller's state."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
-    return Command(*(state.view(name).copy() for name in names))
+    return LawCommand(*(state.view(name).copy() for name in names))
 
 
 @kernel("block", "layout", "constants", "layout")
-def _limit(block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces) -> np.ndarray:
+def _tension_limits(
+    block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces
+) -> np.ndarray:
     return computed_torque.present_tension_limits(
         state_tables(block, at), constant_tables(of, of_at)
     )
 
 
-def limit_of(model: HandModel, state: State) -> np.ndarray:
+def tension_limits_of(model: HandModel, state: State) -> np.ndarray:
     """Return the tension limits (N,) in a controller's state [N], infinite where there is none.
 
     The limits of the hand file come in addition.
     """
-    return _limit(state.block, state.layout.places, *constants(model))
+    return _tension_limits(state.block, state.layout.places, *stage_constants(model))
 
 
 @kernel("block", "layout", "constants", "layout", "matrix")
-def _required(
+def _required_tensions(
     block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces, way: np.ndarray
 ) -> int:
     x, c = state_tables(block, at), constant_tables(of, of_at)
@@ -162,11 +164,13 @@ def _required(
     return reference.write_required_tensions(x, c)
 
 
-def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> np.ndarray:
+def required_tensions_of(
+    model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray
+) -> np.ndarray:
     """Return the tensions (N,) [N] whose torques at the joints of the moving digits make a motion ``way`` (3, J)."""
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
-    undecided = _required(state.block, state.layout.places, *constants(model), way)
+    undecided = _required_tensions(state.block, state.layout.places, *stage_constants(model), way)
     allocate_bounded_tensions(
         model, state.layout, controller_of(model).constants, state.block, undecided, way
     )
@@ -177,4 +181,4 @@ def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarr
     """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
     run_control_law(model, state, goals, t, Action.PASS)
-    return stages.joint_motion(state.block, state.layout.places, *constants(model))
+    return stages.joint_motion(state.block, state.layout.places, *stage_constants(model))

@@ -15,7 +15,7 @@ from handctl.core.estimation.filter_stack import (
 )
 from handctl.core.model import HandModel
 
-SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
+FILTER_STATE_UNITS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
 """Unit of each of the seven filter states. In these units all states are of the order of one."""
 
 
@@ -43,7 +43,9 @@ def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, 
     return tuple(getattr(model.gains.filter, f"{kind}_{name}") for name in names)
 
 
-def jacobians(model: HandModel, i: int, regime: TendonRegime) -> tuple[np.ndarray, np.ndarray]:
+def differential_equation_matrices(
+    model: HandModel, i: int, regime: TendonRegime
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the matrices A and B of a tendon's linear differential equations, found column by column."""
     zero = np.zeros(STATE_COUNT)
     A = np.column_stack(
@@ -54,7 +56,7 @@ def jacobians(model: HandModel, i: int, regime: TendonRegime) -> tuple[np.ndarra
     )
 
 
-def intensity(model: HandModel, i: int, regime: TendonRegime) -> np.ndarray:
+def process_noise_density(model: HandModel, i: int, regime: TendonRegime) -> np.ndarray:
     """Return the spectral density of the process noise (STATES, STATES).
 
     The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
@@ -82,19 +84,19 @@ def intensity(model: HandModel, i: int, regime: TendonRegime) -> np.ndarray:
     return sum(np.outer(source, source) for source in sources)
 
 
-def over_one_period(
+def integrate_one_period(
     model: HandModel, i: int, regime: TendonRegime
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return F, B and the noise covariance of one control period in scaled units.
 
     A Runge-Kutta method integrates them.
     """
-    A, B = jacobians(model, i, regime)
-    A, B = A * SCALE / SCALE[:, None], B / SCALE[:, None]
-    Q = intensity(model, i, regime) / np.outer(SCALE, SCALE)
+    A, B = differential_equation_matrices(model, i, regime)
+    A, B = A * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], B / FILTER_STATE_UNITS[:, None]
+    Q = process_noise_density(model, i, regime) / np.outer(FILTER_STATE_UNITS, FILTER_STATE_UNITS)
     n, m = B.shape
 
-    def slope(t: float, y: np.ndarray) -> np.ndarray:
+    def derivatives_of_matrices(t: float, y: np.ndarray) -> np.ndarray:
         F, G, P = (
             y[: n * n].reshape(n, n),
             y[n * n : n * (n + m)].reshape(n, m),
@@ -103,9 +105,9 @@ def over_one_period(
         return np.concatenate([(A @ F).ravel(), (A @ G + B).ravel(), (A @ P + P @ A.T + Q).ravel()])
 
     start = np.concatenate([np.eye(n).ravel(), np.zeros(n * m), np.zeros(n * n)])
-    end = solve_ivp(slope, (0.0, model.period), start, method="DOP853", rtol=1e-11, atol=1e-13).y[
-        :, -1
-    ]
+    end = solve_ivp(
+        derivatives_of_matrices, (0.0, model.period), start, method="DOP853", rtol=1e-11, atol=1e-13
+    ).y[:, -1]
     return (
         end[: n * n].reshape(n, n),
         end[n * n : n * (n + m)].reshape(n, m),

@@ -1,6 +1,6 @@
 """Synthetic estimates, measurements and states of a hand, for tests of the code that uses the filter.
 
-``State`` holds all numbers of a tick. ``Estimate`` and ``Readings`` are the parts of a state that
+``State`` holds all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are the parts of a state that
 tests make up. ``state_with_estimate`` puts an estimate into a state, and ``estimate_of`` takes it
 out again.
 """
@@ -17,20 +17,20 @@ from handctl.controller.tick import Controller
 from handctl.core import block as s
 from handctl.core import stages
 from handctl.core.block import state_tables
-from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.estimation.statics import winding_efficiency
 from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, TablePlaces
+from handctl.core.stage_constants import ConstantTables, constant_tables
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import controller
+from tests.controller.bench import uncommissioned_controller
 
-SLACK = 2
+SLACK_REGIME = 2
 
 
-class Readings(NamedTuple):
+class SensorReadings(NamedTuple):
     """Measurements of one tick, one value per tendon (N,). A missing measurement is NaN.
 
     Attributes:
@@ -46,7 +46,7 @@ class Readings(NamedTuple):
     saturated: tuple[int, ...] = ()
 
 
-class Estimate(NamedTuple):
+class SyntheticEstimate(NamedTuple):
     """Estimate of the present state of a hand, under the names of ``handctl.core.estimate.Estimate``."""
 
     tension: np.ndarray
@@ -70,19 +70,23 @@ class Estimate(NamedTuple):
     grip: np.ndarray
 
 
-FIELDS = {"rate": "excursion_rate", "offset": "stretch_offset", "contact_force": "grown"}
+BLOCK_FIELD_BY_ATTRIBUTE = {
+    "rate": "excursion_rate",
+    "offset": "stretch_offset",
+    "contact_force": "grown",
+}
 """Field of the state block for each attribute of an estimate that is named differently there."""
-DERIVED = ("slack", "grip_opening", "grip")
+DERIVED_ATTRIBUTES = ("slack", "grip_opening", "grip")
 
 
 @functools.cache
 def controller_of(model: HandModel) -> Controller:
     """Return a controller of a hand that waits for requests. It is constructed once for each model."""
-    return controller(model, LiveProgram())
+    return uncommissioned_controller(model, LiveProgram())
 
 
 @functools.cache
-def _blank(model: HandModel) -> State:
+def _active_state_template(model: HandModel) -> State:
     state = controller_of(model).initial()
     state.mode = Mode.ACTIVE
     state.set_whole(s.FILTER_STARTED, 1)
@@ -91,7 +95,7 @@ def _blank(model: HandModel) -> State:
     return state
 
 
-def interpreted(function: Callable[..., Any]) -> Callable[..., Any]:
+def uncompiled_function(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return the Python function that a kernel was compiled from.
 
     Tests can call it although only kernels may do so.
@@ -104,37 +108,37 @@ def active_state(model: HandModel) -> State:
 
     Every tendon is taut, every digit is free and off its stop.
     """
-    return _blank(model).copy()
+    return _active_state_template(model).copy()
 
 
-def constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
+def stage_constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
     """Return the last two arguments of every stage of a tick: the constants of a hand and their layout."""
     return controller_of(model)._constants
 
 
 def constant_tables_of(model: HandModel) -> ConstantTables:
-    """Return the constants of a hand by table. Functions from ``interpreted`` take them in this form."""
-    return interpreted(constant_tables)(*constants(model))
+    """Return the constants of a hand by table. Functions from ``uncompiled_function`` take them in this form."""
+    return uncompiled_function(constant_tables)(*stage_constants(model))
 
 
-def state_with_estimate(model: HandModel, estimate: Estimate) -> State:
+def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> State:
     """Return the state of an active hand that contains a given estimate."""
     state = active_state(model)
     for name, value in estimate._asdict().items():
-        if name not in DERIVED:
-            state.view(FIELDS.get(name, name))[...] = value
-    state.view("regime")[estimate.slack] = SLACK
+        if name not in DERIVED_ATTRIBUTES:
+            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+    state.view("regime")[estimate.slack] = SLACK_REGIME
     return state
 
 
-def estimate_of(state: State) -> Estimate:
+def estimate_of(state: State) -> SyntheticEstimate:
     """Return copies of the estimates that a controller's state contains."""
     seen = state.estimate
     own = {
         name: state.view("cell_error") if name == "cell_error" else getattr(seen, name)
-        for name in Estimate._fields
+        for name in SyntheticEstimate._fields
     }
-    return Estimate(**{name: np.array(value) for name, value in own.items()})
+    return SyntheticEstimate(**{name: np.array(value) for name, value in own.items()})
 
 
 class LoadStatics(NamedTuple):
@@ -176,25 +180,29 @@ def load_statics(
     )
     if friction_state is not None:
         state.view("friction_state")[...] = friction_state
-    return LoadStatics(*_load_forces(state.block, state.layout.places, *constants(model)))
+    return LoadStatics(*_load_forces(state.block, state.layout.places, *stage_constants(model)))
 
 
 @kernel("constants", "layout", "vector", "count")
-def _efficiency(of: BlockArray, of_at: TablePlaces, q: np.ndarray, tendons: int) -> np.ndarray:
+def _winding_efficiency(
+    of: BlockArray, of_at: TablePlaces, q: np.ndarray, tendons: int
+) -> np.ndarray:
     result = np.empty(tendons)
     for n in range(tendons):
         result[n] = winding_efficiency(constant_tables(of, of_at), n, q)
     return result
 
 
-def efficiency(model: HandModel, q: np.ndarray) -> np.ndarray:
+def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the fraction of each tension (N,) that reaches the joints at angles (J,) [rad] while the motor winds."""
     return np.asarray(
-        _efficiency(*constants(model), np.asarray(q, dtype=np.float64), model.tendon_count)
+        _winding_efficiency(
+            *stage_constants(model), np.asarray(q, dtype=np.float64), model.tendon_count
+        )
     )
 
 
-def exact_estimate(model: HandModel, x: np.ndarray) -> Estimate:
+def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     """Return an estimate that equals filter states (N, 7) exactly. All tendons are taut and all digits free."""
     n = model.tendon_count
     q, dq = np.zeros(len(model.hand.joints)), np.zeros(len(model.hand.joints))
@@ -204,7 +212,7 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> Estimate:
     space = model.space
     tension = space.stiffness * (x[:, X] - x[:, S]) + space.damping * (x[:, V] - x[:, W])
     nothing = np.zeros(n)
-    return Estimate(
+    return SyntheticEstimate(
         tension=np.maximum(tension, 0.0),
         sigma=nothing,
         travel=x[:, X].copy(),
@@ -238,43 +246,45 @@ def balanced_state(model: HandModel, closed: float) -> np.ndarray:
 
 def estimate_under_tension(
     model: HandModel, tension: float | np.ndarray, closed: float = 0.0
-) -> Estimate:
+) -> SyntheticEstimate:
     """Return the estimate of a hand at rest whose tendons have given tensions."""
     return exact_estimate(model, balanced_state(model, closed))._replace(
         tension=np.full(model.tendon_count, 1.0) * tension
     )
 
 
-def slack(model: HandModel) -> Estimate:
+def slack_hand_estimate(model: HandModel) -> SyntheticEstimate:
     """Return the estimate of a hand whose tendons are all slack."""
     return estimate_under_tension(model, 0.0)._replace(
-        slack=np.ones(model.tendon_count, dtype=bool)
+        slack_hand_estimate=np.ones(model.tendon_count, dtype=bool)
     )
 
 
-def empty_readings(model: HandModel) -> Readings:
+def empty_readings(model: HandModel) -> SensorReadings:
     """Return the readings of a tick in which no frame arrived."""
     n, joints = model.tendon_count, len(model.hand.joints)
-    return Readings(
+    return SensorReadings(
         np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan)
     )
 
 
-def detect_contacts(model: HandModel, state: State, estimate: Estimate) -> Estimate:
+def detect_contacts(
+    model: HandModel, state: State, estimate: SyntheticEstimate
+) -> SyntheticEstimate:
     """Return an estimate after contact detection. The state then contains the contacts and the closing digits.
 
     Args:
         model: the hand. state: of the last tick. The present tick is written into it. estimate: of the present tick.
     """
     for name, value in estimate._asdict().items():
-        if name not in (*DERIVED, "grown"):
-            state.view(FIELDS.get(name, name))[...] = value
-    state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.slack, SLACK, 0)
+        if name not in (*DERIVED_ATTRIBUTES, "grown"):
+            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+    state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.slack, SLACK_REGIME, 0)
     borne = estimate.tension - model.space.damping * (estimate.speed - estimate.rate)
     state.view("stretch_offset")[...] = (
         estimate.travel - estimate.excursion - borne / model.space.stiffness
     )
-    stages.conclude_estimate(state.block, state.layout.places, *constants(model))
+    stages.conclude_estimate(state.block, state.layout.places, *stage_constants(model))
     seen = state.estimate
     return estimate._replace(
         contact_force=seen.contact_force.copy(),

@@ -38,8 +38,8 @@ from handctl.programs.streams import StreamPlan
 from handctl.safety.judge import CountedFault, LatchedFault
 from handctl.session.tasks import find_task
 from tests.conftest import NIGHTLY
-from tests.controller.bench import Bench
-from tests.controller.synthetic import interpreted
+from tests.controller.bench import ControllerBench
+from tests.controller.synthetic import uncompiled_function
 from tests.hand.many import fifteen_motors
 
 SEEDS = range(6)
@@ -157,7 +157,7 @@ def test_every_field_is_declared_once_and_found_by_its_name(
 
 
 def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
-    seen = interpreted(state_tables)(state.block, state.layout.places)
+    seen = uncompiled_function(state_tables)(state.block, state.layout.places)
     for field in STATE.fields:
         rows = getattr(seen, field.table)[field.first : field.first + field.rows]
         np.testing.assert_array_equal(
@@ -293,7 +293,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
     found, values = packed_constants(model, monkeypatch)
     assert values.keys() == set(names_of(HAND.fields)), "every field is packed"
     assert not found.block.flags.writeable
-    seen = interpreted(constant_tables)(found.block, found.layout.places)
+    seen = uncompiled_function(constant_tables)(found.block, found.layout.places)
     assert seen.design.shape == (model.tendon_count, KINDS, ELEMENTS)
     for field in HAND.fields:
         view = found.layout.view(found.block, field.name)
@@ -311,7 +311,9 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
 
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
-def test_every_element_of_every_field_changes_the_digest(active: Bench, field: BlockField) -> None:
+def test_every_element_of_every_field_changes_the_digest(
+    active: ControllerBench, field: BlockField
+) -> None:
     """Change each element of a state by one unit in the last place.
 
     By day the test takes only 16 elements of each field.
@@ -427,7 +429,7 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
             yield name, before._replace(**{name: value})
 
 
-def test_every_decision_changes_the_digest(active: Bench) -> None:
+def test_every_decision_changes_the_digest(active: ControllerBench) -> None:
     state = active.state
     seen = {state.digest(): "unchanged"}
     for name, changed in decisions(state.decisions):
@@ -461,7 +463,9 @@ def other_values(value: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", DriveState._fields)
-def test_everything_that_is_known_of_a_drive_changes_the_digest(active: Bench, name: str) -> None:
+def test_everything_that_is_known_of_a_drive_changes_the_digest(
+    active: ControllerBench, name: str
+) -> None:
     """The digest covers a drive's values, which are in the block, and its set-up, which is among the decisions."""
     state = active.state
     seen = {state.digest()}

@@ -23,8 +23,8 @@ from handctl.programs.commission import (
     calibration_of_result,
 )
 from handctl.programs.program import ProgramProgress
-from tests.controller.bench import Bench, bench
-from tests.controller.synthetic import empty_readings, estimate_under_tension, slack
+from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.synthetic import empty_readings, estimate_under_tension, slack_hand_estimate
 from tests.hand.many import fifteen_motors
 
 
@@ -81,7 +81,7 @@ def run_commissioning(
         measured = empty_readings(model)._replace(travel=travel, tension=shown)
         if rng.random() < loss:
             measured = empty_readings(model)
-        estimate = slack(model)
+        estimate = slack_hand_estimate(model)
         if pulled and i != never and k * model.period - progress.since > 0.2:
             estimate = estimate_under_tension(model, PULL_N)
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
@@ -240,31 +240,33 @@ def faster() -> HandModel:
 
 
 @pytest.fixture
-def whole(faster: HandModel) -> Bench:
+def whole(faster: HandModel) -> ControllerBench:
     """Return a bench whose controller runs the commissioning program on a hand with scripted motors."""
-    return bench(faster, CommissionProgram())
+    return make_controller_bench(faster, CommissionProgram())
 
 
 @pytest.mark.parametrize(
     "bias", [-2.0, *(pytest.param(bias, marks=pytest.mark.nightly) for bias in (0.0, 2.0)), 4.5]
 )
-def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: float) -> None:
+def test_load_cells_that_were_never_tared_are_no_hindrance(
+    whole: ControllerBench, bias: float
+) -> None:
     """After the tare the tension loop uses tared readings of the load cells.
 
     Raw readings would add their bias to the pull.
     """
-    whole.peer.bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
-    whole.until(Mode.DONE, 30.0)
+    whole.peer.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
+    whole.run_until_mode(Mode.DONE, 30.0)
     assert not whole.state.failure
     model = whole.controller.model
     found = calibration_of_result(model, whole.state.progress, "2024-01-01T00:00:00+00:00")
-    np.testing.assert_allclose(found.tare(model.hand), whole.peer.bias, atol=0.05)
+    np.testing.assert_allclose(found.tare(model.hand), whole.peer.cell_bias, atol=0.05)
     np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5)
 
 
-def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
-    whole.peer.bias[2] = 25.0
-    whole.until(Mode.DONE, 30.0)
+def test_a_load_cell_beyond_taring_is_named(whole: ControllerBench) -> None:
+    whole.peer.cell_bias[2] = 25.0
+    whole.run_until_mode(Mode.DONE, 30.0)
     expected = (
         "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
     )
@@ -300,19 +302,21 @@ def program_after_tare(model: HandModel, cells: Cells) -> ProgramProgress:
     program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:
         measured = empty_readings(model)._replace(tension=cells(-1) + BIAS_N)
-        progress, _ = program.advance(model, progress, slack(model), measured, k * model.period)
+        progress, _ = program.advance(
+            model, progress, slack_hand_estimate(model), measured, k * model.period
+        )
         k += 1
     return progress
 
 
-def test_swapped_load_cells_are_found_and_both_named(whole: Bench) -> None:
-    whole.peer.order = [1, 0, 2, 3]
-    whole.until(Mode.DONE, 30.0)
+def test_swapped_load_cells_are_found_and_both_named(whole: ControllerBench) -> None:
+    whole.peer.tendon_of_channel = [1, 0, 2, 3]
+    whole.run_until_mode(Mode.DONE, 30.0)
     assert whole.state.failure.startswith("index_tendon")
     assert "middle_tendon" in whole.state.failure
     assert "swapped" in whole.state.failure
     asked = (
-        np.array([out.telemetry.motor_torque_goal for _, _, out in whole.history])
+        np.array([out.telemetry.motor_torque_goal for _, _, out in whole.tick_history])
         / whole.controller.model.space.spool
     )
     assert asked.max() <= PULL_FORCE_LIMIT_N * 1.001, (
@@ -320,7 +324,7 @@ def test_swapped_load_cells_are_found_and_both_named(whole: Bench) -> None:
     )
 
 
-def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
+def test_a_motor_that_turns_the_other_way_is_found(whole: ControllerBench) -> None:
     real = whole.peer.step
 
     def reversed_motor(t_ns: int, frames: list[Frame]) -> list[Frame]:
@@ -333,7 +337,7 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
         return real(t_ns, turned)
 
     whole.peer.step = reversed_motor  # type: ignore[method-assign]
-    whole.until(Mode.DONE, 30.0)
+    whole.run_until_mode(Mode.DONE, 30.0)
     assert whole.state.failure == "fault N17 index_motor", (
         "safety is there before the rope would have to be taut"
     )

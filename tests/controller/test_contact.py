@@ -65,13 +65,13 @@ def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_pat
     )
     run = run_on_plant(hand, task, WALL, tmp_path, 2.6)
     found = {where: t for t, where in run.events_named("contact")}
-    force = np.array(run.force)
+    force = np.array(run.digit_contact_force)
     for d, name in enumerate(model_of(hand).hand.digit_names[:3]):
         assert name in found
         touched = np.flatnonzero(force[:, d] > 0.01)[0]
         strong = np.flatnonzero(force[:, d] > 1.0)
-        assert run.t[touched] <= found[name], "not before there is any"
-        assert not len(strong) or found[name] <= run.t[strong[0]] + 0.02 + 1e-9
+        assert run.time_s[touched] <= found[name], "not before there is any"
+        assert not len(strong) or found[name] <= run.time_s[strong[0]] + 0.02 + 1e-9
 
 
 def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
@@ -92,8 +92,8 @@ def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
         phases += [{"kind": "close", "angle_deg": goal, "speed_deg_s": speed}]
         planned += 0.8 + 35.0 / speed * 1.875
     run = run_on_plant(hand, program(*phases), None, folder, seconds, seed)
-    assert math.isclose(run.t[-1], seconds, abs_tol=0.01) or run.events_named("phase")
-    assert np.max(run.force) == 0.0, "the digits met each other"
+    assert math.isclose(run.time_s[-1], seconds, abs_tol=0.01) or run.events_named("phase")
+    assert np.max(run.digit_contact_force) == 0.0, "the digits met each other"
     return len(run.events_named("contact"))
 
 

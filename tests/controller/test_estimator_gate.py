@@ -8,8 +8,13 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, E, S, TendonRegime
 from handctl.core.estimation.kalman import MEAN_NIS_S, SLACK_LENGTH_M
 from handctl.core.model import HandModel
 from handctl.core.types import TickEvent
-from tests.controller.filter_runs import FilterState, parts, state_of, tick
-from tests.controller.synthetic import Estimate, empty_readings
+from tests.controller.filter_runs import (
+    FilterState,
+    design_arrays_by_tendon,
+    run_filter_tick,
+    state_of,
+)
+from tests.controller.synthetic import SyntheticEstimate, empty_readings
 
 TENSION = 20.0
 
@@ -23,11 +28,11 @@ class Held:
         x[:, 2] = 2e-3
         x[:, X] = x[:, 2] + TENSION / model.space.stiffness
         self.travel = x[:, X]
-        self.state = FilterState.of(x.ravel(), regime, stopped=False)
+        self.state = FilterState.in_regime(x.ravel(), regime, stopped=False)
 
     def sample(
         self, cell: float, *, saturated: tuple[int, ...] = (), travel: float = 0.0
-    ) -> Estimate:
+    ) -> SyntheticEstimate:
         """Run one tick in which the load cell of tendon 0 reads ``cell`` [N]."""
         model, n = self.model, self.model.tendon_count
         read = empty_readings(model)._replace(
@@ -36,7 +41,7 @@ class Held:
         read = read._replace(saturated=saturated)
         read.tension[0] = cell
         push, still, contact = np.full(n, TENSION), np.zeros(n), (True,) * len(model.digits)
-        self.state, estimate = tick(model, self.state, read, push, still, contact)
+        self.state, estimate = run_filter_tick(model, self.state, read, push, still, contact)
         return estimate
 
     def settled(self) -> "Held":
@@ -83,7 +88,7 @@ def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
     assert not np.isnan(estimate.innovation[1:]).any()
 
 
-def slack_state(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
+def slack_state(hand: Held, error: float, loose: float, seconds: float) -> SyntheticEstimate:
     """Return the estimate of slack tendons.
 
     The load cell of tendon 0 reads ``error`` [N] where there is no tension.
@@ -93,15 +98,17 @@ def slack_state(hand: Held, error: float, loose: float, seconds: float) -> Estim
     hand.travel = np.full(model.tendon_count, -loose)
     x[:, X] = hand.travel
     known = (True,) * model.tendon_count
-    hand.state = FilterState.of(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(
-        measured=known
+    hand.state = FilterState.in_regime(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(
+        length_known=known
     )
     for _ in range(round(seconds / model.period)):
         n = model.tendon_count
         read = empty_readings(model)._replace(travel=hand.travel, tension=np.zeros(n))
         read.tension[0] = error
         untouched = (False,) * len(model.digits)
-        hand.state, estimate = tick(model, hand.state, read, np.zeros(n), np.zeros(n), untouched)
+        hand.state, estimate = run_filter_tick(
+            model, hand.state, read, np.zeros(n), np.zeros(n), untouched
+        )
     return estimate
 
 
@@ -121,9 +128,9 @@ def test_a_nearly_taut_tendon_does_not_update_the_load_cell_error(model: HandMod
 
 def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> None:
     hand = Held(model)
-    x = hand.state.x.copy()
+    x = hand.state.filter_states.copy()
     x[E] = 0.7
-    hand.state = hand.state._replace(x=x)
+    hand.state = hand.state._replace(filter_states=x)
     for _ in range(300):
         estimate = hand.sample(TENSION + 0.7)
     np.testing.assert_allclose(estimate.cell_error[0], 0.7, atol=1e-3)
@@ -159,17 +166,19 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
     """
     state, force = winding_state(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
-    after, estimate = tick(model, state, empty_readings(model), force, rate, nowhere, missed=missed)
-    once, _ = tick(model, state, empty_readings(model), force, rate, nowhere)
-    F, B = (parts(model, once.regimes, name) for name in "FB")
+    after, estimate = run_filter_tick(
+        model, state, empty_readings(model), force, rate, nowhere, missed=missed
+    )
+    once, _ = run_filter_tick(model, state, empty_readings(model), force, rate, nowhere)
+    F, B = (design_arrays_by_tendon(model, once.regimes, name) for name in "FB")
     x, inputs = (
-        once.x.reshape(-1, STATE_COUNT, 1),
+        once.filter_states.reshape(-1, STATE_COUNT, 1),
         np.column_stack((force, np.zeros(model.tendon_count)))[..., None],
     )
     for _ in range(missed if predicted_s is None else round(predicted_s / model.period)):
         x = F @ x + B @ inputs
-    np.testing.assert_allclose(after.x, x.ravel(), rtol=1e-12, atol=1e-15)
-    np.testing.assert_array_equal(estimate.travel, after.x[X::STATE_COUNT])
+    np.testing.assert_allclose(after.filter_states, x.ravel(), rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(estimate.travel, after.filter_states[X::STATE_COUNT])
     assert after[1:5] == once[1:5], "nothing else is judged of what nobody saw"
 
 
@@ -178,7 +187,7 @@ def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
     x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
-    return FilterState.of(x.ravel(), TendonRegime.HELD, stopped=False), np.full(
+    return FilterState.in_regime(x.ravel(), TendonRegime.HELD, stopped=False), np.full(
         model.tendon_count, 20.0
     )
 

@@ -27,11 +27,11 @@ from tests.controller.filter_runs import (
     all_in_regime,
     no_contact,
     noiseless_readings,
+    run_unplanned_filter_tick,
     state_at_rest,
-    step,
 )
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic import active_state, constants, interpreted
+from tests.controller.synthetic import active_state, stage_constants, uncompiled_function
 
 HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION = (0.5, 1.0, 1.5, 2.0)
@@ -59,12 +59,13 @@ def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> Pl
 
 def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
     """Return the tension RMSE [N] of the estimate and of the raw load cell, over taut tendons while the hand moves."""
-    real, later = np.array(run.real), np.array(run.t) > LATER_S
-    raw = np.array(run.cell)
+    real, later = np.array(run.true_tension), np.array(run.time_s) > LATER_S
+    raw = np.array(run.measured_tension)
     kept = later[:, None] & (real > TAUT_N) & np.isfinite(raw)
     assert np.count_nonzero(kept) > 500
     estimate, cell = (
-        float(np.sqrt(np.mean(np.square(way - real)[kept]))) for way in (np.array(run.tension), raw)
+        float(np.sqrt(np.mean(np.square(way - real)[kept])))
+        for way in (np.array(run.estimated_tension), raw)
     )
     return estimate, cell
 
@@ -90,12 +91,13 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     x, force = state_at_rest(model, 20.0, 0.5)
     read = noiseless_readings(model, x, np.full(model.tendon_count, 21.0))
     sure = all_in_regime(model, TendonRegime.FREE, x)
-    doubting = sure._replace(wary=np.full(model.tendon_count, MAX_ADDED_NOISE_S))
+    doubting = sure._replace(doubt_time_s=np.full(model.tendon_count, MAX_ADDED_NOISE_S))
     (after, estimate), (after_doubt, estimate_doubt) = (
-        step(model, state, read, force, no_contact(model)) for state in (sure, doubting)
+        run_unplanned_filter_tick(model, state, read, force, no_contact(model))
+        for state in (sure, doubting)
     )
     assert after.nis == pytest.approx(after_doubt.nis)
-    assert after.lately == pytest.approx(after_doubt.lately)
+    assert after.nis_lately == pytest.approx(after_doubt.nis_lately)
     assert (estimate_doubt.nis < estimate.nis).all()
     assert (estimate_doubt.sigma > estimate.sigma).all()
     assert (estimate_doubt.tension > estimate.tension + 0.05).all(), "the load cell counts for more"
@@ -122,7 +124,7 @@ def averages_and_doubts(
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
-    _judge(state.block, state.layout.places, *constants(model), innovation, np.ones((n, 3)))
+    _judge(state.block, state.layout.places, *stage_constants(model), innovation, np.ones((n, 3)))
     return state.view("nis_lately").copy(), state.view("wary").copy()
 
 
@@ -169,10 +171,10 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
     assert not wary.any()
     state = active_state(jamia11)
     state.view("regime")[...] = regimes = np.arange(n) % len(TendonRegime)
-    x = interpreted(state_tables)(state.block, state.layout.places)
-    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()
+    x = uncompiled_function(state_tables)(state.block, state.layout.places)
+    assert [uncompiled_function(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()
     state.view("wary")[...] = 1e-9
-    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == (
+    assert [uncompiled_function(kalman.filter_kind)(x, i) for i in range(n)] == (
         regimes + len(TendonRegime)
     ).tolist()
 

@@ -22,11 +22,11 @@ from handctl.core.gains.gains import FilterGains, Gains
 from handctl.core.model import HandModel, _joint_period
 from handctl.hand.load import load_hand
 from tests.controller.oracle import (
-    SCALE,
+    FILTER_STATE_UNITS,
     assumed_measurements,
     covariance_by_doubling,
+    integrate_one_period,
     measurement_noise,
-    over_one_period,
 )
 from tests.controller.synthetic import constant_tables_of
 
@@ -60,11 +60,13 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(
 ) -> None:
     for i in one_of_each(model):
         block = model.filter.blocks[i][regime]
-        F, G, Q = over_one_period(model, i, regime)
-        np.testing.assert_allclose(block.F * SCALE / SCALE[:, None], F, rtol=1e-7, atol=1e-8)
-        np.testing.assert_allclose(block.B / SCALE[:, None], G, rtol=1e-7, atol=1e-8)
+        F, G, Q = integrate_one_period(model, i, regime)
+        np.testing.assert_allclose(
+            block.F * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], F, rtol=1e-7, atol=1e-8
+        )
+        np.testing.assert_allclose(block.B / FILTER_STATE_UNITS[:, None], G, rtol=1e-7, atol=1e-8)
         H, R = (
-            assumed_measurements(block, regime) * SCALE,
+            assumed_measurements(block, regime) * FILTER_STATE_UNITS,
             np.diag(measurement_noise(model, i) ** 2),
         )
         P = covariance_by_doubling(F, H, Q, R)
@@ -72,9 +74,12 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(
         gain = np.linalg.solve(innovation, H @ P).T
         gain[E] *= regime == TendonRegime.SLACK
         np.testing.assert_allclose(
-            block.K[:, :2] / SCALE[:, None], gain, rtol=1e-5, atol=1e-6 * np.abs(gain).max()
+            block.K[:, :2] / FILTER_STATE_UNITS[:, None],
+            gain,
+            rtol=1e-5,
+            atol=1e-6 * np.abs(gain).max(),
         )
-        row, gains = block.tension_row * SCALE, model.gains.filter
+        row, gains = block.tension_row * FILTER_STATE_UNITS, model.gains.filter
         drift = (
             0.0
             if regime == TendonRegime.SLACK

@@ -11,9 +11,9 @@ from handctl.document import validate_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from tests.controller.goals import moving_goals
-from tests.controller.law_runs import LawState, step
-from tests.controller.plant_run import RATE_HZ, run_on_plant
-from tests.controller.synthetic import estimate_under_tension, interpreted
+from tests.controller.law_runs import LawState, run_law_tick
+from tests.controller.plant_run import CONTROL_RATE_HZ, run_on_plant
+from tests.controller.synthetic import estimate_under_tension, uncompiled_function
 
 MOVE_S = 0.3
 TURN_S = 0.05
@@ -29,7 +29,7 @@ def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     for speed in speeds:
         wound = speed * model.period
         now = [
-            interpreted(tension_after_period)(tension, 12.0, 0.8, wound, stiffness, crept)
+            uncompiled_function(tension_after_period)(tension, 12.0, 0.8, wound, stiffness, crept)
             for tension, stiffness in zip(now, model.space.stiffness, strict=True)
         ]
         found.append(now)
@@ -58,7 +58,7 @@ def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
 def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> None:
     n = model.tendon_count
     before = LawState.initial(n)._replace(planned=np.full(n, 5e-324))
-    law, _ = step(
+    law, _ = run_law_tick(
         model, before, estimate_under_tension(model, 1.0), moving_goals(model, 0.6, 0.7, 1.0), 0.5
     )
     assert (law.friction_state == -1.0).all()
@@ -80,10 +80,13 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
     assert len(starts) == len(angles) - 1
     tendons = [0, 2] if hand == "jamia" else [0, 1, 2, 6, 7, 8]
     real, estimate, cell = (
-        np.array(table)[:, tendons] for table in (run.real, run.tension, run.cell)
+        np.array(table)[:, tendons]
+        for table in (run.true_tension, run.estimated_tension, run.measured_tension)
     )
-    ticks = [k for k, t in enumerate(run.t) if any(0.0 <= t - start < TURN_S for start in starts)]
-    assert len(ticks) == pytest.approx(len(starts) * TURN_S * RATE_HZ, abs=len(starts))
+    ticks = [
+        k for k, t in enumerate(run.time_s) if any(0.0 <= t - start < TURN_S for start in starts)
+    ]
+    assert len(ticks) == pytest.approx(len(starts) * TURN_S * CONTROL_RATE_HZ, abs=len(starts))
     mine, raw = (np.sqrt(((table - real)[ticks] ** 2).mean()) for table in (estimate, cell))
     assert mine < raw
     assert np.abs(estimate - real)[ticks].max() < 2.5, "[N]"

@@ -7,7 +7,7 @@ from handctl.controller.state import State
 from handctl.core import stages
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
-from tests.controller.synthetic import active_state, constants
+from tests.controller.synthetic import active_state, stage_constants
 
 
 def arms_of(model: HandModel) -> np.ndarray:
@@ -35,7 +35,7 @@ def targets_after_command(
     state = before.copy()
     state.view("q_goal")[...] = angle
     state.view("excursion")[...] = at_goal
-    stages.store_commands(state.block, state.layout.places, *constants(model))
+    stages.store_commands(state.block, state.layout.places, *stage_constants(model))
     return state
 
 

@@ -23,14 +23,14 @@ from handctl.programs.grasp import (
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.task import Task
 from tests.controller.synthetic import (
-    Estimate,
+    SyntheticEstimate,
     active_state,
     constant_tables_of,
     detect_contacts,
     empty_readings,
     estimate_under_tension,
     exact_estimate,
-    slack,
+    slack_hand_estimate,
 )
 
 TASK = {
@@ -78,7 +78,7 @@ class ProgramRun:
         self.events: list[TickEvent] = []
         self.t, self.state = 0.0, active_state(model)
 
-    def tick(self, estimate: Estimate) -> tuple[TickEvent, ...]:
+    def tick(self, estimate: SyntheticEstimate) -> tuple[TickEvent, ...]:
         self.t += self.model.period
         self.state.view("closing")[...] = self.progress.closing or 0
         felt = detect_contacts(self.model, self.state, estimate)
@@ -88,12 +88,12 @@ class ProgramRun:
         self.events += events
         return events
 
-    def touch(self, estimate: Estimate) -> None:
+    def touch(self, estimate: SyntheticEstimate) -> None:
         """Run so many ticks with an estimate that contact detection has time to find its contact."""
         for _ in range(round(5 * SMOOTH_S / self.model.period) + self.model.gains.contact.ticks):
             self.tick(estimate)
 
-    def until(self, phase: str, estimate: Estimate, timeout: float = 20.0) -> float:
+    def until(self, phase: str, estimate: SyntheticEstimate, timeout: float = 20.0) -> float:
         """Run ticks until a phase begins, and return the time until then [s]."""
         began = self.t
         while self.progress.phase != phase:
@@ -109,13 +109,13 @@ class ProgramRun:
 
 
 @pytest.fixture
-def taut(model: HandModel) -> Estimate:
+def taut(model: HandModel) -> SyntheticEstimate:
     return estimate_under_tension(model, 5.0)
 
 
 def hand_in_contact(
     model: HandModel, external: dict[str, float], tension: float = 15.0
-) -> Estimate:
+) -> SyntheticEstimate:
     """Return the estimate of a taut hand.
 
     ``external`` gives the unexplained tension of the digits that touch [N].
@@ -128,7 +128,7 @@ def hand_in_contact(
 
 
 def test_phases_come_in_the_order_of_the_task_and_last_as_long(
-    model: HandModel, taut: Estimate
+    model: HandModel, taut: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.LIMP}, "limp until active"
@@ -164,35 +164,40 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
     assert run.events[-1].level == "error"
 
 
-def test_tightening_must_last(model: HandModel, taut: Estimate) -> None:
+def test_tightening_must_last(model: HandModel, taut: SyntheticEstimate) -> None:
     """Slack in a tick delays the end of tightening, but not by more than a limited time."""
     run = ProgramRun(model)
     run.until("tighten", taut)
-    for seconds, estimate in ((0.2, taut), (0.1, slack(model)), (0.1, taut), (0.5, slack(model))):
+    for seconds, estimate in (
+        (0.2, taut),
+        (0.1, slack_hand_estimate(model)),
+        (0.1, taut),
+        (0.5, slack_hand_estimate(model)),
+    ):
         for _ in range(round(seconds / model.period)):
             run.tick(estimate)
     assert run.until("home", taut) == pytest.approx(0.3, abs=3.1 * model.period)
 
 
 def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(
-    model: HandModel, taut: Estimate
+    model: HandModel, taut: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
     run.until("tighten", taut)
     while run.progress.phase == "tighten":
-        for estimate in (slack(model), taut, taut, taut, taut):
+        for estimate in (slack_hand_estimate(model), taut, taut, taut, taut):
             run.tick(estimate)
     assert run.progress.phase == "home"
     assert run.t == pytest.approx(0.5, abs=8 * model.period)
 
 
 def test_tendon_slack_in_every_second_tick_never_counts_as_tight(
-    model: HandModel, taut: Estimate
+    model: HandModel, taut: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
     run.until("tighten", taut)
     while not run.progress.finished:
-        run.tick(slack(model) if run.progress.touching[0] else taut)
+        run.tick(slack_hand_estimate(model) if run.progress.touching[0] else taut)
     assert run.t == pytest.approx(TIGHTEN_TIMEOUT_S, abs=4 * model.period)
     assert run.progress.failure in (
         "not taut after 4 s: now one tendon, now another",
@@ -200,7 +205,7 @@ def test_tendon_slack_in_every_second_tick_never_counts_as_tight(
     )
 
 
-def test_motions_begin_where_the_digit_is(model: HandModel, taut: Estimate) -> None:
+def test_motions_begin_where_the_digit_is(model: HandModel, taut: SyntheticEstimate) -> None:
     run = ProgramRun(model)
     run.until("home", taut)
     bent = estimate_under_tension(model, 5.0, 0.4)
@@ -219,13 +224,13 @@ def test_motions_begin_where_the_digit_is(model: HandModel, taut: Estimate) -> N
             np.testing.assert_allclose(goal.trajectory.end, 0.0, err_msg="not named: as before")
 
 
-def closing(model: HandModel, taut: Estimate) -> ProgramRun:
+def closing(model: HandModel, taut: SyntheticEstimate) -> ProgramRun:
     run = ProgramRun(model)
     run.until("close", taut)
     return run
 
 
-def felt(model: HandModel, estimate: Estimate) -> np.ndarray:
+def felt(model: HandModel, estimate: SyntheticEstimate) -> np.ndarray:
     """Return the forces at the tips of all digits (D,) [N] while they close, before these forces are filtered."""
     state = active_state(model)
     state.view("closing")[...] = 1
@@ -242,7 +247,9 @@ def tension_for_tip_force(model: HandModel, newtons: float) -> float:
     return newtons / float(found[model.hand.digit_names.index("index")])
 
 
-def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estimate) -> None:
+def test_contact_is_a_force_at_the_tip_that_lasts(
+    model: HandModel, taut: SyntheticEstimate
+) -> None:
     run, threshold = closing(model, taut), model.gains.contact.threshold_N
     weak = hand_in_contact(model, {"index": tension_for_tip_force(model, 0.95 * threshold)})
     run.touch(weak)
@@ -290,7 +297,9 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
     )
 
 
-def test_a_digit_that_touches_later_joins_the_grasp(model: HandModel, taut: Estimate) -> None:
+def test_a_digit_that_touches_later_joins_the_grasp(
+    model: HandModel, taut: SyntheticEstimate
+) -> None:
     run = closing(model, taut)
     run.touch(hand_in_contact(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
     held = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
@@ -305,7 +314,9 @@ def test_a_digit_that_touches_later_joins_the_grasp(model: HandModel, taut: Esti
     assert run.progress.goals[held[0]] is before, "contact lost is not contact undone"
 
 
-def test_closing_without_contact_ends_with_a_message(model: HandModel, taut: Estimate) -> None:
+def test_closing_without_contact_ends_with_a_message(
+    model: HandModel, taut: SyntheticEstimate
+) -> None:
     run = closing(model, taut)
     took = run.until("hold", taut)
     way = math.radians(80.0)
@@ -317,7 +328,7 @@ def test_closing_without_contact_ends_with_a_message(model: HandModel, taut: Est
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
 
 
-def test_only_named_digits_in_contact_hold(model: HandModel, taut: Estimate) -> None:
+def test_only_named_digits_in_contact_hold(model: HandModel, taut: SyntheticEstimate) -> None:
     run = closing(model, taut)
     touch = hand_in_contact(model, {"index": 12.0, "ring": 12.0})
     run.touch(touch)
@@ -329,7 +340,7 @@ def test_only_named_digits_in_contact_hold(model: HandModel, taut: Estimate) -> 
     assert run.progress.goals[names.index("thumb")].kind == GoalKind.MOTION, "it met nothing"
 
 
-def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate) -> None:
+def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: SyntheticEstimate) -> None:
     run = closing(model, taut)
     touch = hand_in_contact(model, {"index": 12.0})
     run.touch(touch)
@@ -343,7 +354,7 @@ def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate)
 
 
 def run_release(
-    model: HandModel, taut: Estimate, tension: float, **release: float
+    model: HandModel, taut: SyntheticEstimate, tension: float, **release: float
 ) -> tuple[ProgramRun, float]:
     """Return a run after its release phase, and the duration of this phase [s]. All tendons keep ``tension`` [N]."""
     task = {
@@ -375,7 +386,9 @@ def test_a_release_that_does_not_let_go_is_reported(
     )
 
 
-def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Estimate) -> None:
+def test_released_digit_needs_a_new_contact_to_hold(
+    model: HandModel, taut: SyntheticEstimate
+) -> None:
     close, hold, release = TASK["phase"][2:5]
     phases = [close, hold, release, {**close, "name": "again"}, {**hold, "name": "more"}]
     run = ProgramRun(model, {**TASK, "phase": phases})
@@ -395,7 +408,9 @@ def test_released_digit_needs_a_new_contact_to_hold(model: HandModel, taut: Esti
     ]
 
 
-def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut: Estimate) -> None:
+def test_a_digit_that_is_held_stays_so_while_others_close(
+    model: HandModel, taut: SyntheticEstimate
+) -> None:
     """A digit in contact keeps its hold during a second close phase. Only a release or a move ends a hold."""
     close, hold = TASK["phase"][2:4]
     run = ProgramRun(model, {**TASK, "phase": [close, hold, {**close, "name": "again"}]})
@@ -408,7 +423,7 @@ def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut
 
 
 def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
-    model: HandModel, taut: Estimate
+    model: HandModel, taut: SyntheticEstimate
 ) -> None:
     phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
     run = ProgramRun(model, {**TASK, "phase": phases})
@@ -424,7 +439,7 @@ def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
     assert tip_force(digit, q, tension - static) == pytest.approx(4.0, rel=1e-3)
 
 
-def test_contact_ends_with_the_next_move(model: HandModel, taut: Estimate) -> None:
+def test_contact_ends_with_the_next_move(model: HandModel, taut: SyntheticEstimate) -> None:
     phases = [
         {"kind": "close"},
         {"kind": "move", "angle_deg": 0.0, "duration_s": 0.1},
@@ -441,7 +456,7 @@ def test_contact_ends_with_the_next_move(model: HandModel, taut: Estimate) -> No
 
 
 def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(
-    model: HandModel, taut: Estimate
+    model: HandModel, taut: SyntheticEstimate
 ) -> None:
     size = len(model.digits[0].reduced_moment_arms)
     angles, tensions = [10.0, 20.0, 30.0][:size], [11.0, 12.0, 13.0][:size]

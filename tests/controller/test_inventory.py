@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from handctl.controller.modes import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
+from handctl.controller.mode_history import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core.model import HandModel
@@ -16,18 +16,18 @@ from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
-from tests.controller.bench import Bench, bench
+from tests.controller.bench import ControllerBench, make_controller_bench
 
 READ, WRITTEN = 0x33, 0x55
 """Third byte of a drive's reply to the reading and to the writing of a register."""
 
 
 @pytest.fixture
-def hand(jamia: HandModel) -> Bench:
-    return bench(jamia, LiveProgram())
+def hand(jamia: HandModel) -> ControllerBench:
+    return make_controller_bench(jamia, LiveProgram())
 
 
-def test_motors_that_reply_in_alternate_ticks_are_armed(hand: Bench) -> None:
+def test_motors_that_reply_in_alternate_ticks_are_armed(hand: ControllerBench) -> None:
     """Some drives reply only in every fourth tick. The filter starts when each drive has been read once."""
     motors = range(0x11, 0x15)
 
@@ -39,19 +39,19 @@ def test_motors_that_reply_in_alternate_ticks_are_armed(hand: Bench) -> None:
         )
 
     hand.to_host = lambda frames: [frame for frame in frames if in_turn(frame)]
-    hand.until(Mode.READY)
+    hand.run_until_mode(Mode.READY)
     assert hand.state.failure == ""
     hand.to_host = lambda frames: frames
-    hand.until(Mode.ACTIVE)
+    hand.run_until_mode(Mode.ACTIVE)
 
 
 def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     jamia11: HandModel,
 ) -> None:
-    run = bench(jamia11, LiveProgram())
+    run = make_controller_bench(jamia11, LiveProgram())
     first, *others = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in others]
-    run.until(Mode.INVENTORY)
+    run.run_until_mode(Mode.INVENTORY)
     run.run(0.5)
     assert not run.state.started
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id != first]
@@ -60,15 +60,15 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     assert run.state.started
 
 
-def hand_in_inventory(hand: Bench, seconds: float) -> State:
+def hand_in_inventory(hand: ControllerBench, seconds: float) -> State:
     """Return the state of a complete hand some time after its inventory started. Tests then remove parts of it."""
-    hand.until(Mode.READY)
+    hand.run_until_mode(Mode.READY)
     state = hand.state.copy()
     state.mode, state.mode_since = Mode.INVENTORY, -seconds
     return state
 
 
-def decided(hand: Bench, state: State) -> tuple[Mode, str]:
+def decided(hand: ControllerBench, state: State) -> tuple[Mode, str]:
     after = state.copy()
     next_mode(
         hand.controller.model,
@@ -82,7 +82,7 @@ def decided(hand: Bench, state: State) -> tuple[Mode, str]:
     return after.mode, after.failure
 
 
-def test_a_ready_drive_that_never_reports_its_position_is_named(hand: Bench) -> None:
+def test_a_ready_drive_that_never_reports_its_position_is_named(hand: ControllerBench) -> None:
     """A drive may be ready without a position.
 
     The heartbeat of an ODrive comes even if its encoder messages are disabled.

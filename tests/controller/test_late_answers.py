@@ -12,13 +12,13 @@ from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
-from tests.controller.bench import Bench, bench
+from tests.controller.bench import ControllerBench, make_controller_bench
 
 
 def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
     """The host reads the replies of one tick two ticks later, together with replies of the following ticks."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(0.5)
     held: list[list[Frame]] = []
 
@@ -44,8 +44,8 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
 
     After a pause, the simulator replies to two ticks at once.
     """
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     waiting: list[Frame] = []
 
     def taken_off(frames: list[Frame]) -> list[Frame]:
@@ -83,16 +83,16 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(be
     assert run.state.mode == Mode.ACTIVE
 
 
-def active_on_a_bus_without_stamps() -> Bench:
+def active_on_a_bus_without_stamps() -> ControllerBench:
     """Return a bench whose hand is active. Its frames get their time stamps only when the host reads them."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.to_host = lambda frames: stamped(run, frames)
     run.run(0.5)
     return run
 
 
-def stamped(run: Bench, frames: list[Frame]) -> list[Frame]:
+def stamped(run: ControllerBench, frames: list[Frame]) -> list[Frame]:
     return [frame._replace(t_ns=run.k * run.period_ns + 30_000) for frame in frames]
 
 

@@ -13,25 +13,27 @@ from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from tests.controller.goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, command_of, law_state_of, step
+from tests.controller.law_runs import LawState, command_of, law_state_of, run_law_tick
 from tests.controller.synthetic import (
-    Estimate,
+    SyntheticEstimate,
     active_state,
     balanced_state,
-    constants,
     estimate_under_tension,
     exact_estimate,
-    slack,
+    slack_hand_estimate,
+    stage_constants,
 )
 
 EVALUATED_S = 0.25
 """Time in a motion of one second at which the control law is evaluated [s]. The motion still accelerates then."""
 
 
-def force(model: HandModel, estimate: Estimate, goals: tuple[DigitGoal, ...]) -> np.ndarray:
+def force(
+    model: HandModel, estimate: SyntheticEstimate, goals: tuple[DigitGoal, ...]
+) -> np.ndarray:
     """Return the motor force (N,) [N] that the control law commands for an estimate and goals."""
-    state = LawState.idle(estimate.tension)
-    return step(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
+    state = LawState.idle_at_tensions(estimate.tension)
+    return run_law_tick(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
 
 
 @pytest.fixture
@@ -40,12 +42,12 @@ def way(model: HandModel) -> tuple[DigitGoal, ...]:
 
 
 @pytest.fixture
-def estimate(model: HandModel) -> Estimate:
+def estimate(model: HandModel) -> SyntheticEstimate:
     return exact_estimate(model, balanced_state(model, 0.42))
 
 
 def test_motion_feedback_applies_each_gain(
-    model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
+    model: HandModel, way: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
     space, gains, design = model.space, model.gains.motion, model.motion
     mass = space.motor_mass + space.load_mass
@@ -61,7 +63,7 @@ def test_motion_feedback_applies_each_gain(
 
 
 def test_the_planned_acceleration_is_fed_forward(
-    model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
+    model: HandModel, way: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
     """Without the feedforward of rotor inertia, the commanded force decreases by inertia times planned acceleration."""
     without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
@@ -103,7 +105,9 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     state.set_whole(s.TRIMMED, 1)
     state.set_whole(s.HOLDING, 1)
     state.mode = Mode.READY
-    stages.compute_motor_torques(state.block, state.layout.places, *constants(model), 0.0, 0, 1)
+    stages.compute_motor_torques(
+        state.block, state.layout.places, *stage_constants(model), 0.0, 0, 1
+    )
     law, command = law_state_of(state), command_of(state)
     np.testing.assert_array_equal(law.setpoint, tension)
     for part in law[1:5]:
@@ -120,8 +124,12 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
 
 def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 20.0)
-    command = step(
-        model, LawState.idle(estimate.tension), estimate, holding_goals(model, 20.0), EVALUATED_S
+    command = run_law_tick(
+        model,
+        LawState.idle_at_tensions(estimate.tension),
+        estimate,
+        holding_goals(model, 20.0),
+        EVALUATED_S,
     )[1]
     joints = len(model.hand.joints)
     assert [np.isnan(goal).tolist() for goal in (command.q, command.dq)] == [[True] * joints] * 2
@@ -134,15 +142,15 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
         holding_goals(model, 20.0),
         model.motion,
     )
-    state = LawState.idle(estimate.tension)
-    before = step(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
+    state = LawState.idle_at_tensions(estimate.tension)
+    before = run_law_tick(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
         ("speed", 1e-3, -design.tension_speed),
         ("tension", 0.4, -design.tension * integral),
     ):
         off = estimate._replace(**{name: getattr(estimate, name) + size})
-        after = step(model, state, off, goals, EVALUATED_S)[1].torque / model.space.spool
+        after = run_law_tick(model, state, off, goals, EVALUATED_S)[1].torque / model.space.spool
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, err_msg=name)
 
 
@@ -177,29 +185,31 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
 def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     model: HandModel,
 ) -> None:
-    slack_estimate = slack(model)
+    slack_estimate = slack_hand_estimate(model)
     taut_estimate = slack_estimate._replace(slack=np.zeros(model.tendon_count, dtype=bool))
-    state = LawState.idle(np.full(model.tendon_count, 0.5))
+    state = LawState.idle_at_tensions(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
-    loose = step(model, state, slack_estimate, goals, EVALUATED_S)[1].torque
-    taut = step(model, state, taut_estimate, goals, EVALUATED_S)[1].torque
+    loose = run_law_tick(model, state, slack_estimate, goals, EVALUATED_S)[1].torque
+    taut = run_law_tick(model, state, taut_estimate, goals, EVALUATED_S)[1].torque
     np.testing.assert_allclose((loose - taut) / model.space.spool, model.space.coulomb, rtol=0.02)
 
 
 def test_the_goal_tension_of_a_motion_stays_within_its_limit(
-    model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
+    model: HandModel, way: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
-    free = step(model, LawState.idle(estimate.tension), estimate, way, EVALUATED_S)[1].tension
-    state, most = LawState.idle(estimate.tension), np.maximum(0.5 * free, model.floor)
-    held = step(model, state, estimate, way, EVALUATED_S, most)[1].tension
+    free = run_law_tick(
+        model, LawState.idle_at_tensions(estimate.tension), estimate, way, EVALUATED_S
+    )[1].tension
+    state, most = LawState.idle_at_tensions(estimate.tension), np.maximum(0.5 * free, model.floor)
+    held = run_law_tick(model, state, estimate, way, EVALUATED_S, most)[1].tension
     np.testing.assert_allclose(held, most)
 
 
 def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 10.0)
-    command = step(
+    command = run_law_tick(
         model,
-        LawState.idle(estimate.tension),
+        LawState.idle_at_tensions(estimate.tension),
         estimate,
         (DigitGoal(),) * len(model.digits),
         EVALUATED_S,
@@ -208,9 +218,11 @@ def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -
     assert np.isnan(command.tension).all()
 
 
-def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: Estimate) -> None:
+def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: SyntheticEstimate) -> None:
     goals = (*moving_goals(model, 0.4, 0.6, 1.0)[:2], *holding_goals(model, 12.0)[2:])
-    law, command = step(model, LawState.idle(estimate.tension), estimate, goals, EVALUATED_S)
+    law, command = run_law_tick(
+        model, LawState.idle_at_tensions(estimate.tension), estimate, goals, EVALUATED_S
+    )
     tendons, joints = model.digit_tendons[1].stop, model.digits[1].joints.stop
     for angles in (command.q, command.dq):
         assert np.isfinite(angles[:joints]).all()

@@ -11,7 +11,12 @@ from handctl.core.model import HandModel
 from handctl.programs.live import JogProgram, LiveProgram, apply_goal
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.requests import HoldTension, MoveDigits, parse_request
-from tests.controller.synthetic import Estimate, empty_readings, estimate_under_tension, slack
+from tests.controller.synthetic import (
+    SyntheticEstimate,
+    empty_readings,
+    estimate_under_tension,
+    slack_hand_estimate,
+)
 
 
 def goal_from(text: str) -> MoveDigits | HoldTension:
@@ -20,7 +25,7 @@ def goal_from(text: str) -> MoveDigits | HoldTension:
     return request
 
 
-def live(model: HandModel, estimate: Estimate) -> tuple[LiveProgram, ProgramProgress]:
+def live(model: HandModel, estimate: SyntheticEstimate) -> tuple[LiveProgram, ProgramProgress]:
     """Return a live program and its progress at the moment at which it waits for requests."""
     program = LiveProgram()
     progress, t = program.initial(model), 0.0
@@ -92,7 +97,7 @@ def test_a_request_with_one_mistake_changes_nothing(model: HandModel, text: str,
 
 
 def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> None:
-    estimate, program = slack(model), LiveProgram()
+    estimate, program = slack_hand_estimate(model), LiveProgram()
     progress = program.initial(model)
     for t in (0.0, 0.1):
         after, events = apply_goal(

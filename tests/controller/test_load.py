@@ -9,7 +9,7 @@ from handctl.core.law.allocation import tensions_for_torque
 from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
 from tests.controller.goals import moving_goals
-from tests.controller.law_runs import load_of, way_of
+from tests.controller.law_runs import required_tensions_of, way_of
 
 
 def ways(model: HandModel, since: float, durations: tuple[float, ...]) -> tuple[DigitGoal, ...]:
@@ -59,7 +59,7 @@ def test_the_load_of_each_digit_is_limited_separately(
             way = rng.normal(size=(3, joints)) * np.array([[0.3], [1.0], [spread]]) + np.array(
                 [[0.7], [0.0], [0.0]]
             )
-            load = load_of(model, goals, way)
+            load = required_tensions_of(model, goals, way)
             np.testing.assert_allclose(load, load_by_digit(model, way), rtol=1e-6, atol=1e-6)
             bound = (load <= model.floor) | (load >= model.ceiling)
             kinds.add("all" if bound.all() else "some" if bound.any() else "none")
@@ -71,5 +71,5 @@ def test_resting_digits_load_no_moving_digit(jamia11: HandModel) -> None:
     alone = (goals[0], *(replace(goal, kind=GoalKind.LIMP, trajectory=None) for goal in goals[1:]))
     way = way_of(jamia11, goals, 0.2)
     own = jamia11.digit_tendons[0]
-    both = [load_of(jamia11, one, way)[own] for one in (goals, alone)]
+    both = [required_tensions_of(jamia11, one, way)[own] for one in (goals, alone)]
     np.testing.assert_allclose(both[0], both[1], rtol=1e-9)

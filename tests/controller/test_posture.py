@@ -24,7 +24,7 @@ from handctl.programs.grasp import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task
 from tests.controller.synthetic import (
-    Estimate,
+    SyntheticEstimate,
     active_state,
     constant_tables_of,
     controller_of,
@@ -137,7 +137,7 @@ class Angles(NamedTuple):
 
 
 def angles_of_tick(
-    model: HandModel, state: State, estimate: Estimate, touched: np.ndarray, k: int
+    model: HandModel, state: State, estimate: SyntheticEstimate, touched: np.ndarray, k: int
 ) -> Angles:
     """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
 

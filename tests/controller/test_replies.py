@@ -6,25 +6,25 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut
 from handctl.drives.frame import Frame
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import Bench, bench
+from tests.controller.bench import ControllerBench, make_controller_bench
 
 UNASKED = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
 """Feedback frame of the first motor. It reports that the motor is enabled."""
 
 
 @pytest.fixture
-def silent(jamia: HandModel) -> Bench:
+def silent(jamia: HandModel) -> ControllerBench:
     """Return a bench whose controller has not yet sent a request."""
-    run = bench(jamia, LiveProgram())
+    run = make_controller_bench(jamia, LiveProgram())
     run.tick()
     return run
 
 
 @pytest.fixture
-def run(jamia: HandModel) -> Bench:
+def run(jamia: HandModel) -> ControllerBench:
     """Return a bench whose hand is active."""
-    run = bench(jamia, LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(jamia, LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(0.1)
     return run
 
@@ -35,31 +35,31 @@ def faults(out: TickOut) -> list[str]:
 
 @pytest.mark.parametrize("times", [1, 3])
 def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controller(
-    silent: Bench, times: int
+    silent: ControllerBench, times: int
 ) -> None:
-    out = silent.tick(extra=(UNASKED,) * times)
+    out = silent.tick(extra_frames=(UNASKED,) * times)
     assert faults(out) == ["H13"], "one is enough; it is no duplicate, since nothing was asked"
     assert out.mode == Mode.DONE
     name = silent.controller.drives[0].name
     assert silent.state.failure == f"another controller is on the bus (heard: {name} answering it)"
-    assert all(out.frames == () for _, _, out in silent.history)
+    assert all(out.frames == () for _, _, out in silent.tick_history)
 
 
 def test_a_request_of_another_host_and_its_answer_in_one_tick_are_both_reported(
-    silent: Bench,
+    silent: ControllerBench,
 ) -> None:
-    out = silent.tick(extra=(Frame(0x01, bytes(8)), UNASKED))
+    out = silent.tick(extra_frames=(Frame(0x01, bytes(8)), UNASKED))
     assert faults(out) == ["H13", "H13"]
     assert "(heard: 0x001, " in silent.state.failure
 
 
-def test_the_first_reply_to_the_first_request_is_not_in_excess(silent: Bench) -> None:
-    silent.until(Mode.INVENTORY)
+def test_the_first_reply_to_the_first_request_is_not_in_excess(silent: ControllerBench) -> None:
+    silent.run_until_mode(Mode.INVENTORY)
     assert not silent.tick().events
     assert not silent.tick().events
 
 
-def test_frames_of_others_do_not_make_a_duplicate_a_second_node(run: Bench) -> None:
+def test_frames_of_others_do_not_make_a_duplicate_a_second_node(run: ControllerBench) -> None:
     """Only frames that were decoded as feedback of a motor count as its replies."""
     run.to_host = lambda frames: [
         *frames,
@@ -69,7 +69,9 @@ def test_frames_of_others_do_not_make_a_duplicate_a_second_node(run: Bench) -> N
     assert faults(run.tick()) == ["B05", "B09"]
 
 
-def test_two_different_replies_show_a_second_node_despite_frames_between_them(run: Bench) -> None:
+def test_two_different_replies_show_a_second_node_despite_frames_between_them(
+    run: ControllerBench,
+) -> None:
     run.to_host = lambda frames: [*frames, Frame(0x11, bytes(7)), UNASKED]
     assert "B06" in faults(run.tick())
 
@@ -89,7 +91,7 @@ def test_only_load_cell_replies_of_the_present_tick_count(run, behind, found) ->
     assert sorted(faults(run.tick())) == found
 
 
-def is_cell(run: Bench, frame: Frame) -> bool:
+def is_cell(run: ControllerBench, frame: Frame) -> bool:
     return frame.can_id == run.controller.sensors.ids[0]
 
 

@@ -11,7 +11,7 @@ from handctl.core.law.computed_torque import MIN_TRIM_N, TRIM_TIME_S
 from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
 from tests.controller.goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, step
+from tests.controller.law_runs import LawState, run_law_tick
 from tests.controller.synthetic import estimate_under_tension
 
 HIGH_N = 60.0
@@ -22,7 +22,7 @@ AT_ONCE = 1e6
 
 
 def idle(model: HandModel) -> LawState:
-    return LawState.idle(np.full(model.tendon_count, 20.0))
+    return LawState.idle_at_tensions(np.full(model.tendon_count, 20.0))
 
 
 @pytest.mark.parametrize(("warm", "held", "limit"), [(15.0, None, 15.0), (None, 12.0, 12.0), (15.0, 12.0, 12.0),
@@ -32,7 +32,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
 ) -> None:
     n = jamia.tendon_count
     most, kept = (None if value is None else np.full(n, value) for value in (warm, held))
-    law, command = step(
+    law, command = run_law_tick(
         jamia,
         idle(jamia),
         estimate_under_tension(jamia, 0.0),
@@ -49,7 +49,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
 
 
 def test_without_a_limit_the_goal_is_not_changed(jamia: HandModel) -> None:
-    law, command = step(
+    law, command = run_law_tick(
         jamia,
         idle(jamia),
         estimate_under_tension(jamia, 0.0),
@@ -65,14 +65,14 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
     jamia: HandModel,
 ) -> None:
     n = jamia.tendon_count
-    free = step(
+    free = run_law_tick(
         jamia,
         idle(jamia),
         estimate_under_tension(jamia, 5.0),
         moving_goals(jamia, 0.0, 1.2, 0.2),
         0.1,
     )[1]
-    kept = step(
+    kept = run_law_tick(
         jamia,
         idle(jamia),
         estimate_under_tension(jamia, 5.0),
@@ -91,19 +91,21 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
 @pytest.mark.parametrize("held", [True, False])
 def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
     asked = holding_goals(jamia, 20.0, AT_ONCE) if held else moving_goals(jamia, 0.0, 1.2, 0.2)
-    plain = step(jamia, idle(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0)[1]
+    plain = run_law_tick(jamia, idle(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0)[1]
     trimmed = idle(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
-    law, command = step(jamia, trimmed, estimate_under_tension(jamia, 20.0), asked, 0.0)
+    law, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), asked, 0.0)
     np.testing.assert_allclose((command.torque - plain.torque) / jamia.space.spool, 2.0)
     assert law.trim is not None
     np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_TIME_S), rtol=1e-3)
     nearly = trimmed._replace(trim=np.full(jamia.tendon_count, MIN_TRIM_N / 2))
-    assert step(jamia, nearly, estimate_under_tension(jamia, 20.0), asked, 0.0)[0].trim is None
+    assert (
+        run_law_tick(jamia, nearly, estimate_under_tension(jamia, 20.0), asked, 0.0)[0].trim is None
+    )
 
 
 def test_limp_digits_have_no_trim(jamia: HandModel) -> None:
     goals = (*holding_goals(jamia, 20.0, AT_ONCE)[:3], DigitGoal(GoalKind.LIMP))
     trimmed = idle(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
-    _, command = step(jamia, trimmed, estimate_under_tension(jamia, 20.0), goals, 0.0)
+    _, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), goals, 0.0)
     assert command.torque[3] == 0.0
     assert np.isnan(command.tension[3])

@@ -26,8 +26,8 @@ from handctl.programs.live import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.clocks.lockstep import load_peer
 from handctl.safety.action import Action
-from tests.controller.bench import Bench, bench, controller
-from tests.controller.law_runs import limit_of
+from tests.controller.bench import ControllerBench, make_controller_bench, uncommissioned_controller
+from tests.controller.law_runs import tension_limits_of
 
 HOLD = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'
 MOVE = '{"do": "move", "angle_deg": {"index": 45, "middle": 45, "ring": 45, "thumb": 20}, "duration_s": 0.2}'
@@ -37,22 +37,22 @@ def change(values: Mapping[str, float]) -> str:
     return json.dumps({"do": "gains", "set": values})
 
 
-def noiseless_hand(model: HandModel) -> Bench:
+def noiseless_hand(model: HandModel) -> ControllerBench:
     """Return a bench with the simulated hand, which has noiseless load cells.
 
     Its tendons are taut, and it waits for requests.
     """
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
     peer = load_peer("firmware_sim.rig:LockstepHand", **options)
-    desk = Bench(controller(model, LiveProgram()), peer)
-    desk.until(Mode.ACTIVE)
+    desk = ControllerBench(uncommissioned_controller(model, LiveProgram()), peer)
+    desk.run_until_mode(Mode.ACTIVE)
     while desk.state.progress.phase != "live":
         desk.tick()
     return desk
 
 
 @pytest.fixture
-def holding(jamia: HandModel) -> Bench:
+def holding(jamia: HandModel) -> ControllerBench:
     """Return a bench whose hand raises its tensions, so that the tension loops have errors."""
     desk = noiseless_hand(jamia)
     desk.tick(HOLD)
@@ -61,7 +61,7 @@ def holding(jamia: HandModel) -> Bench:
 
 
 def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandModel) -> None:
-    run, designs = controller(jamia, LiveProgram()), DesignCache()
+    run, designs = uncommissioned_controller(jamia, LiveProgram()), DesignCache()
     used = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
     whole = designs.controller(run, used)
     for force in range(20, 20 + 3 * CACHE_SIZE):
@@ -79,7 +79,7 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
 
 @pytest.mark.parametrize("odd", [("motion.force_N", 1e-9), ("tension.tension_error_N", 1e-150)])
 def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
-    holding: Bench, odd: tuple[str, float]
+    holding: ControllerBench, odd: tuple[str, float]
 ) -> None:
     before = holding.state.decisions.gains
     outs = [holding.tick(change(dict([odd])))]
@@ -97,18 +97,18 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
-    desk = Bench(
-        controller(jamia, CommissionProgram()),
+    desk = ControllerBench(
+        uncommissioned_controller(jamia, CommissionProgram()),
         load_peer("firmware_sim.rig:LockstepHand", hand_path=str(hand_path("jamia"))),
     )
-    desk.until(Mode.ACTIVE)
+    desk.run_until_mode(Mode.ACTIVE)
     out = desk.tick(change({"motion.force_N": 20.0}))
     assert "refused: the hand is being commissioned" in [event.text for event in out.events]
     assert desk.state.decisions.pending is None
 
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(
-    holding: Bench, jamia: HandModel
+    holding: ControllerBench, jamia: HandModel
 ) -> None:
     outs = [holding.tick(change({"tension.force_N": 45.0}))]
     outs += [holding.tick() for _ in range(design_piece_count(jamia.space) + 2)]
@@ -198,22 +198,24 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     np.testing.assert_array_equal(new.view("limit_held"), old.view("limit_held"))
     limit = old.view("limit_held")
     for state in (old, new):
-        np.testing.assert_array_equal(limit_of(own.model, state), limit)
+        np.testing.assert_array_equal(tension_limits_of(own.model, state), limit)
         assert (
             state.view("torque") / jamia.space.spool <= limit + jamia.space.coulomb + 1e-9
         ).all()
 
 
-def test_the_trim_fades_and_the_goal_is_reached(holding: Bench) -> None:
+def test_the_trim_fades_and_the_goal_is_reached(holding: ControllerBench) -> None:
     holding.tick(change({"tension.tension_error_N": 1.4}))
     holding.run(2.5)
     assert not holding.state.whole(s.TRIMMED)
     assert not holding.state.view("trim").any()
-    tension = np.array([out.telemetry.tension for *_, out in holding.history[-200:]])
+    tension = np.array([out.telemetry.tension for *_, out in holding.tick_history[-200:]])
     np.testing.assert_allclose(tension.mean(axis=0), 14.0, atol=1.0)
 
 
-def test_two_changes_of_gains_add_up_and_can_be_undone(holding: Bench, jamia: HandModel) -> None:
+def test_two_changes_of_gains_add_up_and_can_be_undone(
+    holding: ControllerBench, jamia: HandModel
+) -> None:
     holding.tick(change({"tension.force_N": 30.0}))
     holding.tick(change({"motion.tension_feedback": 0.1}))
     holding.run(0.1)
@@ -239,7 +241,7 @@ def test_two_changes_of_gains_add_up_and_can_be_undone(holding: Bench, jamia: Ha
     ],
 )
 def test_impossible_gains_are_refused_in_one_line_without_effect(
-    holding: Bench, values: dict[str, float], said: str
+    holding: ControllerBench, values: dict[str, float], said: str
 ) -> None:
     out = holding.tick(change(values))
     lines = [event for event in out.events if event.name == "request" and event.level == "warn"]
@@ -251,8 +253,8 @@ def test_impossible_gains_are_refused_in_one_line_without_effect(
 
 
 def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -> None:
-    desk = bench(jamia, LiveProgram(), arm=False)
-    desk.until(Mode.READY)
+    desk = make_controller_bench(jamia, LiveProgram(), arm=False)
+    desk.run_until_mode(Mode.READY)
     desk.tick(change({"motion.force_N": 40.0}))
     desk.run(0.1)
     assert desk.state.decisions.gains is not None

@@ -20,7 +20,7 @@ from handctl.programs.grip import SLIP_EXCURSION_M, GripPlan, GripState, advance
 from handctl.programs.task import Task
 from tests.controller.plant_run import run_on_plant
 from tests.controller.synthetic import (
-    Estimate,
+    SyntheticEstimate,
     active_state,
     detect_contacts,
     estimate_under_tension,
@@ -45,7 +45,7 @@ class GraspRun:
         self.state.set_whole(s.GRIPPING, 1)
         self.events: list[TickEvent] = []
 
-    def tick(self, estimate: Estimate, seconds: float) -> None:
+    def tick(self, estimate: SyntheticEstimate, seconds: float) -> None:
         for _ in range(round(seconds / self.model.period)):
             self.state.goal_time = self.t
             self.state.set_number(s.SLIP_JUDGED_FROM, self.grip.ready)
@@ -56,7 +56,7 @@ class GraspRun:
             )
             self.events += events
 
-    def moved(self, metres: float, digit: int = 0) -> Estimate:
+    def moved(self, metres: float, digit: int = 0) -> SyntheticEstimate:
         """Return the estimate after the tendons of a digit were wound further by ``metres``."""
         travel = self.quiet.travel.copy()
         travel[self.model.digit_tendons[digit]] += metres
@@ -162,9 +162,11 @@ def test_a_growing_load_removes_the_object_only_without_slip_reaction(
     scene, motion, tension = PULL.format(friction=friction, rate=rate), {}, {}
     for limit in ("", "limit"):
         run = run_on_plant(hand, grasp(limit), scene, tmp_path, 5.6)
-        begin = run.t.index(3.4)
-        motion[limit] = 1e3 * np.linalg.norm(np.subtract(run.place[-1], run.place[begin]))
-        tension[limit] = max(float(row.max()) for row in run.tension[begin:])
+        begin = run.time_s.index(3.4)
+        motion[limit] = 1e3 * np.linalg.norm(
+            np.subtract(run.object_position[-1], run.object_position[begin])
+        )
+        tension[limit] = max(float(row.max()) for row in run.estimated_tension[begin:])
         assert run.events_named("slip"), "noticed in either case"
         assert not [t for t, _ in run.events_named("slip") if t < 3.4], (
             "before the load nothing slips"

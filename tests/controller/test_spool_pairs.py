@@ -36,7 +36,7 @@ from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents
 from handctl.programs.task import ClosePhase, HoldPhase, Task
 from handctl.session.calibration import homed_calibration
 from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
-from tests.controller.synthetic import interpreted
+from tests.controller.synthetic import uncompiled_function
 
 RATE_HZ = 500.0
 FILE = Path(__file__).with_name("spool_finger.toml")
@@ -56,10 +56,10 @@ def finger() -> Hand:
 def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: int) -> None:
     random = np.random.default_rng(seed)
     net, pretension = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0)
-    assert interpreted(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
+    assert uncompiled_function(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
     # The net tension with half the first and twice the second tendon's tension gives a second
     # equation for both.
-    halved = interpreted(net_tension_at_joint)(net, pretension, 0.5)
+    halved = uncompiled_function(net_tension_at_joint)(net, pretension, 0.5)
     first = (2.0 * net - halved) / 1.5
     second = first - net
     assert min(first, second) >= -1e-9
@@ -75,19 +75,21 @@ def test_friction_of_both_tendons_is_subtracted_and_added_back(seed: int) -> Non
         random.uniform(0.0, 20.0),
         np.exp(random.uniform(-0.3, 0.3)),
     )
-    behind = interpreted(net_tension_at_joint)(net, pretension, passed)
-    assert interpreted(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(
+    behind = uncompiled_function(net_tension_at_joint)(net, pretension, passed)
+    assert uncompiled_function(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(
         net, abs=1e-9
     )
     # Even without net tension, the pretension of a pair causes friction. The winding tendon loses
     # tension, the other one gains.
-    lost = net - interpreted(net_tension_at_joint)(net, pretension, min(passed, 1.0 / passed))
+    lost = net - uncompiled_function(net_tension_at_joint)(
+        net, pretension, min(passed, 1.0 / passed)
+    )
     assert lost >= 0.0
 
 
 def test_a_single_tendon_is_the_limit_of_a_pair_without_pretension() -> None:
-    assert interpreted(net_tension_at_joint)(10.0, 0.0, 0.8) == pytest.approx(8.0)
-    assert interpreted(net_tension_at_joint)(-10.0, 0.0, 0.8) == pytest.approx(-12.5)
+    assert uncompiled_function(net_tension_at_joint)(10.0, 0.0, 0.8) == pytest.approx(8.0)
+    assert uncompiled_function(net_tension_at_joint)(-10.0, 0.0, 0.8) == pytest.approx(-12.5)
 
 
 @pytest.mark.parametrize("stretch_mm", [0.0, 0.1, -0.1, 0.16, 0.4, -0.4])

@@ -11,7 +11,7 @@ from handctl.core.estimation.take_up import (
     regime_evidence,
 )
 from handctl.core.model import HandModel
-from tests.controller.synthetic import active_state, interpreted
+from tests.controller.synthetic import active_state, uncompiled_function
 
 SLACK = int(TendonRegime.SLACK)
 
@@ -25,8 +25,8 @@ def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
     No sample may therefore be wasted.
     """
     points, taken = 0, 0
-    while not interpreted(is_regime_over)(SLACK, points, False):
-        points = interpreted(regime_evidence)(SLACK, points, 0.0, 1.6, 0.0, length_is_known)
+    while not uncompiled_function(is_regime_over)(SLACK, points, False):
+        points = uncompiled_function(regime_evidence)(SLACK, points, 0.0, 1.6, 0.0, length_is_known)
         taken += 1
     assert taken == samples
 
@@ -37,8 +37,8 @@ def test_a_tendon_is_near_when_little_slack_length_remains(model: HandModel) -> 
     for hangs, is_near in ((0.9 * NEARLY_TAUT_M, True), (1.1 * NEARLY_TAUT_M, False)):
         state.view("travel")[...] = 1e-3 - hangs
         assert (
-            interpreted(is_nearly_taut)(
-                interpreted(state_tables)(state.block, state.layout.places), 1
+            uncompiled_function(is_nearly_taut)(
+                uncompiled_function(state_tables)(state.block, state.layout.places), 1
             )
             == is_near
         )

@@ -18,17 +18,17 @@ from handctl.drives.frame import Frame
 from handctl.hand.load import hand_content, hand_from_content, load_hand
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
-from tests.controller.bench import Bench, bench
+from tests.controller.bench import ControllerBench, make_controller_bench
 
 
-def run_session(name: str) -> Bench:
+def run_session(name: str) -> ControllerBench:
     """Return the bench of a whole live session.
 
     The hand is armed, moves, holds, loses a frame, has a fault, and relaxes.
     """
     rate = {"jamia": 200.0, "jamia11": 200.0}[name]
-    run = bench(HandModel.of(load_hand(name), Gains(), rate), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.of(load_hand(name), Gains(), rate), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(1.0)
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 0.3}')
     run.run(0.2)
@@ -37,15 +37,15 @@ def run_session(name: str) -> Bench:
     run.tick()
     run.to_host = lambda frames: frames
     run.run(0.3)
-    run.tick(io=(IoEvent("dropped", "local:x", 3),), late_ns=run.period_ns // 2)
-    run.tick(skip=1)
-    run.tick(extra=(Frame(0x001, bytes(8), t_ns=run.k * run.period_ns),))
-    run.until(Mode.DONE)
+    run.tick(io_events=(IoEvent("dropped", "local:x", 3),), late_ns=run.period_ns // 2)
+    run.tick(missed_ticks=1)
+    run.tick(extra_frames=(Frame(0x001, bytes(8), t_ns=run.k * run.period_ns),))
+    run.run_until_mode(Mode.DONE)
     return run
 
 
 @pytest.fixture(scope="module", params=["jamia", "jamia11"])
-def session(request: pytest.FixtureRequest) -> Bench:
+def session(request: pytest.FixtureRequest) -> ControllerBench:
     return run_session(request.param)
 
 
@@ -55,9 +55,9 @@ def bytes_of(out: TickOut) -> tuple[object, ...]:
     return (*plain, out.telemetry.packed())
 
 
-def test_equal_inputs_give_equal_outputs(session: Bench) -> None:
+def test_equal_inputs_give_equal_outputs(session: ControllerBench) -> None:
     """Any tick of a session that is executed again from its state gives the same outputs in every byte."""
-    for before, entry, out in session.history[::3]:
+    for before, entry, out in session.tick_history[::3]:
         digest = before.digest()
         after, again = session.controller.tick(before, entry)
         assert bytes_of(again) == bytes_of(out)
@@ -65,21 +65,21 @@ def test_equal_inputs_give_equal_outputs(session: Bench) -> None:
         assert before.digest() == digest, "the state that went in is as it was"
 
 
-def test_another_controller_of_the_same_hand_repeats_the_run(session: Bench) -> None:
+def test_another_controller_of_the_same_hand_repeats_the_run(session: ControllerBench) -> None:
     model = session.controller.model
-    other = bench(
+    other = make_controller_bench(
         HandModel.of(model.hand, model.gains, 1.0 / model.period), LiveProgram()
     ).controller
     state = other.initial()
-    for _, entry, out in session.history:
+    for _, entry, out in session.tick_history:
         state, again = other.tick(state, entry)
         assert again.state_hash == out.state_hash, entry.k
 
 
-def test_the_order_of_frames_within_a_tick_does_not_matter(session: Bench) -> None:
+def test_the_order_of_frames_within_a_tick_does_not_matter(session: ControllerBench) -> None:
     shuffle = random.Random(3)
     checked = 0
-    for before, entry, out in session.history[::3]:
+    for before, entry, out in session.tick_history[::3]:
         frames = list(entry.frames)
         shuffle.shuffle(frames)
         _, again = session.controller.tick(before, entry._replace(frames=tuple(frames)))
@@ -88,14 +88,14 @@ def test_the_order_of_frames_within_a_tick_does_not_matter(session: Bench) -> No
     assert checked > 50
 
 
-def test_frames_with_unknown_identifiers_change_no_decision(session: Bench) -> None:
+def test_frames_with_unknown_identifiers_change_no_decision(session: ControllerBench) -> None:
     """Only the counters of unknown frames change.
 
     A known identifier with an extra flag counts as a malformed frame.
     """
     noise = (Frame(0x666, bytes(8)), Frame(0x1A0, bytes(8), bus=3))
     misshapen = Frame(0x011 | 1 << 31, bytes(8))
-    for before, entry, out in session.history[::7]:
+    for before, entry, out in session.tick_history[::7]:
         _, again = session.controller.tick(before, entry._replace(frames=(*noise, *entry.frames)))
         assert bytes_of(again._replace(state_hash=b"")) == bytes_of(out._replace(state_hash=b""))
         _, again = session.controller.tick(
@@ -112,18 +112,18 @@ def test_the_origin_of_time_does_not_matter() -> None:
     model = HandModel.of(load_hand("jamia"), Gains(), 200.0)
     runs = []
     for first in (0, 2560):
-        run = bench(model, LiveProgram())
+        run = make_controller_bench(model, LiveProgram())
         run.k = first
         run.state.set_whole(s.K, first - 1)
         run.state.mode_since = first * model.period
-        run.until(Mode.ACTIVE)
+        run.run_until_mode(Mode.ACTIVE)
         run.run(0.5)
         run.tick('{"do": "hold", "tension_N": {"index": 15}}')
         run.run(0.3)
         run.tick('{"do": "stop"}')
-        run.until(Mode.DONE)
+        run.run_until_mode(Mode.DONE)
         runs.append(run)
-    early, late = (run.history for run in runs)
+    early, late = (run.tick_history for run in runs)
     assert len(early) == len(late)
     for (_, _, a), (_, _, b) in zip(early, late, strict=True):
         assert (a.mode, a.phase, a.action, [e.text for e in a.events]) == (
@@ -137,7 +137,7 @@ def test_the_origin_of_time_does_not_matter() -> None:
         assert commands[0] or a.mode < Mode.ARMING or a.mode == Mode.DONE
 
 
-def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Bench) -> None:
+def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: ControllerBench) -> None:
     hand = session.controller.model.hand
     sizes = {
         "joint": len(hand.joints),
@@ -147,7 +147,7 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Bench)
     }
     silent_here = {"contact"} | ({"joint_encoder"} if not hand.sensor_node.joints else set())
     for name, axis in TELEMETRY_AXES.items():
-        rows = [getattr(out.telemetry, name) for _, _, out in session.history]
+        rows = [getattr(out.telemetry, name) for _, _, out in session.tick_history]
         assert all(row.shape == (sizes[axis],) and row.dtype == np.float64 for row in rows), name
         values = np.array(rows)
         assert not np.isinf(values).any(), name
@@ -159,8 +159,8 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Bench)
 
 def test_old_values_have_no_new_time_stamp() -> None:
     """In a tick without frames the telemetry shows NaN for every measurement. The age of the last one grows."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(0.5)
     run.to_host = lambda frames: []
     ages = []
@@ -182,15 +182,15 @@ def test_old_values_have_no_new_time_stamp() -> None:
 
 
 def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(0.5)
-    assert run.tick(skip=1).action == Action.WARN
+    assert run.tick(missed_ticks=1).action == Action.WARN
     run.run(0.1)
     stalled = run.controller.limits.stalled_ticks
-    assert run.tick(skip=stalled - 1).action == Action.WARN
+    assert run.tick(missed_ticks=stalled - 1).action == Action.WARN
     run.run(0.1)
-    out = run.tick(skip=stalled)
+    out = run.tick(missed_ticks=stalled)
     assert (out.action, out.mode) == (Action.RELAX, Mode.RELAX)
     assert "H03" in run.state.failure
 
@@ -202,19 +202,23 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     """
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
-    run = bench(HandModel.of(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram())
-    run.peer.order = list(range(11))[::-1]
-    run.peer.bias[:] = np.linspace(0.0, 2.0, 11)
-    run.until(Mode.ACTIVE)
-    np.testing.assert_allclose(run.history[-1][2].telemetry.tension_raw, run.peer.bias, atol=0.05)
+    run = make_controller_bench(
+        HandModel.of(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram()
+    )
+    run.peer.tendon_of_channel = list(range(11))[::-1]
+    run.peer.cell_bias[:] = np.linspace(0.0, 2.0, 11)
+    run.run_until_mode(Mode.ACTIVE)
+    np.testing.assert_allclose(
+        run.tick_history[-1][2].telemetry.tension_raw, run.peer.cell_bias, atol=0.05
+    )
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
-    run.until(Mode.DONE)
+    run.run_until_mode(Mode.DONE)
     lost = {mark.instance for mark in run.state.latched if mark.id == "N02"}
     assert lost == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_no_frame_contains_nan(active: Bench, bad: float) -> None:
+def test_no_frame_contains_nan(active: ControllerBench, bad: float) -> None:
     state = active.state.copy()
     state.view("travel")[0] = bad
     entry = TickIn(active.k, active.k * active.period_ns)
@@ -234,7 +238,7 @@ frames = st.builds(
 
 
 @given(burst=st.lists(st.lists(frames, max_size=12), min_size=1, max_size=6))
-def test_no_frame_can_stop_the_tick(active: Bench, burst: list[list[Frame]]) -> None:
+def test_no_frame_can_stop_the_tick(active: ControllerBench, burst: list[list[Frame]]) -> None:
     """For any received frames, no tick of an active hand raises, and all torques are finite and within their limits."""
     state, k = active.state, active.k
     for some in burst:
@@ -260,7 +264,7 @@ def test_no_frame_can_stop_the_tick(active: Bench, burst: list[list[Frame]]) -> 
     gap=st.integers(0, 10**6),
 )
 def test_no_request_event_or_delay_can_stop_the_tick(
-    active: Bench, texts: list[str], kinds: list[str], late: int, gap: int
+    active: ControllerBench, texts: list[str], kinds: list[str], late: int, gap: int
 ) -> None:
     k = active.k + gap
     events = tuple(IoEvent(kind, "x", 1) for kind in kinds)
@@ -271,10 +275,10 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     """The tension loop starts at the tension that tendons have when they are armed, for example from a held object."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.peer.x[:] = 0.3e-3 + 20.0 / run.peer.stiffness
-    run.peer.braked = True
-    run.until(Mode.ACTIVE)
-    first = run.history[-1][2].telemetry
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run.peer.spool_travel[:] = 0.3e-3 + 20.0 / run.peer.tendon_stiffness
+    run.peer.locked_when_disabled = True
+    run.run_until_mode(Mode.ACTIVE)
+    first = run.tick_history[-1][2].telemetry
     np.testing.assert_allclose(first.tension, 20.0, atol=6.0)
     assert (first.motor_torque_goal > 0.0).all(), "no kick backwards"

@@ -10,10 +10,10 @@ from handctl.core.estimation.touch import BLOCKED_ABOVE_N, FREE_BELOW_N, MAX_PRE
 from handctl.core.model import HandModel
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import MoveDigits
-from tests.controller.law_runs import limit_of, warm
+from tests.controller.law_runs import temperatures_for_limits, tension_limits_of
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
 from tests.controller.synthetic import (
-    Estimate,
+    SyntheticEstimate,
     active_state,
     balanced_state,
     detect_contacts,
@@ -21,7 +21,7 @@ from tests.controller.synthetic import (
 )
 
 
-def estimate_with_unexplained_tension(model: HandModel, external: float) -> Estimate:
+def estimate_with_unexplained_tension(model: HandModel, external: float) -> SyntheticEstimate:
     """Return the estimate of a hand at rest. All its tendons have the unexplained tension ``external`` [N]."""
     return exact_estimate(model, balanced_state(model, 0.5))._replace(
         external=np.full(model.tendon_count, external)
@@ -46,10 +46,12 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
     state = active_state(model)
     state.view("planned")[...] = 20.0
     state.view("planned")[model.digit_tendons[1]] = 0.0
-    assert np.isinf(limit_of(model, state)).all()
+    assert np.isinf(tension_limits_of(model, state)).all()
     state.view("blocked")[:2] = 1
-    state.view("temperature")[...] = warm(model, np.full(model.tendon_count, 60.0))
-    limit = limit_of(model, state)
+    state.view("temperature")[...] = temperatures_for_limits(
+        model, np.full(model.tendon_count, 60.0)
+    )
+    limit = tension_limits_of(model, state)
     np.testing.assert_allclose(limit[model.digit_tendons[0]], 20.0 + MAX_PRESS_N)
     np.testing.assert_allclose(limit[model.digit_tendons[1].start :], 60.0)
 
@@ -73,5 +75,5 @@ def test_a_motion_into_a_stop_is_reported_and_presses_gently(pressed: tuple[str,
     )
     own = model_of(hand).digit_tendons[0]
     at = run.events_named("blocked")[0][0]
-    real = np.array(run.real)[np.array(run.t) > at + 0.1][:, own]
+    real = np.array(run.true_tension)[np.array(run.time_s) > at + 0.1][:, own]
     assert real.max() < 120.0, "[N]; safety trips at 140"

@@ -16,7 +16,7 @@ from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import Bench, bench
+from tests.controller.bench import ControllerBench, make_controller_bench
 
 STOP, CUT = '{"do": "stop"}', '{"do": "cut"}'
 QUICK = '{"do": "hold", "tension_N": {"index": 100}, "rate_N_per_s": 5000}'
@@ -29,14 +29,14 @@ def quick() -> HandModel:
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
-def acting(model: HandModel) -> Bench:
-    run = bench(model, LiveProgram())
-    run.until(Mode.ACTIVE)
+def acting(model: HandModel) -> ControllerBench:
+    run = make_controller_bench(model, LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(1.0)
     return run
 
 
-def foreign(run: Bench) -> Frame:
+def foreign(run: ControllerBench) -> Frame:
     return Frame(run.peer.motors[0].node_id, bytes(8), t_ns=run.k * run.period_ns)
 
 
@@ -48,19 +48,23 @@ def test_no_request_raises_the_tension_during_relax(
     run = acting(quick)
     run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
     run.run(0.5)
-    run.tick(*() if fault else (STOP,), extra=(foreign(run),) if fault else ())
-    since, before = len(run.history), run.peer.tension.max()
+    run.tick(*() if fault else (STOP,), extra_frames=(foreign(run),) if fault else ())
+    since, before = len(run.tick_history), run.peer.tension.max()
     while run.state.mode == Mode.RELAX:
         run.tick(request_)
         assert run.peer.tension.max() < before + 0.5
     goals = np.array(
-        [out.telemetry.tension_goal for _, _, out in run.history[since:] if out.mode == Mode.RELAX]
+        [
+            out.telemetry.tension_goal
+            for _, _, out in run.tick_history[since:]
+            if out.mode == Mode.RELAX
+        ]
     )
     assert (np.diff(goals, axis=0) <= 1e-9).all()
     assert len(goals) * quick.period < 0.2
     texts = [event.text for event in run.events if event.text.startswith("refused")]
     assert texts == ["refused: the hand is letting go"] * len(texts)
-    run.until(Mode.DONE)
+    run.run_until_mode(Mode.DONE)
     assert run.state.failure == ("fault H13 0x001" if fault else ""), (
         "a goal that comes too late is no fault"
     )
@@ -78,10 +82,12 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> 
         assert run.state.view("setpoint").max() <= present.max()
 
 
-def fastest_setpoint_fall(run: Bench, index: int = 0) -> float:
+def fastest_setpoint_fall(run: ControllerBench, index: int = 0) -> float:
     """Return how fast the set-point of a tendon falls at most while the hand relaxes [N/s]."""
     goals = [
-        out.telemetry.tension_goal[index] for _, _, out in run.history if out.mode == Mode.RELAX
+        out.telemetry.tension_goal[index]
+        for _, _, out in run.tick_history
+        if out.mode == Mode.RELAX
     ]
     return float(-np.diff(goals).min() / run.controller.model.period)
 
@@ -96,10 +102,10 @@ def test_over_tension_is_relaxed_four_times_as_fast(quick: HandModel, late: bool
         run.tick(STOP)
         run.run(0.02)
         assert fastest_setpoint_fall(run) == pytest.approx(RELAX_RATE_N_PER_S)
-    run.peer.bias[0] = 150.0 - run.peer.tension[0]
+    run.peer.cell_bias[0] = 150.0 - run.peer.tension[0]
     run.run(2 * quick.period)
-    run.peer.bias[0] = 0.0
-    run.until(Mode.DISARM)
+    run.peer.cell_bias[0] = 0.0
+    run.run_until_mode(Mode.DISARM)
     assert next(event.text for event in run.events if event.name == "fault").startswith("T03 ")
     assert fastest_setpoint_fall(run) == pytest.approx(OVER_TENSION_RATE_N_PER_S)
 
@@ -111,11 +117,11 @@ def test_a_fault_during_relax_makes_the_run_fail(quick: HandModel, asked: str) -
     run.run(0.5)
     if asked == STOP:
         run.tick(asked)
-        run.tick(extra=(foreign(run),))
+        run.tick(extra_frames=(foreign(run),))
         assert run.state.mode == Mode.RELAX
     else:
-        run.tick(asked, extra=(foreign(run),))
-    run.until(Mode.DONE)
+        run.tick(asked, extra_frames=(foreign(run),))
+    run.run_until_mode(Mode.DONE)
     assert run.state.failure == "fault H13 0x001"
     assert any(
         event.level == "error" and "fault H13" in event.text
@@ -125,17 +131,17 @@ def test_a_fault_during_relax_makes_the_run_fail(quick: HandModel, asked: str) -
 
 
 def test_after_a_fault_during_arming_no_further_drive_is_enabled(quick: HandModel) -> None:
-    run = bench(quick, LiveProgram())
+    run = make_controller_bench(quick, LiveProgram())
     run.peer.motors[1].deaf.add(0xFC)
-    run.until(Mode.ARMING)
-    run.tick(extra=(foreign(run),))
+    run.run_until_mode(Mode.ARMING)
+    run.tick(extra_frames=(foreign(run),))
     assert run.state.mode == Mode.DISARM
-    since = len(run.history)
-    run.until(Mode.DONE)
+    since = len(run.tick_history)
+    run.run_until_mode(Mode.DONE)
     enable = b"\xff" * 7 + b"\xfc"
     assert not [
         frame
-        for _, _, out in run.history[since - 1 :]
+        for _, _, out in run.tick_history[since - 1 :]
         for frame in out.frames
         if frame.data == enable
     ]
@@ -148,8 +154,8 @@ def test_a_run_with_its_own_goals_refuses_goals_of_clients(quick: HandModel, req
 
     A tare under tension would shift readings of later runs.
     """
-    run = bench(quick, CommissionProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(quick, CommissionProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(0.05)
     goals = run.state.progress.goals
     out = run.tick(request_)
@@ -159,11 +165,11 @@ def test_a_run_with_its_own_goals_refuses_goals_of_clients(quick: HandModel, req
 
 
 def test_a_hand_refuses_goals_before_active_mode(quick: HandModel) -> None:
-    run = bench(quick, LiveProgram())
+    run = make_controller_bench(quick, LiveProgram())
     for _ in range(60):
         out = run.tick()
     run.tick(QUICK)
     assert "refused: the hand is not ready yet" in [
-        event.text for event in run.history[-1][2].events
+        event.text for event in run.tick_history[-1][2].events
     ]
     assert out.mode < Mode.ACTIVE
