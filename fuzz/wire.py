@@ -16,7 +16,7 @@ from handctl.core.schema import BlockArray
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from tests.drives.protocol_bench import Bench, hand_file
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import Wired
 
 FuzzTarget = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.slow import Durations, slow_tests
-from tests.stalls import StallMeter
+from tests.slow_tests import Durations, slow_tests
+from tests.stall_meter import StallMeter
 
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.slow import CLOCK_S, FILE_S, FUNCTION_S, choose
+from tests.slow_tests import CLOCK_S, FILE_S, FUNCTION_S, choose
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,7 +38,7 @@ def test_only_a_sample_leaves_slow_tests_out(
 ) -> None:
     """pytest collects this file with a list of slow tests that names two of its tests."""
     code = (
-        "import sys, pathlib, pytest, tests.slow; tests.slow.SLOW_TESTS = pathlib.Path(sys.argv[1]); "
+        "import sys, pathlib, pytest, tests.slow_tests; tests.slow_tests.SLOW_TESTS = pathlib.Path(sys.argv[1]); "
         + ("sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))")
     )
     name = "tests/contracts/test_slow.py::test_a_file_keeps_its_cheapest_test_unless_it_takes_long"

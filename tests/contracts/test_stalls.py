@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from tests.stalls import StallMeter
+from tests.stall_meter import StallMeter
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 REPEATED_TEST = """

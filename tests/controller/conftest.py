@@ -7,7 +7,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
 """Default control rate of each hand [Hz]. Its frames fit on the bus at this rate."""

@@ -15,7 +15,7 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, S, TendonRegime, X
 from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SensorReadings,
     SyntheticEstimate,
     active_state,

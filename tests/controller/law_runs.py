@@ -18,7 +18,7 @@ from handctl.core.law.loads import allocate_bounded_tensions
 from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, TablePlaces
 from handctl.safety.action import Action
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
     controller_of,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from handctl.core import stages
 from handctl.core.model import HandModel
 from handctl.safety.faults.node import STUCK_GOAL_M
-from tests.controller.synthetic import active_state, stage_constants
+from tests.controller.synthetic_states import active_state, stage_constants
 
 
 @pytest.mark.parametrize("rest_s", [0.2, 5.0])

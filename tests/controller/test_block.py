@@ -38,9 +38,9 @@ from handctl.programs.streams import StreamPlan
 from handctl.safety.judge import CountedFault, LatchedFault
 from handctl.session.tasks import find_task
 from tests.conftest import NIGHTLY
-from tests.controller.bench import ControllerBench
-from tests.controller.synthetic import uncompiled_function
-from tests.hand.many import fifteen_motors
+from tests.controller.controller_bench import ControllerBench
+from tests.controller.synthetic_states import uncompiled_function
+from tests.hand.many_motors import fifteen_motors
 
 SEEDS = range(6)
 

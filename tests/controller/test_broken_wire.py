@@ -9,7 +9,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram
 from handctl.safety.faults.tendon import RELAXED_S
-from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
 @pytest.mark.parametrize("tare", [-3.0, 0.0, 5.0])

@@ -10,7 +10,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 COMMUNICATION_LOST = 0xD
 CLEAR = '{"do": "clear"}'

@@ -23,9 +23,13 @@ from handctl.programs.commission import (
     calibration_of_result,
 )
 from handctl.programs.program import ProgramProgress
-from tests.controller.bench import ControllerBench, make_controller_bench
-from tests.controller.synthetic import empty_readings, estimate_under_tension, slack_hand_estimate
-from tests.hand.many import fifteen_motors
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
+from tests.controller.synthetic_states import (
+    empty_readings,
+    estimate_under_tension,
+    slack_hand_estimate,
+)
+from tests.hand.many_motors import fifteen_motors
 
 
 @pytest.fixture(scope="module")

@@ -20,9 +20,9 @@ from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel, _torque_limit
 from handctl.hand.load import load_hand
 from handctl.safety.action import Action
-from tests.controller.goals import holding_goals, moving_goals
+from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_control_law, run_law_tick
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SyntheticEstimate,
     balanced_state,
     exact_estimate,

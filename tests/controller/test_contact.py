@@ -19,7 +19,7 @@ from handctl.core.model import HandModel
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from tests.controller.plant_run import model_of, run_on_plant
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     active_state,
     balanced_state,
     constant_tables_of,

@@ -13,7 +13,7 @@ from handctl.programs.default_task import default_scene, default_task, grasp_war
 from handctl.programs.task import ClosePhase, HoldPhase, load_task
 from handctl.programs.task_checks import check_task_for_hand
 from handctl.session.tasks import find_task
-from tests.hand.chains import SEEDS, random_tree
+from tests.hand.random_chains import SEEDS, random_tree
 
 
 @pytest.mark.parametrize("name", packaged_hands())

@@ -18,9 +18,9 @@ from handctl.core.law.computed_torque import HOLD_MARGIN_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.safety.action import Action
-from tests.controller.goals import holding_goals, moving_goals
+from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_law_tick, tension_limits_of
-from tests.controller.synthetic import active_state, estimate_under_tension
+from tests.controller.synthetic_states import active_state, estimate_under_tension
 
 
 def limit_at(model: HandModel, temperatures: tuple[float, ...]) -> np.ndarray:

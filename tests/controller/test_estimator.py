@@ -7,6 +7,7 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime
 from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
+from tests.controller.filter_oracle import FILTER_STATE_UNITS
 from tests.controller.filter_runs import (
     FilterState,
     all_in_regime,
@@ -17,8 +18,7 @@ from tests.controller.filter_runs import (
     state_after_first_readings,
     state_at_rest,
 )
-from tests.controller.oracle import FILTER_STATE_UNITS
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SensorReadings,
     active_state,
     empty_readings,

@@ -24,6 +24,14 @@ from handctl.core.estimation.kalman import _is_measurement_missing
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.load import hand_content, hand_from_content
+from tests.controller.filter_oracle import (
+    FILTER_STATE_UNITS,
+    assert_same_covariance,
+    assumed_measurements,
+    integrate_one_period,
+    joseph_update,
+    measurement_noise,
+)
 from tests.controller.filter_runs import (
     all_in_regime,
     corrected_state,
@@ -34,15 +42,7 @@ from tests.controller.filter_runs import (
     run_unplanned_filter_tick,
     state_at_rest,
 )
-from tests.controller.oracle import (
-    FILTER_STATE_UNITS,
-    assert_same_covariance,
-    assumed_measurements,
-    integrate_one_period,
-    joseph_update,
-    measurement_noise,
-)
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SensorReadings,
     active_state,
     empty_readings,

@@ -14,7 +14,7 @@ from tests.controller.filter_runs import (
     run_filter_tick,
     state_of,
 )
-from tests.controller.synthetic import SyntheticEstimate, empty_readings
+from tests.controller.synthetic_states import SyntheticEstimate, empty_readings
 
 TENSION = 20.0
 

@@ -34,7 +34,7 @@ from tests.controller.filter_runs import (
     state_of,
     write_readings,
 )
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SensorReadings,
     SyntheticEstimate,
     empty_readings,

@@ -31,7 +31,7 @@ from tests.controller.filter_runs import (
     state_at_rest,
 )
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic import active_state, stage_constants, uncompiled_function
+from tests.controller.synthetic_states import active_state, stage_constants, uncompiled_function
 
 HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION = (0.5, 1.0, 1.5, 2.0)

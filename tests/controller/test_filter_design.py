@@ -21,14 +21,14 @@ from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import FilterGains, Gains
 from handctl.core.model import HandModel, _joint_period
 from handctl.hand.load import load_hand
-from tests.controller.oracle import (
+from tests.controller.filter_oracle import (
     FILTER_STATE_UNITS,
     assumed_measurements,
     covariance_by_doubling,
     integrate_one_period,
     measurement_noise,
 )
-from tests.controller.synthetic import constant_tables_of
+from tests.controller.synthetic_states import constant_tables_of
 
 
 class DesignParts:

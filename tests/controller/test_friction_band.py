@@ -10,10 +10,10 @@ from handctl.core.model import HandModel
 from handctl.document import validate_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from tests.controller.goals import moving_goals
+from tests.controller.digit_goals import moving_goals
 from tests.controller.law_runs import LawState, run_law_tick
 from tests.controller.plant_run import CONTROL_RATE_HZ, run_on_plant
-from tests.controller.synthetic import estimate_under_tension, uncompiled_function
+from tests.controller.synthetic_states import estimate_under_tension, uncompiled_function
 
 MOVE_S = 0.3
 TURN_S = 0.05

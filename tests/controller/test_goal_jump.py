@@ -7,7 +7,7 @@ from handctl.controller.state import State
 from handctl.core import stages
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
-from tests.controller.synthetic import active_state, stage_constants
+from tests.controller.synthetic_states import active_state, stage_constants
 
 
 def arms_of(model: HandModel) -> np.ndarray:

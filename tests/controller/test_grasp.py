@@ -22,7 +22,7 @@ from handctl.programs.grasp import (
 )
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.task import Task
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
     constant_tables_of,

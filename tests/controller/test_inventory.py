@@ -16,7 +16,7 @@ from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
-from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 READ, WRITTEN = 0x33, 0x55
 """Third byte of a drive's reply to the reading and to the writing of a register."""

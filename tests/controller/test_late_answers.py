@@ -12,7 +12,7 @@ from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
-from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
 def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:

@@ -12,9 +12,9 @@ from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from tests.controller.goals import holding_goals, moving_goals
+from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, command_of, law_state_of, run_law_tick
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
     balanced_state,

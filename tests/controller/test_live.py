@@ -11,7 +11,7 @@ from handctl.core.model import HandModel
 from handctl.programs.live import JogProgram, LiveProgram, apply_goal
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.requests import HoldTension, MoveDigits, parse_request
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SyntheticEstimate,
     empty_readings,
     estimate_under_tension,

@@ -8,7 +8,7 @@ import pytest
 from handctl.core.law.allocation import tensions_for_torque
 from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
-from tests.controller.goals import moving_goals
+from tests.controller.digit_goals import moving_goals
 from tests.controller.law_runs import required_tensions_of, way_of
 
 

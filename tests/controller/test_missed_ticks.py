@@ -8,7 +8,7 @@ import pytest
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import make_controller_bench
+from tests.controller.controller_bench import make_controller_bench
 
 FAST_RAD_S = 28.0
 """Speed of a rotor that pays out its tendon [rad/s]. The drive can report speeds up to 30 rad/s."""

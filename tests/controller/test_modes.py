@@ -22,7 +22,7 @@ from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
-from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 STOP, CUT, ARM = '{"do": "stop"}', '{"do": "cut"}', '{"do": "arm"}'
 HAPPY = [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE]

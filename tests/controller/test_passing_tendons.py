@@ -13,7 +13,7 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
-from tests.hand.wrist import on_wrist
+from tests.hand.hand_on_wrist import on_wrist
 
 RATE_HZ = 400.0
 SEEDS = range(20) if NIGHTLY else range(1)

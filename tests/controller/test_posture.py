@@ -23,7 +23,7 @@ from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
     constant_tables_of,

@@ -6,7 +6,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode, TickOut
 from handctl.drives.frame import Frame
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 UNASKED = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
 """Feedback frame of the first motor. It reports that the motor is enabled."""

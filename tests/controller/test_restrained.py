@@ -10,9 +10,9 @@ import pytest
 from handctl.core.law.computed_torque import MIN_TRIM_N, TRIM_TIME_S
 from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
-from tests.controller.goals import holding_goals, moving_goals
+from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_law_tick
-from tests.controller.synthetic import estimate_under_tension
+from tests.controller.synthetic_states import estimate_under_tension
 
 HIGH_N = 60.0
 

@@ -26,7 +26,11 @@ from handctl.programs.live import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.clocks.lockstep import load_peer
 from handctl.safety.action import Action
-from tests.controller.bench import ControllerBench, make_controller_bench, uncommissioned_controller
+from tests.controller.controller_bench import (
+    ControllerBench,
+    make_controller_bench,
+    uncommissioned_controller,
+)
 from tests.controller.law_runs import tension_limits_of
 
 HOLD = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'

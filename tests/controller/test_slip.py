@@ -19,7 +19,7 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.grip import SLIP_EXCURSION_M, GripPlan, GripState, advance_grip
 from handctl.programs.task import Task
 from tests.controller.plant_run import run_on_plant
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
     detect_contacts,

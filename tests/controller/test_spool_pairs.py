@@ -36,7 +36,7 @@ from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents
 from handctl.programs.task import ClosePhase, HoldPhase, Task
 from handctl.session.calibration import homed_calibration
 from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
-from tests.controller.synthetic import uncompiled_function
+from tests.controller.synthetic_states import uncompiled_function
 
 RATE_HZ = 500.0
 FILE = Path(__file__).with_name("spool_finger.toml")

@@ -15,7 +15,7 @@ from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, TablePlaces
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import forward_kinematics, tip_jacobian
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     active_state,
     load_statics,
     stage_constants,

@@ -11,7 +11,7 @@ from handctl.core.estimation.take_up import (
     regime_evidence,
 )
 from handctl.core.model import HandModel
-from tests.controller.synthetic import active_state, uncompiled_function
+from tests.controller.synthetic_states import active_state, uncompiled_function
 
 SLACK = int(TendonRegime.SLACK)
 

@@ -18,7 +18,7 @@ from handctl.drives.frame import Frame
 from handctl.hand.load import hand_content, hand_from_content, load_hand
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
-from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
 def run_session(name: str) -> ControllerBench:

@@ -12,7 +12,7 @@ from handctl.programs.live import JogProgram
 from handctl.programs.requests import MoveDigits
 from tests.controller.law_runs import temperatures_for_limits, tension_limits_of
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic import (
+from tests.controller.synthetic_states import (
     SyntheticEstimate,
     active_state,
     balanced_state,

@@ -21,8 +21,8 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
-from tests.controller.synthetic import active_state
-from tests.hand.varied import with_varying_arms
+from tests.controller.synthetic_states import active_state
+from tests.hand.varying_arms import with_varying_arms
 
 HANDS = packaged_hands()
 RATE_HZ = 400.0

@@ -16,7 +16,7 @@ from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import ControllerBench, make_controller_bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 STOP, CUT = '{"do": "stop"}', '{"do": "cut"}'
 QUICK = '{"do": "hold", "tension_N": {"index": 100}, "rate_N_per_s": 5000}'

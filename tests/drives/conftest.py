@@ -9,7 +9,7 @@ import pytest
 from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
-from tests.drives.motor import ScriptedMotor
+from tests.drives.scripted_motor import ScriptedMotor
 
 PERIOD_NS = 2_000_000
 

@@ -13,7 +13,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.load import load_hand
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import Wired
 
 PERIOD_NS = 2_000_000
 HAND = load_hand("jamia")

@@ -23,7 +23,7 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, load_hand
 from handctl.runtime.diagnostics.scan import scan_bus
 from handctl.session.simulate import SimulatedRun
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import Wired
 
 TENDONS = ("a", "b", "c")
 PERIOD_NS = 2_000_000

@@ -21,7 +21,7 @@ from handctl.drives.odrive.drive import OdriveDrive
 from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.drives.sensors.node import SensorNode
 from tests.drives.protocol_bench import PERIOD_NS, Bench, hand_file
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import Wired
 
 VARIANTS = FUZZED_DRIVES | {
     "mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n"),

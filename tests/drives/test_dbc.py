@@ -18,7 +18,7 @@ from handctl.drives.signals import Message, Quantity
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import Wired
 
 FIELD = {Quantity.POSITION: "position", Quantity.VELOCITY: "velocity", Quantity.TORQUE: "reported"}
 VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n")}

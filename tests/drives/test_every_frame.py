@@ -16,7 +16,7 @@ from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import Bench, hand_file
 from tests.drives.virtual_bench import VirtualBench, rig_on
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import Wired
 
 LIMIT = 0.8
 STANDARD_IDS, LENGTHS = range(0x800), range(65)

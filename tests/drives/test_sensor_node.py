@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
 from handctl.drives.sensors.node import TENSION_MAX_N, TENSION_ZERO_N, SensorNode, sync_counters
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import Wired
 
 RAW = st.integers(0, 4095)
 CHANNELS = 11

@@ -40,7 +40,7 @@ from handctl.safety.action import Action
 from handctl.safety.faults.tendon import RELAXED_S
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun
-from tests.hand.wrist import on_wrist
+from tests.hand.hand_on_wrist import on_wrist
 
 RATE_HZ = 500.0
 SAMPLE = ("N08", "H13")

@@ -19,7 +19,7 @@ from handctl.hand.link_frames import link_transforms
 from handctl.hand.load import load_hand
 from handctl.hand.tree import HandTree
 from handctl.log.topics.transforms import link_frames, link_quaternions, multiply_quaternions
-from tests.hand.chains import SEEDS, random_hand, random_tree
+from tests.hand.random_chains import SEEDS, random_hand, random_tree
 from tests.hand.test_dynamics import TOLERANCE, agree, pinocchio_by_hand, states, whole_hand
 
 

@@ -10,7 +10,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.inverse_kinematics import closest_tip, inverse_kinematics_coupled
 from handctl.hand.kinematics import joint_points
 from handctl.hand.load import load_hand
-from tests.hand.chains import random_hand
+from tests.hand.random_chains import random_hand
 
 HANDS = ("jamia", "jamia11", "t42", "n_plus_1")
 SEEDS = 20

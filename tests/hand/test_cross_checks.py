@@ -9,7 +9,7 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.load import hand_content, hand_from_content
-from tests.hand.wrist import on_wrist
+from tests.hand.hand_on_wrist import on_wrist
 
 JAMIA = hand_content("jamia")
 

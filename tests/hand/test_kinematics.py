@@ -25,7 +25,7 @@ from handctl.hand.kinematics import (
 from handctl.hand.link_bodies import rotation_of_rpy
 from handctl.hand.link_frames import link_transforms, quaternion_of_rotation
 from handctl.hand.load import load_hand
-from tests.hand.chains import random_hand
+from tests.hand.random_chains import random_hand
 
 
 def planar_tip(digit, q):

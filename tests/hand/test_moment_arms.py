@@ -17,7 +17,7 @@ from handctl.hand.moment_arms import polynomial_of_arm, table_residual
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
-from tests.hand.varied import with_varying_arms
+from tests.hand.varying_arms import with_varying_arms
 
 HANDS = packaged_hands()
 SEEDS = range(3)

@@ -8,7 +8,7 @@ import pytest
 from handctl.core.detectors.answers import MAX_REQUESTS, add_requests, close_answered_requests
 from handctl.drives.contract import DrivePhase
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
-from tests.safety.monitor import Monitor, call_interpreted, synthetic_limits
+from tests.safety.synthetic_monitor import Monitor, call_interpreted, synthetic_limits
 
 Outstanding = tuple[tuple[int, ...], ...]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from handctl.core.detectors.correlation import fraction_of_command_reported
-from tests.safety.monitor import Monitor, call_interpreted, synthetic_limits
+from tests.safety.synthetic_monitor import Monitor, call_interpreted, synthetic_limits
 
 TICKS = 1000
 

@@ -16,7 +16,7 @@ from handctl.safety.faults.markdown import (
     late_rows,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
-from tests.safety.cases import error, merge_inputs, rested_monitor, tensions, without_torque
+from tests.safety.fault_cases import error, merge_inputs, rested_monitor, tensions, without_torque
 
 
 def test_causes_of_a_drive_s_error() -> None:

@@ -13,7 +13,7 @@ from handctl.core.types import Mode
 from handctl.safety.action import Action
 from handctl.safety.faults.table import FAULT_TABLE
 from handctl.safety.judge import LatchedFault
-from tests.safety.cases import (
+from tests.safety.fault_cases import (
     CASES,
     REST,
     TickInput,
@@ -25,7 +25,7 @@ from tests.safety.cases import (
     show,
     tensions,
 )
-from tests.safety.monitor import Monitor
+from tests.safety.synthetic_monitor import Monitor
 from tests.safety.test_table import check_ticks
 
 ARMED = [

@@ -12,7 +12,7 @@ from handctl.core.detectors import losses, stuck
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import TickEvent
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
-from tests.safety.monitor import (
+from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
     SPOOL_M,

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from handctl.safety.action import Action
-from tests.safety.cases import merge_inputs, rows, tensions, without_torque
-from tests.safety.monitor import Monitor, synthetic_limits
+from tests.safety.fault_cases import merge_inputs, rows, tensions, without_torque
+from tests.safety.synthetic_monitor import Monitor, synthetic_limits
 
 LIMITS = replace(synthetic_limits(2), tension_rail=243.9, tension_low=-4.0)
 

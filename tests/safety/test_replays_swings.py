@@ -15,7 +15,7 @@ from handctl.core.detectors import replays
 from handctl.core.types import Mode
 from handctl.safety.faults.node import SWING_S
 from handctl.session.plan import default_rate
-from tests.safety.monitor import Monitor, synthetic_limits
+from tests.safety.synthetic_monitor import Monitor, synthetic_limits
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20)

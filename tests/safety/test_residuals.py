@@ -22,7 +22,14 @@ from handctl.core.detectors.residuals import (
 from handctl.core.types import Mode
 from handctl.safety.faults.node import NOT_OBEYED_N
 from handctl.safety.faults.tendon import FRICTION_WARN_N, RESIDUAL_WARN_N
-from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, call_interpreted, synthetic_limits
+from tests.safety.synthetic_monitor import (
+    NOW_NS,
+    PERIOD_NS,
+    Monitor,
+    T,
+    call_interpreted,
+    synthetic_limits,
+)
 
 MASS, DAMPING, COULOMB = 5.2, 40.0, 3.0
 RNG = np.random.default_rng(1)

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.safety.action import Action
 from handctl.safety.judge import LatchedFault, locate_reports, second_controller_reports
-from tests.safety.cases import (
+from tests.safety.fault_cases import (
     LIMITS,
     RELAXED,
     REST,

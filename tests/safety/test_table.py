@@ -22,7 +22,7 @@ from handctl.safety.faults.table import (
 )
 from handctl.safety.judge import TickVerdict
 from handctl.safety.limits import SafetyLimits, ticks_for
-from tests.safety.cases import (
+from tests.safety.fault_cases import (
     CASES,
     LIMITS,
     OTHER_SIGNS,
@@ -35,7 +35,7 @@ from tests.safety.cases import (
     tensions,
     without_torque,
 )
-from tests.safety.monitor import Monitor, call_interpreted
+from tests.safety.synthetic_monitor import Monitor, call_interpreted
 
 SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 

@@ -22,7 +22,7 @@ from handctl.core.detectors.residuals import (
     TIME_CONSTANTS_S,
 )
 from handctl.core.types import Mode
-from tests.safety.monitor import (
+from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
     SPOOL_M,

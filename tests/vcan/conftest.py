@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.vcan import uml
+from tests.vcan import uml_guest
 
 INSIDE = Path(__file__).parent / "inside"
 REPORTS_FILE = os.environ.get("HANDCTL_VCAN_REPORTS")
@@ -75,7 +75,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
 def _run_inside(items: Sequence[pytest.Item]) -> Reports:
     """Run tests, each in the guest that runs its file, and return their reports."""
-    kind, reason = uml.vcan_access()
+    kind, reason = uml_guest.vcan_access()
     if not kind:
         return {
             item.nodeid: [_report(item, "skipped", (str(item.path), 0, reason))] for item in items
@@ -97,7 +97,7 @@ def _run_in_guest(items: Sequence[pytest.Item]) -> Reports:
     output: list[str] = []
     with tempfile.TemporaryDirectory(prefix="handctl-vcan-reports-") as folder:
         file = Path(folder) / "reports"
-        status = uml.run(
+        status = uml_guest.run(
             _pytest(items), {"HANDCTL_VCAN_REPORTS": str(file)}, GUEST_TIMEOUT_S, output.append
         )
         lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []

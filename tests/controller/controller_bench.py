@@ -20,7 +20,7 @@ from handctl.drives.mit.drive import MitDrive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
-from tests.drives.motor import ScriptedMotor
+from tests.drives.scripted_motor import ScriptedMotor
 
 SUBSTEPS_PER_TICK = 4
 INITIAL_SLACK_M = 0.3e-3

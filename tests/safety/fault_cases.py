@@ -20,7 +20,7 @@ from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase
 from handctl.safety.action import Action
 from handctl.safety.judge import EventReport, filter_error_frames, second_controller_reports
-from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, T, synthetic_limits
+from tests.safety.synthetic_monitor import NOW_NS, PERIOD_NS, Monitor, Rows, T, synthetic_limits
 
 COUNT = 8
 """Number of tendons of the hand.

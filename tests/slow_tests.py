@@ -3,10 +3,10 @@
 `make test` leaves out the slow tests. CI or the nightly run performs them.
 
     make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
-    python -m tests.slow times.jsonl                                    # writes tests/slow_tests.txt
+    python -m tests.slow_tests times.jsonl                                    # writes tests/slow_tests.txt
 
     make unit HANDCTL_SLOW_S=0 PYTEST_FLAGS=--durations-file=times.jsonl    # only the tests of `make test`
-    python -m tests.slow times.jsonl --add                              # adds those that have become slow
+    python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
 
 A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``. `make test` sets 0, and CI
 sets 3, with a higher value for tests on the real clock. `make nightly` and plain pytest run all
@@ -121,7 +121,7 @@ def main(path: Path, add: bool) -> None:
     """
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     slow = choose(rows) | (listed_costs() if add else {})
-    head = "# Written by `python -m tests.slow`: seconds, test. `make test` leaves these to longer runs."
+    head = "# Written by `python -m tests.slow_tests`: seconds, test. `make test` leaves these to longer runs."
     lines = [head, *(f"{slow[test]:.1f} {test}" for test in sorted(slow))]
     SLOW_TESTS.write_text("\n".join(lines) + "\n", encoding="utf-8")
     sample_s = sum(

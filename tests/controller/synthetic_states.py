@@ -25,7 +25,7 @@ from handctl.core.schema import BlockArray, TablePlaces
 from handctl.core.stage_constants import ConstantTables, constant_tables
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import uncommissioned_controller
+from tests.controller.controller_bench import uncommissioned_controller
 
 SLACK_REGIME = 2
 
