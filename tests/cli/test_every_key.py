@@ -14,7 +14,7 @@ from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_content, load_hand
-from tests.hand.test_refusals import is_number, key_path_text, leaves, with_value
+from tests.hand.test_hand_file_refusals import is_number, key_path_text, leaves, with_value
 
 BUS = "local:does-not-exist"
 STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199

@@ -13,7 +13,7 @@ from handctl.controller.snapshot import snapshot_bytes
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.requests import AliveRequest, alive_text, is_routine, parse_request
-from tests.controller.test_stream import Client, check_ticks_repeat, live
+from tests.controller.test_target_streams import Client, check_ticks_repeat, live
 
 LEASE_S = 0.5
 

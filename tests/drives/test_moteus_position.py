@@ -29,7 +29,7 @@ from handctl.drives.signals import Quantity, SignalTable
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.controller.test_position_loop import loop_hand, moteus_command, moving
 from tests.drives.protocol_bench import motor_on_bench
-from tests.drives.test_guards import hold
+from tests.drives.test_guard_readback import hold
 from tests.drives.virtual_bench import NODE, VirtualBench
 
 SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else range(3)

@@ -1,6 +1,6 @@
 """Test clients that misbehave, in real time and judged by the truth of the simulator.
 
-tests/controller/test_stream.py has such tests in lockstep.
+tests/controller/test_target_streams.py has such tests in lockstep.
 """
 
 import os

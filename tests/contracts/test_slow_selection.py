@@ -41,8 +41,8 @@ def test_only_a_sample_leaves_slow_tests_out(
         "import sys, pathlib, pytest, tests.slow_tests; tests.slow_tests.SLOW_TESTS = pathlib.Path(sys.argv[1]); "
         + ("sys.exit(pytest.main(['--collect-only', '-q', '-p', 'no:cacheprovider', sys.argv[2]]))")
     )
-    name = "tests/contracts/test_slow.py::test_a_file_keeps_its_cheapest_test_unless_it_takes_long"
-    long_test = "tests/contracts/test_slow.py::test_a_test_that_waits_long_is_slow"
+    name = "tests/contracts/test_slow_selection.py::test_a_file_keeps_its_cheapest_test_unless_it_takes_long"
+    long_test = "tests/contracts/test_slow_selection.py::test_a_test_that_waits_long_is_slow"
     (tmp_path / "slow.txt").write_text(f"# head\n2.0 {name}\n4.0 {long_test}\n")
     found = {}
     for limit_s in ("0", "3", "inf"):

@@ -12,7 +12,7 @@ from handctl.core.detectors.slip import DEG_PER_RAD, SETTLE_S
 from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
 from handctl.safety.faults.tendon import CELL_FORCE_N, CELL_TICKS, DERAILED_DEG, SLACK_N, TAUT_N
 from tests.safety.synthetic_monitor import Monitor, T, call_interpreted
-from tests.safety.test_watch import make_monitor, resting_tick
+from tests.safety.test_monitor_state import make_monitor, resting_tick
 
 SOFT = 5e3
 """Stiffness of a tendon that stretches by 4 mm under 20 N [N/m]."""

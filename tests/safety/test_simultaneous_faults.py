@@ -26,7 +26,7 @@ from tests.safety.fault_cases import (
     tensions,
 )
 from tests.safety.synthetic_monitor import Monitor
-from tests.safety.test_table import check_ticks
+from tests.safety.test_fault_table import check_ticks
 
 ARMED = [
     id_ for id_ in CASES if CASES[id_].present.rows.get("mode", {...: Mode.ACTIVE})[...] in (4, 5)

@@ -21,7 +21,7 @@ from handctl.hand.load import load_hand, packaged_hands
 from handctl.programs.live import LiveProgram
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
-from tests.controller.test_stream import Client
+from tests.controller.test_target_streams import Client
 
 Array = NDArray[np.float64]
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"

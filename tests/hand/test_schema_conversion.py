@@ -14,7 +14,7 @@ from handctl.hand.description import Hand
 from handctl.hand.file.convert import convert_to_schema_2
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands, parse_toml
 from tests.contracts.random_hands import random_hand
-from tests.hand.test_templates import IDENTITIES
+from tests.hand.test_hand_file_templates import IDENTITIES
 
 OLD = Path(__file__).with_name("jamia_schema_1.toml")
 """File of the packaged jamia from before schema 2, with a comment at every number."""

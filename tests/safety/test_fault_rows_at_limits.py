@@ -20,7 +20,7 @@ from tests.safety.fault_cases import (
     show,
     tensions,
 )
-from tests.safety.test_table import check_ticks
+from tests.safety.test_fault_table import check_ticks
 
 NAN = math.nan
 UNREAD = tensions(**dict.fromkeys(LIMITS.tendons, NAN))
