@@ -33,7 +33,7 @@ def model(request: pytest.FixtureRequest) -> HandModel:
 
 
 @pytest.fixture(scope="module")
-def active() -> ControllerBench:
+def active_bench() -> ControllerBench:
     """Return a bench whose hand is active and holds a tension."""
     run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.run_until_mode(Mode.ACTIVE)

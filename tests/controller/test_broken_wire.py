@@ -29,7 +29,7 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
     assert run.state.mode == Mode.RELAX
 
 
-def at_the_rail(model: HandModel) -> ControllerBench:
+def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
     """Return a hand that begins to relax in its last tick, because a load cell is at the upper end of its range."""
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(Mode.ACTIVE)
@@ -43,14 +43,14 @@ def at_the_rail(model: HandModel) -> ControllerBench:
 
 def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
     """The saturated load cell may be the only evidence that a drive does not obey."""
-    run = at_the_rail(jamia)
+    run = bench_with_saturated_cell(jamia)
     began = run.state.mode_since
     run.run_until_mode(Mode.CUT)
     assert abs(run.state.mode_since - began - RELAXED_S) <= 2 * jamia.period
 
 
 def test_a_tendon_that_relaxes_in_time_needs_no_cut(jamia: HandModel) -> None:
-    run = at_the_rail(jamia)
+    run = bench_with_saturated_cell(jamia)
     for _ in range(round(0.9 * RELAXED_S / jamia.period)):
         assert run.tick().mode == Mode.RELAX
     run.peer.cell_bias[:] = 0.0

@@ -13,7 +13,7 @@ from handctl.programs.live import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 COMMUNICATION_LOST = 0xD
-CLEAR = '{"do": "clear"}'
+CLEAR_REQUEST = '{"do": "clear"}'
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(
 def test_with_the_order_the_drives_are_cleared_configured_and_armed(
     hand_after_crash: ControllerBench,
 ) -> None:
-    hand_after_crash.tick(CLEAR)
+    hand_after_crash.tick(CLEAR_REQUEST)
     hand_after_crash.run_until_mode(Mode.ACTIVE)
     assert hand_after_crash.mode_history == [
         Mode.SILENT,
@@ -51,7 +51,7 @@ def test_with_the_order_the_drives_are_cleared_configured_and_armed(
 
 
 def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: ControllerBench) -> None:
-    hand_after_crash.tick(CLEAR)
+    hand_after_crash.tick(CLEAR_REQUEST)
     hand_after_crash.run_until_mode(Mode.ACTIVE)
     hand_after_crash.run(0.5)
     hand_after_crash.peer.motors[1].nibble = COMMUNICATION_LOST
@@ -62,7 +62,7 @@ def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: Contr
 
 def test_a_drive_that_does_not_clear_is_refused_in_time(hand_after_crash: ControllerBench) -> None:
     hand_after_crash.peer.motors[2].deaf = {0xFB}
-    hand_after_crash.tick(CLEAR)
+    hand_after_crash.tick(CLEAR_REQUEST)
     hand_after_crash.run_until_mode(Mode.DONE)
     assert (
         hand_after_crash.state.failure

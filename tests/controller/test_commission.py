@@ -47,46 +47,46 @@ def jamia11() -> HandModel:
 
 
 BIAS_N, JUST_TAUT_M = 0.7, 1.2e-3
-SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
+NOISE_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
-Cells = Callable[[int], np.ndarray]
+TensionByPull = Callable[[int], np.ndarray]
 """Function that returns the tension at each load cell while tendon i is pulled. With i = -1 all tendons are limp."""
 
 
-def good(model: HandModel) -> Cells:
+def tensions_without_fault(model: HandModel) -> TensionByPull:
     return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_N, 0.0)
 
 
 def run_commissioning(
     model: HandModel,
-    cells: Cells,
+    cells: TensionByPull,
     noise: float = 0.2,
-    loss: float = 0.0,
-    never: int = -9,
-    drift: float = 0.0,
+    lost_fraction: float = 0.0,
+    slack_tendon: int = -9,
+    cell_drift_N: float = 0.0,
     seed: int = 7,
 ) -> ProgramProgress:
     """Run the commissioning program.
 
-    Tendon ``never`` does not become taut. A fraction ``loss`` of the ticks has no frames.
+    Tendon ``slack_tendon`` does not become taut. A fraction ``lost_fraction`` of the ticks has no frames.
 
-    The zero of each load cell drifts as a random walk of ``drift`` [N] rms in 100 s.
+    The zero of each load cell drifts as a random walk of ``cell_drift_N`` [N] rms in 100 s.
     """
     rng, program = np.random.default_rng(seed), CommissionProgram()
     progress, n = program.initial(model), model.tendon_count
-    walked, step = np.zeros(n), drift * np.sqrt(model.period / 100.0)
+    walked, step = np.zeros(n), cell_drift_N * np.sqrt(model.period / 100.0)
     for k in range(round(60.0 / model.period)):
-        walked += step * rng.normal(size=n) if drift else 0.0
+        walked += step * rng.normal(size=n) if cell_drift_N else 0.0
         i = progress.step - 1
         pulled = any(goal.kind != GoalKind.LIMP for goal in progress.goals)
         tension = cells(i if pulled else -1) + BIAS_N + walked + noise * rng.normal(size=n)
         travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
         measured = empty_readings(model)._replace(travel=travel, tension=shown)
-        if rng.random() < loss:
+        if rng.random() < lost_fraction:
             measured = empty_readings(model)
         estimate = slack_hand_estimate(model)
-        if pulled and i != never and k * model.period - progress.since > 0.2:
+        if pulled and i != slack_tendon and k * model.period - progress.since > 0.2:
             estimate = estimate_under_tension(model, PULL_N)
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
         if pulled and not progress.finished and progress.phase.startswith("pull"):
@@ -103,9 +103,9 @@ def run_commissioning(
     raise AssertionError("commissioning does not end")
 
 
-@pytest.mark.parametrize("loss", [0.0, 0.3])
-def test_tares_and_zeros_are_found(model: HandModel, loss: float) -> None:
-    progress = run_commissioning(model, good(model), loss=loss)
+@pytest.mark.parametrize("lost_fraction", [0.0, 0.3])
+def test_tares_and_zeros_are_found(model: HandModel, lost_fraction: float) -> None:
+    progress = run_commissioning(model, tensions_without_fault(model), lost_fraction=lost_fraction)
     assert not progress.failure
     found = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
     np.testing.assert_allclose(found.tare(model.hand), BIAS_N, atol=0.15)
@@ -117,7 +117,7 @@ def test_tares_and_zeros_are_found(model: HandModel, loss: float) -> None:
 
 
 def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
-    progress = run_commissioning(model, good(model), never=1)
+    progress = run_commissioning(model, tensions_without_fault(model), slack_tendon=1)
     assert progress.failure.startswith(model.hand.tendon_names[1])
     assert "taut" in progress.failure
     assert {goal.kind for goal in progress.goals} == {GoalKind.LIMP}, "let go"
@@ -125,7 +125,7 @@ def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
 
 def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
     last = model.tendon_count - 1
-    cells = good(model)
+    cells = tensions_without_fault(model)
     progress = run_commissioning(model, lambda i: cells(i) * (i != last))
     assert progress.failure.startswith(model.hand.tendon_names[last])
     assert "answers" in progress.failure
@@ -138,7 +138,7 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
     """
 
     def cells(i: int) -> np.ndarray:
-        tension = good(model)(i)
+        tension = tensions_without_fault(model)(i)
         if i == 1:
             tension[0] = 0.5 * PULL_N
         return tension
@@ -149,21 +149,26 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
 
 
 @pytest.fixture(scope="module")
-def fifteen() -> HandModel:
+def fifteen_motor_model() -> HandModel:
     return HandModel.of(hand_from_content(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", NOISE_SEEDS)
 def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
-    fifteen: HandModel, seed: int
+    fifteen_motor_model: HandModel, seed: int
 ) -> None:
     """The load cells drift twice as fast as those of packaged hands.
 
     The drift of 0.9 N rms at the end is the limit of crosstalk.
     """
-    progress = run_commissioning(fifteen, good(fifteen), drift=2.0, seed=seed)
+    progress = run_commissioning(
+        fifteen_motor_model,
+        tensions_without_fault(fifteen_motor_model),
+        cell_drift_N=2.0,
+        seed=seed,
+    )
     assert not progress.failure
-    found = calibration_of_result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
+    found = calibration_of_result(fifteen_motor_model, progress, "2024-01-01T00:00:00+00:00").tendon
     assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_N
     assert [row.answer_N for row in found.values()] == pytest.approx([PULL_N] * 15, abs=1.0)
 
@@ -177,7 +182,7 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
 
     def cells(i: int) -> np.ndarray:
         drifted[0] += 0.1 * jamia.period
-        return good(jamia)(i) + drifted[0]
+        return tensions_without_fault(jamia)(i) + drifted[0]
 
     progress = run_commissioning(jamia, cells, noise=0.0)
     assert not progress.failure
@@ -191,14 +196,14 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
     assert 0.1 < np.diff(tare).mean() < 0.2, "a pull takes 1.7 s"
 
 
-def test_crosstalk_is_found_while_load_cells_drift(fifteen: HandModel) -> None:
+def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandModel) -> None:
     def cells(i: int) -> np.ndarray:
-        tension = good(fifteen)(i)
+        tension = tensions_without_fault(fifteen_motor_model)(i)
         tension[2] += 0.6 * PULL_N * (i == 9)
         return tension
 
-    progress = run_commissioning(fifteen, cells, drift=1.0)
-    assert progress.failure.startswith(fifteen.hand.tendon_names[9])
+    progress = run_commissioning(fifteen_motor_model, cells, cell_drift_N=1.0)
+    assert progress.failure.startswith(fifteen_motor_model.hand.tendon_names[9])
     assert "another load cell" in progress.failure
 
 
@@ -225,7 +230,9 @@ def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia:
     """The tension of a relaxing tendon cannot fall by more than the last pull has left in it."""
 
     def cells(i: int) -> np.ndarray:
-        return good(jamia)(i) - 0.5 * PULL_N * (i == 2) * (np.arange(jamia.tendon_count) == 0)
+        return tensions_without_fault(jamia)(i) - 0.5 * PULL_N * (i == 2) * (
+            np.arange(jamia.tendon_count) == 0
+        )
 
     progress = run_commissioning(jamia, cells)
     assert progress.failure.startswith(jamia.hand.tendon_names[2])
@@ -233,48 +240,52 @@ def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia:
 
 
 def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
-    progress = run_commissioning(model, lambda i: -good(model)(i))
+    progress = run_commissioning(model, lambda i: -tensions_without_fault(model)(i))
     assert progress.failure.startswith(model.hand.tendon_names[0])
 
 
 @pytest.fixture(scope="module")
-def faster() -> HandModel:
+def fast_rate_jamia() -> HandModel:
     """Return the model of ``jamia`` at a control rate at which its tension loop does not oscillate."""
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
-def whole(faster: HandModel) -> ControllerBench:
+def commissioning_bench(fast_rate_jamia: HandModel) -> ControllerBench:
     """Return a bench whose controller runs the commissioning program on a hand with scripted motors."""
-    return make_controller_bench(faster, CommissionProgram())
+    return make_controller_bench(fast_rate_jamia, CommissionProgram())
 
 
 @pytest.mark.parametrize(
     "bias", [-2.0, *(pytest.param(bias, marks=pytest.mark.nightly) for bias in (0.0, 2.0)), 4.5]
 )
 def test_load_cells_that_were_never_tared_are_no_hindrance(
-    whole: ControllerBench, bias: float
+    commissioning_bench: ControllerBench, bias: float
 ) -> None:
     """After the tare the tension loop uses tared readings of the load cells.
 
     Raw readings would add their bias to the pull.
     """
-    whole.peer.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
-    whole.run_until_mode(Mode.DONE, 30.0)
-    assert not whole.state.failure
-    model = whole.controller.model
-    found = calibration_of_result(model, whole.state.progress, "2024-01-01T00:00:00+00:00")
-    np.testing.assert_allclose(found.tare(model.hand), whole.peer.cell_bias, atol=0.05)
+    commissioning_bench.peer.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
+    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    assert not commissioning_bench.state.failure
+    model = commissioning_bench.controller.model
+    found = calibration_of_result(
+        model, commissioning_bench.state.progress, "2024-01-01T00:00:00+00:00"
+    )
+    np.testing.assert_allclose(
+        found.tare(model.hand), commissioning_bench.peer.cell_bias, atol=0.05
+    )
     np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5)
 
 
-def test_a_load_cell_beyond_taring_is_named(whole: ControllerBench) -> None:
-    whole.peer.cell_bias[2] = 25.0
-    whole.run_until_mode(Mode.DONE, 30.0)
+def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench) -> None:
+    commissioning_bench.peer.cell_bias[2] = 25.0
+    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
     expected = (
         "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
     )
-    assert whole.state.failure == expected
+    assert commissioning_bench.state.failure == expected
 
 
 @pytest.mark.parametrize(
@@ -286,7 +297,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     """The message names the load cell that is nearest to an end of its range, even if another cell reads more."""
 
     def cells(i: int) -> np.ndarray:
-        tension = good(model)(i) - BIAS_N
+        tension = tensions_without_fault(model)(i) - BIAS_N
         tension[0] += tare
         tension[1] += 3.95
         return tension
@@ -301,7 +312,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     )
 
 
-def program_after_tare(model: HandModel, cells: Cells) -> ProgramProgress:
+def program_after_tare(model: HandModel, cells: TensionByPull) -> ProgramProgress:
     """Return the progress of the commissioning program just after its tare."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:
@@ -313,23 +324,25 @@ def program_after_tare(model: HandModel, cells: Cells) -> ProgramProgress:
     return progress
 
 
-def test_swapped_load_cells_are_found_and_both_named(whole: ControllerBench) -> None:
-    whole.peer.tendon_of_channel = [1, 0, 2, 3]
-    whole.run_until_mode(Mode.DONE, 30.0)
-    assert whole.state.failure.startswith("index_tendon")
-    assert "middle_tendon" in whole.state.failure
-    assert "swapped" in whole.state.failure
+def test_swapped_load_cells_are_found_and_both_named(commissioning_bench: ControllerBench) -> None:
+    commissioning_bench.peer.tendon_of_channel = [1, 0, 2, 3]
+    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    assert commissioning_bench.state.failure.startswith("index_tendon")
+    assert "middle_tendon" in commissioning_bench.state.failure
+    assert "swapped" in commissioning_bench.state.failure
     asked = (
-        np.array([out.telemetry.motor_torque_goal for _, _, out in whole.tick_history])
-        / whole.controller.model.space.spool
+        np.array(
+            [out.telemetry.motor_torque_goal for _, _, out in commissioning_bench.tick_history]
+        )
+        / commissioning_bench.controller.model.space.spool
     )
     assert asked.max() <= PULL_FORCE_LIMIT_N * 1.001, (
         "a cell that does not answer does not unleash the motor"
     )
 
 
-def test_a_motor_that_turns_the_other_way_is_found(whole: ControllerBench) -> None:
-    real = whole.peer.step
+def test_a_motor_that_turns_the_other_way_is_found(commissioning_bench: ControllerBench) -> None:
+    real = commissioning_bench.peer.step
 
     def reversed_motor(t_ns: int, frames: list[Frame]) -> list[Frame]:
         turned = []
@@ -340,9 +353,9 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: ControllerBench) -> No
             turned.append(frame._replace(data=word.to_bytes(len(frame.data), "big")))
         return real(t_ns, turned)
 
-    whole.peer.step = reversed_motor  # type: ignore[method-assign]
-    whole.run_until_mode(Mode.DONE, 30.0)
-    assert whole.state.failure == "fault N17 index_motor", (
+    commissioning_bench.peer.step = reversed_motor  # type: ignore[method-assign]
+    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    assert commissioning_bench.state.failure == "fault N17 index_motor", (
         "safety is there before the rope would have to be taut"
     )
 
@@ -350,7 +363,7 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: ControllerBench) -> No
 @pytest.fixture
 def calibration(model: HandModel) -> Calibration:
     return calibration_of_result(
-        model, run_commissioning(model, good(model)), "2024-01-01T00:00:00+00:00"
+        model, run_commissioning(model, tensions_without_fault(model)), "2024-01-01T00:00:00+00:00"
     )
 
 
@@ -374,7 +387,7 @@ def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
 
     path = tmp_path / "c.toml"
     found = calibration_of_result(
-        jamia, run_commissioning(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"
+        jamia, run_commissioning(jamia, tensions_without_fault(jamia)), "2024-01-01T00:00:00+00:00"
     )
     write_calibration(path, found)
     with pytest.raises(ConfigError, match="handctl commission again"):
@@ -401,7 +414,9 @@ def test_a_tare_that_hides_an_end_of_the_range_is_refused(
     write_calibration(
         path,
         calibration_of_result(
-            jamia, run_commissioning(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"
+            jamia,
+            run_commissioning(jamia, tensions_without_fault(jamia)),
+            "2024-01-01T00:00:00+00:00",
         ),
     )
     path.write_text(re.sub(r"tare_N = .*", f"tare_N = {tare}", path.read_text(), count=1))

@@ -51,7 +51,7 @@ def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | Non
     assert beyond, "there are numbers that come out larger"
 
 
-number = st.floats(-1e4, 1e4, allow_nan=False)
+finite_number = st.floats(-1e4, 1e4, allow_nan=False)
 
 
 @given(data=st.data())
@@ -59,7 +59,7 @@ def test_torque_is_within_its_limits_for_any_finite_input(
     data: st.DataObject, jamia: HandModel
 ) -> None:
     n = jamia.tendon_count
-    column = st.lists(number, min_size=n, max_size=n).map(np.array)
+    column = st.lists(finite_number, min_size=n, max_size=n).map(np.array)
     names = ("tension", "travel", "speed", "excursion", "rate", "disturbance", "external", "offset")
     estimate = exact_estimate(jamia, np.zeros((n, STATE_COUNT)))._replace(
         **{name: data.draw(column) for name in names}
@@ -76,7 +76,8 @@ def test_torque_is_within_its_limits_for_any_finite_input(
             angle, angle, st.floats(1e-3, 10.0),
         ),
         GoalKind.TENSION: st.builds(
-            lambda f, r: DigitGoal(GoalKind.TENSION, tension=np.array([f]), rate=r), number, st.floats(0.0, 5000.0)
+            lambda f, r: DigitGoal(GoalKind.TENSION, tension=np.array([f]), rate=r),
+            finite_number, st.floats(0.0, 5000.0),
         ),
     }  # fmt: skip
     goals = tuple(data.draw(kinds[data.draw(st.sampled_from(GoalKind))]) for _ in jamia.digits)
@@ -196,7 +197,7 @@ def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
     assert (law.integral == INTEGRAL_LIMIT_N).all()
 
 
-class Plant:
+class ClosedLoopPlant:
     """Rotors, tendons and digits that are simulated in small time steps, and a control law that gets their exact state.
 
     Attributes:
@@ -204,44 +205,44 @@ class Plant:
         held: whether the digits are fixed where they are.
     """
 
-    STEPS = 40
+    STEPS_PER_TICK = 40
     """Number of integration steps in a tick.
 
     It is large because capstan friction reverses within 1 mm/s of tendon speed.
     """
 
     def __init__(self, model: HandModel, x: np.ndarray, held: bool) -> None:
-        self.model, self.x, self.held = model, x.copy(), held
+        self.model, self.tendon_states, self.digits_fixed = model, x.copy(), held
         self.law = LawState.initial(model.tendon_count)
 
     def tick(self, goals: tuple[DigitGoal, ...], k: int) -> None:
         model, space = self.model, self.model.space
         self.law, self.command = run_law_tick(
-            model, self.law, exact_estimate(model, self.x), goals, k * model.period
+            model, self.law, exact_estimate(model, self.tendon_states), goals, k * model.period
         )
-        force, dt = self.command.torque / space.spool, model.period / self.STEPS
-        sliding = self.x.copy()
+        force, dt = self.command.torque / space.spool, model.period / self.STEPS_PER_TICK
+        sliding = self.tendon_states.copy()
         sliding[:, V] = 1.0
         statics = load_statics(model, sliding, np.zeros(len(sliding)))
         q = model.excursion_to_joints @ sliding[:, S]
-        loss, base = -np.log(winding_efficiency_of(model, q)), self.x[:, S].copy()
-        x, v, s, w = (self.x[:, one].copy() for one in (X, V, S, W))
-        for _ in range(self.STEPS):
+        loss, base = -np.log(winding_efficiency_of(model, q)), self.tendon_states[:, S].copy()
+        x, v, s, w = (self.tendon_states[:, one].copy() for one in (X, V, S, W))
+        for _ in range(self.STEPS_PER_TICK):
             tension = np.maximum(space.stiffness * (x - s) + space.damping * (v - w), 0.0)
             friction = space.coulomb * np.tanh(v / 2.5e-3) + space.motor_damping * v
             v += dt * (force - tension - friction) / space.motor_mass
             x += dt * v
-            if self.held:
+            if self.digits_fixed:
                 continue
             pull = tension * np.exp(-loss * np.tanh(w / 1e-3))
             resistance = statics.resistance + space.load_stiffness * (s - base)
             w += dt * (pull - resistance - space.load_damping * w) / space.load_mass
             s += dt * w
         for one, value in zip((X, V, S, W), (x, v, s, w), strict=True):
-            self.x[:, one] = value
+            self.tendon_states[:, one] = value
 
-    def angles(self) -> np.ndarray:
-        return exact_estimate(self.model, self.x).q
+    def joint_angles(self) -> np.ndarray:
+        return exact_estimate(self.model, self.tendon_states).q
 
 
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
@@ -276,29 +277,29 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
 
 def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
     plant, goals, worst = (
-        Plant(jamia, balanced_state(jamia, 0.1), held=False),
+        ClosedLoopPlant(jamia, balanced_state(jamia, 0.1), held=False),
         moving_goals(jamia, 0.1, 1.0, 0.8),
         0.0,
     )
     for k in range(round(1.2 / jamia.period)):
         plant.tick(goals, k)
         wanted = goals[0].trajectory.at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
-        worst = max(worst, float(np.abs(plant.angles() - wanted).max()))
+        worst = max(worst, float(np.abs(plant.joint_angles() - wanted).max()))
         assert (plant.command.tension >= jamia.floor).all()
     assert math.degrees(worst) < 1.0
-    assert np.degrees(np.abs(plant.angles() - 1.0)).max() < 0.5, "and stays"
+    assert np.degrees(np.abs(plant.joint_angles() - 1.0)).max() < 0.5, "and stays"
 
 
 def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
     """The digits are fixed, and the control law gets the exact estimate of the tensions."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, X] = 10.0 / model.space.stiffness
-    plant = Plant(model, x, held=True)
+    plant = ClosedLoopPlant(model, x, held=True)
     plant.law = LawState.idle_at_tensions(np.full(len(x), 10.0))
     peak = 0.0
     for k in range(round(2.0 / model.period)):
         plant.tick(holding_goals(model, 30.0, rate=60.0), k)
-        tension = exact_estimate(model, plant.x).tension
+        tension = exact_estimate(model, plant.tendon_states).tension
         peak = max(peak, float(tension.max()))
     np.testing.assert_allclose(tension, 30.0, atol=0.3)
     assert peak < 32.0

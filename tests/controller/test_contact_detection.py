@@ -27,7 +27,7 @@ from tests.controller.synthetic_states import (
     exact_estimate,
 )
 
-WALL = """name = "wall"
+WALL_SCENE = """name = "wall"
 [object]
 shape = "box"
 size_m = [0.04, 0.02, 0.093]
@@ -38,10 +38,10 @@ position_m = [0.045, 0.0, 0.0]
 drop_when = "never"
 """
 """Scene with a wall that is too heavy to move. Only the last links of the fingers reach it."""
-OPEN = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
+OPEN_ANGLES_DEG = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
 
 
-def program(*phases: dict[str, Any]) -> TaskProgram:
+def task_program(*phases: dict[str, Any]) -> TaskProgram:
     return TaskProgram(
         Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases}))
     )
@@ -58,12 +58,12 @@ def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_pat
         "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0},
         "speed_deg_s": 60.0,
     }
-    task = program(
-        {"kind": "move", "angle_deg": OPEN, "duration_s": 0.3},
+    task = task_program(
+        {"kind": "move", "angle_deg": OPEN_ANGLES_DEG, "duration_s": 0.3},
         closing,
         {"kind": "hold", "tension_N": 15.0},
     )
-    run = run_on_plant(hand, task, WALL, tmp_path, 2.6)
+    run = run_on_plant(hand, task, WALL_SCENE, tmp_path, 2.6)
     found = {where: t for t, where in run.events_named("contact")}
     force = np.array(run.digit_contact_force)
     for d, name in enumerate(model_of(hand).hand.digit_names[:3]):
@@ -74,7 +74,7 @@ def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_pat
         assert not len(strong) or found[name] <= run.time_s[strong[0]] + 0.02 + 1e-9
 
 
-def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
+def count_contacts_in_free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
     """Return the number of contacts that are reported while a hand closes freely at 20 to 100 deg/s."""
     chance = random.Random(f"free {hand} {seed}")
     phases: list[dict[str, Any]] = []
@@ -87,11 +87,11 @@ def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
             goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
         else:
             goal |= {"thumb": chance.uniform(15, 50)}
-        home = {name: chance.uniform(0.0, most) for name, most in OPEN.items()}
+        home = {name: chance.uniform(0.0, most) for name, most in OPEN_ANGLES_DEG.items()}
         phases += [{"kind": "move", "angle_deg": home, "duration_s": 0.5}]
         phases += [{"kind": "close", "angle_deg": goal, "speed_deg_s": speed}]
         planned += 0.8 + 35.0 / speed * 1.875
-    run = run_on_plant(hand, program(*phases), None, folder, seconds, seed)
+    run = run_on_plant(hand, task_program(*phases), None, folder, seconds, seed)
     assert math.isclose(run.time_s[-1], seconds, abs_tol=0.01) or run.events_named("phase")
     assert np.max(run.digit_contact_force) == 0.0, "the digits met each other"
     return len(run.events_named("contact"))
@@ -99,14 +99,14 @@ def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_free_motion_has_no_contact(hand: str, tmp_path: Path) -> None:
-    assert free_motion(hand, 4.0, 0, tmp_path) == 0
+    assert count_contacts_in_free_motion(hand, 4.0, 0, tmp_path) == 0
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_ten_minutes_of_free_motion_have_no_contact(hand: str, tmp_path: Path) -> None:
-    alarms = [free_motion(hand, 60.0, seed, tmp_path) for seed in range(10)]
+    alarms = [count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) for seed in range(10)]
     assert alarms == [0] * 10
 
 

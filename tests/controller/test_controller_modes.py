@@ -24,24 +24,24 @@ from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
-STOP, CUT, ARM = '{"do": "stop"}', '{"do": "cut"}', '{"do": "arm"}'
-HAPPY = [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE]
-HOME = [Mode.RELAX, Mode.DISARM, Mode.DONE]
-ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
+STOP_REQUEST, CUT_REQUEST, ARM_REQUEST = '{"do": "stop"}', '{"do": "cut"}', '{"do": "arm"}'
+MODES_TO_ACTIVE = [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE]
+MODES_TO_DONE = [Mode.RELAX, Mode.DISARM, Mode.DONE]
+ENABLE_PAYLOAD, DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 
 
 @pytest.fixture(scope="module")
-def quick() -> HandModel:
+def low_rate_jamia() -> HandModel:
     """Return a model at a low control rate. The low rate makes the tests fast, and all times are in seconds."""
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
-def hand(quick: HandModel) -> ControllerBench:
-    return make_controller_bench(quick, LiveProgram())
+def hand(low_rate_jamia: HandModel) -> ControllerBench:
+    return make_controller_bench(low_rate_jamia, LiveProgram())
 
 
-def duration_in(run: ControllerBench, mode: Mode) -> float:
+def duration_in_mode(run: ControllerBench, mode: Mode) -> float:
     return sum(out.mode == mode for _, _, out in run.tick_history) * run.controller.model.period
 
 
@@ -52,29 +52,29 @@ def ids_sent(run: ControllerBench, data: bytes) -> list[int]:
     ]
 
 
-def disabled(run: ControllerBench) -> bool:
+def all_motors_disabled(run: ControllerBench) -> bool:
     return all(motor.nibble != 1 for motor in run.peer.motors)
 
 
 def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> None:
     run = make_controller_bench(model, LiveProgram())
     run.run_until_mode(Mode.ACTIVE)
-    assert run.mode_history == HAPPY
-    assert duration_in(run, Mode.SILENT) == pytest.approx(LISTEN_S, abs=1.5 * model.period)
-    assert duration_in(run, Mode.READY) == pytest.approx(READY_S, abs=1.5 * model.period)
+    assert run.mode_history == MODES_TO_ACTIVE
+    assert duration_in_mode(run, Mode.SILENT) == pytest.approx(LISTEN_S, abs=1.5 * model.period)
+    assert duration_in_mode(run, Mode.READY) == pytest.approx(READY_S, abs=1.5 * model.period)
     for _, _, out in run.tick_history:
         if out.mode == Mode.SILENT:
             assert out.frames == (), "silent means silent"
-    assert ids_sent(run, ENABLE) == [motor.node_id for motor in run.peer.motors], (
+    assert ids_sent(run, ENABLE_PAYLOAD) == [motor.node_id for motor in run.peer.motors], (
         "each drive is enabled once"
     )
     assert [motor.nibble for motor in run.peer.motors] == [1] * model.tendon_count
     run.run(2.0)
     assert run.state.progress.phase == "live"
-    run.tick(STOP)
+    run.tick(STOP_REQUEST)
     run.run_until_mode(Mode.DONE)
-    assert run.mode_history == HAPPY + HOME
-    assert disabled(run)
+    assert run.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
+    assert all_motors_disabled(run)
     assert (run.state.failure, run.state.unconfirmed) == ("", ())
     assert run.tick().frames == (), "done means silent"
 
@@ -92,13 +92,13 @@ def test_registers_are_written_before_any_torque(hand: ControllerBench) -> None:
     )
 
 
-def test_hand_waits_without_an_arm_request(quick: HandModel) -> None:
-    run = make_controller_bench(quick, LiveProgram(), arm=False)
+def test_hand_waits_without_an_arm_request(low_rate_jamia: HandModel) -> None:
+    run = make_controller_bench(low_rate_jamia, LiveProgram(), arm=False)
     run.run_until_mode(Mode.READY)
     run.run(2.0)
     assert run.state.mode == Mode.READY
-    assert ids_sent(run, ENABLE) == []
-    run.tick(ARM)
+    assert ids_sent(run, ENABLE_PAYLOAD) == []
+    run.tick(ARM_REQUEST)
     run.run_until_mode(Mode.ACTIVE, 1.0)
 
 
@@ -109,18 +109,18 @@ def test_hand_waits_without_an_arm_request(quick: HandModel) -> None:
         (Mode.INVENTORY, [Mode.DONE]),
         (Mode.READY, [Mode.DONE]),
         (Mode.ARMING, [Mode.DISARM, Mode.DONE]),
-        (Mode.ACTIVE, HOME),
+        (Mode.ACTIVE, MODES_TO_DONE),
     ],
 )
 def test_stop_from_every_mode(hand: ControllerBench, mode: Mode, way: list[Mode]) -> None:
     hand.run_until_mode(mode)
-    hand.tick(STOP)
+    hand.tick(STOP_REQUEST)
     hand.run_until_mode(Mode.DONE)
-    assert hand.mode_history == HAPPY[: HAPPY.index(mode) + 1] + way
-    assert disabled(hand)
+    assert hand.mode_history == MODES_TO_ACTIVE[: MODES_TO_ACTIVE.index(mode) + 1] + way
+    assert all_motors_disabled(hand)
     assert not hand.state.failure
     if mode < Mode.ARMING:
-        assert ids_sent(hand, ENABLE) == []
+        assert ids_sent(hand, ENABLE_PAYLOAD) == []
 
 
 @pytest.mark.parametrize(
@@ -132,23 +132,23 @@ def test_cut_from_every_mode(hand: ControllerBench, mode: Mode) -> None:
         hand.run(2.0)
         hand.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
         hand.run(0.5)
-        hand.tick(STOP)
+        hand.tick(STOP_REQUEST)
         assert hand.state.mode == Mode.RELAX
     else:
         hand.run_until_mode(mode)
-    first = hand.tick(CUT)
+    first = hand.tick(CUT_REQUEST)
     if mode < Mode.ARMING:
         assert first.mode == Mode.DONE
         return
     assert first.mode == Mode.CUT
     ids = [motor.node_id for motor in hand.peer.motors]
-    assert [(f.can_id, f.data) for f in first.frames[: len(ids)]] == [(i, DISABLE) for i in ids], (
-        "before all else"
-    )
-    assert disabled(hand), "without a ramp, in the same tick"
+    assert [(f.can_id, f.data) for f in first.frames[: len(ids)]] == [
+        (i, DISABLE_PAYLOAD) for i in ids
+    ], "before all else"
+    assert all_motors_disabled(hand), "without a ramp, in the same tick"
     hand.run_until_mode(Mode.DONE)
     assert hand.mode_history[-3:] == [Mode.CUT, Mode.DISARM, Mode.DONE]
-    assert duration_in(hand, Mode.CUT) == pytest.approx(
+    assert duration_in_mode(hand, Mode.CUT) == pytest.approx(
         CUT_S, abs=1.5 * hand.controller.model.period
     )
     assert not hand.state.failure, "a person wanted it"
@@ -157,8 +157,8 @@ def test_cut_from_every_mode(hand: ControllerBench, mode: Mode) -> None:
 def test_a_second_stop_does_not_lengthen_the_first(hand: ControllerBench) -> None:
     hand.run_until_mode(Mode.ACTIVE)
     hand.run(0.5)
-    hand.tick(STOP)
-    hand.tick(STOP)
+    hand.tick(STOP_REQUEST)
+    hand.tick(STOP_REQUEST)
     hand.run_until_mode(Mode.DONE, 2.0)
 
 
@@ -184,7 +184,7 @@ def test_a_second_controller_that_comes_before_arming_prevents_it(
     hand.tick(extra_frames=(foreign_command(hand),))
     assert hand.state.mode == Mode.DONE
     assert "another controller" in hand.state.failure
-    assert ids_sent(hand, ENABLE) == []
+    assert ids_sent(hand, ENABLE_PAYLOAD) == []
 
 
 def test_a_second_controller_in_active_mode_causes_relax(hand: ControllerBench) -> None:
@@ -192,9 +192,9 @@ def test_a_second_controller_in_active_mode_causes_relax(hand: ControllerBench) 
     hand.run(1.0)
     assert hand.tick(extra_frames=(foreign_command(hand),)).action == Action.RELAX
     hand.run_until_mode(Mode.DONE)
-    assert hand.mode_history == HAPPY + HOME
+    assert hand.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert "H13" in hand.state.failure
-    assert disabled(hand)
+    assert all_motors_disabled(hand)
 
 
 def test_the_sync_of_another_host_is_foreign_too(hand: ControllerBench) -> None:
@@ -215,8 +215,8 @@ def test_a_missing_motor_is_named(hand: ControllerBench) -> None:
     hand.peer.motors[2].silent = True
     hand.run_until_mode(Mode.DONE)
     assert hand.state.failure == "no answer from ring_motor"
-    assert ids_sent(hand, ENABLE) == []
-    assert duration_in(hand, Mode.INVENTORY) == pytest.approx(INVENTORY_TIMEOUT_S, abs=0.05)
+    assert ids_sent(hand, ENABLE_PAYLOAD) == []
+    assert duration_in_mode(hand, Mode.INVENTORY) == pytest.approx(INVENTORY_TIMEOUT_S, abs=0.05)
 
 
 def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(hand: ControllerBench) -> None:
@@ -240,7 +240,7 @@ def test_a_motor_that_reports_an_error_is_named_with_it(hand: ControllerBench) -
     hand.peer.motors[1].nibble = 0xB
     hand.run_until_mode(Mode.DONE)
     assert "middle_motor" in hand.state.failure
-    assert ids_sent(hand, ENABLE) == []
+    assert ids_sent(hand, ENABLE_PAYLOAD) == []
 
 
 def test_a_register_that_does_not_read_back_is_named(hand: ControllerBench) -> None:
@@ -257,9 +257,9 @@ def test_a_motor_that_does_not_enable_is_named_and_all_are_disabled_again(
     hand.peer.motors[1].deaf.add(0xFC)
     hand.run_until_mode(Mode.DONE)
     assert hand.state.failure == "not enabled: middle_motor"
-    assert hand.mode_history == [*HAPPY[:4], Mode.DISARM, Mode.DONE]
-    assert duration_in(hand, Mode.ARMING) == pytest.approx(ARMING_TIMEOUT_S, abs=0.05)
-    assert disabled(hand)
+    assert hand.mode_history == [*MODES_TO_ACTIVE[:4], Mode.DISARM, Mode.DONE]
+    assert duration_in_mode(hand, Mode.ARMING) == pytest.approx(ARMING_TIMEOUT_S, abs=0.05)
+    assert all_motors_disabled(hand)
 
 
 def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
@@ -267,11 +267,11 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
 ) -> None:
     hand.run_until_mode(Mode.ACTIVE)
     hand.peer.motors[3].deaf.add(0xFD)
-    hand.tick(STOP)
+    hand.tick(STOP_REQUEST)
     hand.run_until_mode(Mode.DONE)
     assert hand.state.unconfirmed == ("thumb_motor",)
     assert hand.state.failure == "REMOVE POWER: not confirmed disabled: thumb_motor"
-    assert duration_in(hand, Mode.DISARM) == pytest.approx(DISARM_TIMEOUT_S, abs=0.05)
+    assert duration_in_mode(hand, Mode.DISARM) == pytest.approx(DISARM_TIMEOUT_S, abs=0.05)
 
 
 def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
@@ -281,7 +281,7 @@ def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
     hand.run(1.0)
     hand.peer.motors[0].silent = True
     hand.run_until_mode(Mode.DONE)
-    assert hand.mode_history == HAPPY + HOME
+    assert hand.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert hand.state.unconfirmed == ("index_motor",)
     assert "B17 index_motor" in hand.state.failure
     assert "REMOVE POWER" in hand.state.failure
@@ -294,7 +294,7 @@ def test_a_drive_error_in_action(hand: ControllerBench) -> None:
     hand.peer.motors[2].nibble = 0xC
     hand.run_until_mode(Mode.DONE)
     assert "N11 ring_motor" in hand.state.failure
-    assert hand.mode_history == HAPPY + HOME
+    assert hand.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert hand.state.unconfirmed == ()
 
 
@@ -311,7 +311,7 @@ def test_a_lost_bus_before_arming_ends_the_run(hand: ControllerBench, mode: Mode
     hand.run_until_mode(mode)
     assert hand.tick(io_events=(IoEvent("enodev", "local:x"),)).mode == Mode.DONE
     assert "B16" in hand.state.failure
-    assert ids_sent(hand, ENABLE) == []
+    assert ids_sent(hand, ENABLE_PAYLOAD) == []
 
 
 def test_a_fault_while_arming_disarms(hand: ControllerBench) -> None:
@@ -319,7 +319,7 @@ def test_a_fault_while_arming_disarms(hand: ControllerBench) -> None:
     hand.tick(extra_frames=(foreign_command(hand),))
     hand.run_until_mode(Mode.DONE)
     assert "H13" in hand.state.failure
-    assert disabled(hand)
+    assert all_motors_disabled(hand)
 
 
 def test_a_cut_during_relax_wins(hand: ControllerBench) -> None:
@@ -340,10 +340,10 @@ def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand: ControllerBench)
     hand.run(1.0)
     held = hand.peer.tension.copy()
     assert held[0] > 55.0
-    hand.tick(STOP)
+    hand.tick(STOP_REQUEST)
     while hand.state.mode == Mode.RELAX:
         hand.tick()
-    assert 0.05 < duration_in(hand, Mode.RELAX) < 0.5, "500 N/s from 60 N"
+    assert 0.05 < duration_in_mode(hand, Mode.RELAX) < 0.5, "500 N/s from 60 N"
     goals = np.array(
         [out.telemetry.tension_goal for _, _, out in hand.tick_history if out.mode == Mode.RELAX]
     )
@@ -352,12 +352,14 @@ def test_relax_lowers_the_tension_slowly_and_ends_in_time(hand: ControllerBench)
     assert (goals[-1] <= 5.0 + 500.0 * hand.controller.model.period + 1e-6).all()
 
 
-def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(quick: HandModel) -> None:
-    run = make_controller_bench(quick, LiveProgram())
+def test_a_program_that_fails_relaxes_the_hand_and_gives_a_reason(
+    low_rate_jamia: HandModel,
+) -> None:
+    run = make_controller_bench(low_rate_jamia, LiveProgram())
     run.peer.tear_tendon(1)  # the load cell of a torn tendon reads zero
     run.run_until_mode(Mode.DONE, 20.0)
     assert run.state.failure == "not taut after 4 s: middle_tendon"
-    assert run.mode_history == HAPPY + HOME
+    assert run.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
 
 
 def test_clear_resets_latched_faults_and_arms_no_drive(hand: ControllerBench) -> None:
@@ -367,12 +369,12 @@ def test_clear_resets_latched_faults_and_arms_no_drive(hand: ControllerBench) ->
     hand.tick('{"do": "clear"}')
     assert not hand.state.latched
     hand.run_until_mode(Mode.DONE)
-    assert hand.mode_history == HAPPY + HOME
+    assert hand.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
 
 
 def test_every_mode_change_is_reported_once(hand: ControllerBench) -> None:
     hand.run_until_mode(Mode.ACTIVE)
-    hand.tick(STOP)
+    hand.tick(STOP_REQUEST)
     hand.run_until_mode(Mode.DONE)
     mode_changes = [event.text.partition(":")[0] for event in hand.events if event.name == "mode"]
     assert mode_changes == [

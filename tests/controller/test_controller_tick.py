@@ -45,60 +45,66 @@ def run_session(name: str) -> ControllerBench:
 
 
 @pytest.fixture(scope="module", params=["jamia", "jamia11"])
-def session(request: pytest.FixtureRequest) -> ControllerBench:
+def session_bench(request: pytest.FixtureRequest) -> ControllerBench:
     return run_session(request.param)
 
 
-def bytes_of(out: TickOut) -> tuple[object, ...]:
+def comparable_outputs(out: TickOut) -> tuple[object, ...]:
     """Return all outputs of a tick in a form that can be compared. In this form NaN equals NaN."""
     plain = (out.frames, out.mode, out.phase, out.action, out.events, out.state_hash)
     return (*plain, out.telemetry.packed())
 
 
-def test_equal_inputs_give_equal_outputs(session: ControllerBench) -> None:
+def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
     """Any tick of a session that is executed again from its state gives the same outputs in every byte."""
-    for before, entry, out in session.tick_history[::3]:
+    for before, entry, out in session_bench.tick_history[::3]:
         digest = before.digest()
-        after, again = session.controller.tick(before, entry)
-        assert bytes_of(again) == bytes_of(out)
+        after, again = session_bench.controller.tick(before, entry)
+        assert comparable_outputs(again) == comparable_outputs(out)
         assert after.digest() == out.state_hash
         assert before.digest() == digest, "the state that went in is as it was"
 
 
-def test_another_controller_of_the_same_hand_repeats_the_run(session: ControllerBench) -> None:
-    model = session.controller.model
+def test_another_controller_of_the_same_hand_repeats_the_run(
+    session_bench: ControllerBench,
+) -> None:
+    model = session_bench.controller.model
     other = make_controller_bench(
         HandModel.of(model.hand, model.gains, 1.0 / model.period), LiveProgram()
     ).controller
     state = other.initial()
-    for _, entry, out in session.tick_history:
+    for _, entry, out in session_bench.tick_history:
         state, again = other.tick(state, entry)
         assert again.state_hash == out.state_hash, entry.k
 
 
-def test_the_order_of_frames_within_a_tick_does_not_matter(session: ControllerBench) -> None:
+def test_the_order_of_frames_within_a_tick_does_not_matter(session_bench: ControllerBench) -> None:
     shuffle = random.Random(3)
     checked = 0
-    for before, entry, out in session.tick_history[::3]:
+    for before, entry, out in session_bench.tick_history[::3]:
         frames = list(entry.frames)
         shuffle.shuffle(frames)
-        _, again = session.controller.tick(before, entry._replace(frames=tuple(frames)))
-        assert bytes_of(again) == bytes_of(out)
+        _, again = session_bench.controller.tick(before, entry._replace(frames=tuple(frames)))
+        assert comparable_outputs(again) == comparable_outputs(out)
         checked += frames != list(entry.frames)
     assert checked > 50
 
 
-def test_frames_with_unknown_identifiers_change_no_decision(session: ControllerBench) -> None:
+def test_frames_with_unknown_identifiers_change_no_decision(session_bench: ControllerBench) -> None:
     """Only the counters of unknown frames change.
 
     A known identifier with an extra flag counts as a malformed frame.
     """
     noise = (Frame(0x666, bytes(8)), Frame(0x1A0, bytes(8), bus=3))
     misshapen = Frame(0x011 | 1 << 31, bytes(8))
-    for before, entry, out in session.tick_history[::7]:
-        _, again = session.controller.tick(before, entry._replace(frames=(*noise, *entry.frames)))
-        assert bytes_of(again._replace(state_hash=b"")) == bytes_of(out._replace(state_hash=b""))
-        _, again = session.controller.tick(
+    for before, entry, out in session_bench.tick_history[::7]:
+        _, again = session_bench.controller.tick(
+            before, entry._replace(frames=(*noise, *entry.frames))
+        )
+        assert comparable_outputs(again._replace(state_hash=b"")) == comparable_outputs(
+            out._replace(state_hash=b"")
+        )
+        _, again = session_bench.controller.tick(
             before, entry._replace(frames=(misshapen, *entry.frames))
         )
         assert (again.frames, again.mode) == (out.frames, out.mode)
@@ -137,8 +143,10 @@ def test_the_origin_of_time_does_not_matter() -> None:
         assert commands[0] or a.mode < Mode.ARMING or a.mode == Mode.DONE
 
 
-def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: ControllerBench) -> None:
-    hand = session.controller.model.hand
+def test_telemetry_has_the_declared_shapes_and_its_fields_change(
+    session_bench: ControllerBench,
+) -> None:
+    hand = session_bench.controller.model.hand
     sizes = {
         "joint": len(hand.joints),
         "tendon": len(hand.tendon),
@@ -147,7 +155,7 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Contro
     }
     silent_here = {"contact"} | ({"joint_encoder"} if not hand.sensor_node.joints else set())
     for name, axis in TELEMETRY_AXES.items():
-        rows = [getattr(out.telemetry, name) for _, _, out in session.tick_history]
+        rows = [getattr(out.telemetry, name) for _, _, out in session_bench.tick_history]
         assert all(row.shape == (sizes[axis],) and row.dtype == np.float64 for row in rows), name
         values = np.array(rows)
         assert not np.isinf(values).any(), name
@@ -218,18 +226,18 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_no_frame_contains_nan(active: ControllerBench, bad: float) -> None:
-    state = active.state.copy()
+def test_no_frame_contains_nan(active_bench: ControllerBench, bad: float) -> None:
+    state = active_bench.state.copy()
     state.view("travel")[0] = bad
-    entry = TickIn(active.k, active.k * active.period_ns)
+    entry = TickIn(active_bench.k, active_bench.k * active_bench.period_ns)
     with np.errstate(invalid="ignore"), pytest.raises(ValueError, match="torque"):
-        active.controller.tick(state, entry)
+        active_bench.controller.tick(state, entry)
 
 
-KNOWN = [0x011, 0x012, 0x013, 0x014, 0x1A0, 0x1B0]
+KNOWN_IDENTIFIERS = [0x011, 0x012, 0x013, 0x014, 0x1A0, 0x1B0]
 frames = st.builds(
     Frame,
-    can_id=st.sampled_from(KNOWN) | st.integers(0, 0x7FF) | st.integers(0, 2**32 - 1),
+    can_id=st.sampled_from(KNOWN_IDENTIFIERS) | st.integers(0, 0x7FF) | st.integers(0, 2**32 - 1),
     data=st.binary(max_size=8) | st.binary(max_size=64),
     flags=st.sampled_from([0, 4, 5]),
     bus=st.sampled_from([0, 0, 0, 1, 7]),
@@ -238,16 +246,18 @@ frames = st.builds(
 
 
 @given(burst=st.lists(st.lists(frames, max_size=12), min_size=1, max_size=6))
-def test_no_frame_can_stop_the_tick(active: ControllerBench, burst: list[list[Frame]]) -> None:
+def test_no_frame_can_stop_the_tick(
+    active_bench: ControllerBench, burst: list[list[Frame]]
+) -> None:
     """For any received frames, no tick of an active hand raises, and all torques are finite and within their limits."""
-    state, k = active.state, active.k
+    state, k = active_bench.state, active_bench.k
     for some in burst:
-        state, out = active.controller.tick(
-            state, TickIn(k, k * active.period_ns, frames=tuple(some))
+        state, out = active_bench.controller.tick(
+            state, TickIn(k, k * active_bench.period_ns, frames=tuple(some))
         )
         torque = out.telemetry.motor_torque_goal
         assert np.isfinite(torque).all()
-        assert (np.abs(torque) <= active.controller.model.torque_limit * (1 + 1e-9)).all()
+        assert (np.abs(torque) <= active_bench.controller.model.torque_limit * (1 + 1e-9)).all()
         k += 1
 
 
@@ -264,12 +274,12 @@ def test_no_frame_can_stop_the_tick(active: ControllerBench, burst: list[list[Fr
     gap=st.integers(0, 10**6),
 )
 def test_no_request_event_or_delay_can_stop_the_tick(
-    active: ControllerBench, texts: list[str], kinds: list[str], late: int, gap: int
+    active_bench: ControllerBench, texts: list[str], kinds: list[str], late: int, gap: int
 ) -> None:
-    k = active.k + gap
+    k = active_bench.k + gap
     events = tuple(IoEvent(kind, "x", 1) for kind in kinds)
-    entry = TickIn(k, k * active.period_ns, late, (), events, tuple(texts))
-    _, out = active.controller.tick(active.state, entry)
+    entry = TickIn(k, k * active_bench.period_ns, late, (), events, tuple(texts))
+    _, out = active_bench.controller.tick(active_bench.state, entry)
     assert all(event.text.isprintable() for event in out.events)
 
 

@@ -79,7 +79,7 @@ def test_a_digit_that_carries_others_keeps_its_angle() -> None:
         assert set(opened.angle_deg) == set(hand.digit_names)  # type: ignore[union-attr, arg-type]
 
 
-def around_a_circle() -> Hand:
+def hand_around_a_circle() -> Hand:
     """Return a hand with the fingers of jamia as three equal fingers around a circle, without a thumb."""
     content = hand_content("jamia")
     for part in ("digit", "tendon", "motor"):
@@ -93,7 +93,7 @@ def around_a_circle() -> Hand:
 
 
 def test_fingers_around_a_circle_press_alike_and_take_a_ball() -> None:
-    hand = around_a_circle()
+    hand = hand_around_a_circle()
     hold = default_task(hand)[0].phase[2]
     assert isinstance(hold, HoldPhase)
     assert isinstance(hold.tension_N, dict)

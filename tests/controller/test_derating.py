@@ -129,7 +129,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.peer.truth()["tension"])
 
-    def restrained(
+    def state_of_limited_goals(
         before: State, action: Action, tension: np.ndarray, mode: Mode = Mode.ACTIVE
     ) -> State:
         after = before.copy()
@@ -138,15 +138,15 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         stages.evaluate_goals(after.block, after.layout.places, *controller._constants, int(action))
         return after
 
-    held = restrained(state, Action.HOLD, tension)
+    held = state_of_limited_goals(state, Action.HOLD, tension)
     assert held.whole(s.HOLDING)
     assert held.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
-    again = restrained(held, Action.HOLD, tension + 50.0)
+    again = state_of_limited_goals(held, Action.HOLD, tension + 50.0)
     np.testing.assert_array_equal(again.view("limit_held"), held.view("limit_held"))
     assert (tension_limits_of(controller.model, again) <= held.view("limit_held")).all()
     for action in (Action.PASS, Action.WARN, Action.RELAX):
-        assert not restrained(again, action, tension).whole(s.HOLDING)
-    assert not restrained(again, Action.HOLD, tension, Mode.RELAX).whole(s.HOLDING)
+        assert not state_of_limited_goals(again, action, tension).whole(s.HOLDING)
+    assert not state_of_limited_goals(again, Action.HOLD, tension, Mode.RELAX).whole(s.HOLDING)
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:

@@ -51,7 +51,7 @@ from tests.controller.synthetic_states import (
 )
 
 
-def plain_hand(name: str, rate_hz: float) -> HandModel:
+def frictionless_model_of(name: str, rate_hz: float) -> HandModel:
     """Return a hand without friction and weight, for which the filter's model is exact."""
     content = hand_content(name)
     content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
@@ -61,25 +61,25 @@ def plain_hand(name: str, rate_hz: float) -> HandModel:
 
 
 @pytest.fixture(scope="module")
-def plain_jamia() -> HandModel:
-    return plain_hand("jamia", 500.0)
+def frictionless_jamia() -> HandModel:
+    return frictionless_model_of("jamia", 500.0)
 
 
 @pytest.fixture(scope="module")
-def plain_jamia11() -> HandModel:
-    return plain_hand("jamia11", 200.0)
+def frictionless_jamia11() -> HandModel:
+    return frictionless_model_of("jamia11", 200.0)
 
 
 @pytest.fixture(params=["jamia", "jamia11"])
-def plain(request: pytest.FixtureRequest) -> HandModel:
+def frictionless_model(request: pytest.FixtureRequest) -> HandModel:
     found: HandModel = request.getfixturevalue(f"plain_{request.param}")
     return found
 
 
-Missing = Callable[[int, np.random.Generator], np.ndarray]
+MissingMeasurements = Callable[[int, np.random.Generator], np.ndarray]
 
 
-class Course(NamedTuple):
+class FilterRun(NamedTuple):
     """Errors and deviations of a filter run after the filter has settled. Each array has the shape (ticks, N)."""
 
     error: np.ndarray
@@ -90,8 +90,12 @@ class Course(NamedTuple):
 
 
 def monte_carlo(
-    model: HandModel, regime: TendonRegime, ticks: int, seed: int, missing: Missing | None = None
-) -> Course:
+    model: HandModel,
+    regime: TendonRegime,
+    ticks: int,
+    seed: int,
+    missing: MissingMeasurements | None = None,
+) -> FilterRun:
     """Draw a true trajectory from the filter's own model in one regime, and run the filter on it.
 
     ``missing`` returns for a tick the encoders (first row) and load cells (second row) that are not
@@ -143,14 +147,18 @@ def monte_carlo(
         rows.append((error, estimate.sigma, estimate.innovation, estimate.nis))
         regimes.add(state.regimes)
     kept = rows[ticks // 10 :]
-    return Course(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
+    return FilterRun(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
 
 
 @pytest.mark.parametrize("regime", [TendonRegime.FREE, TendonRegime.HELD])
-def test_estimator_is_consistent_with_its_own_model(plain: HandModel, regime: TendonRegime) -> None:
-    course = monte_carlo(plain, regime, 2500, seed=5)
-    assert course.regimes == {(int(regime),) * plain.tendon_count}, "the run stayed in its regime"
-    gains = plain.gains.filter
+def test_estimator_is_consistent_with_its_own_model(
+    frictionless_model: HandModel, regime: TendonRegime
+) -> None:
+    course = monte_carlo(frictionless_model, regime, 2500, seed=5)
+    assert course.regimes == {(int(regime),) * frictionless_model.tendon_count}, (
+        "the run stayed in its regime"
+    )
+    gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
     ratio = np.sqrt((course.error**2).mean() / (course.sigma**2 - drift).mean())
     assert 0.9 < ratio < 1.1
@@ -160,7 +168,7 @@ def test_estimator_is_consistent_with_its_own_model(plain: HandModel, regime: Te
     assert (course.sigma**2 - drift).mean() < 0.5**2, "better than the load cell alone"
 
 
-SPARSE: dict[str, Missing] = {
+SPARSE_MEASUREMENTS: dict[str, MissingMeasurements] = {
     "every second position": lambda k, rng: np.array([[k % 2 == 1], [False]]),
     "every fourth position": lambda k, rng: np.array([[k % 4 > 0], [False]]),
     "every third load cell": lambda k, rng: np.array([[False], [k % 3 > 0]]),
@@ -169,20 +177,20 @@ SPARSE: dict[str, Missing] = {
 
 
 @pytest.mark.parametrize("regime", [TendonRegime.FREE, TendonRegime.HELD])
-@pytest.mark.parametrize("what", SPARSE)
+@pytest.mark.parametrize("what", SPARSE_MEASUREMENTS)
 def test_consistent_with_its_own_model_though_measurements_are_missing(
-    plain: HandModel, regime: TendonRegime, what: str
+    frictionless_model: HandModel, regime: TendonRegime, what: str
 ) -> None:
     """The filter's error has the size that its covariance predicts, within the uncertainty of the sample."""
-    missing = SPARSE[what]
+    missing = SPARSE_MEASUREMENTS[what]
     course = monte_carlo(
-        plain,
+        frictionless_model,
         regime,
         2500,
         5,
-        lambda k, rng: np.broadcast_to(missing(k, rng), (2, plain.tendon_count)),
+        lambda k, rng: np.broadcast_to(missing(k, rng), (2, frictionless_model.tendon_count)),
     )
-    gains = plain.gains.filter
+    gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
     ratio = np.sqrt((course.error**2).mean() / (course.sigma**2 - drift).mean())
     assert 0.85 < ratio < 1.15
@@ -267,7 +275,7 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     assert answers[0][last] > answers[1][last], "and a reading is believed more"
 
 
-MISSING_SAMPLES: dict[str, Missing] = {
+MISSING_SAMPLES: dict[str, MissingMeasurements] = {
     "an encoder": lambda k, rng: np.array([[k < 3], [False]]),
     "a load cell": lambda k, rng: np.array([[False], [k < 3]]),
     "both": lambda k, rng: np.array([[k < 3], [k < 3]]),

@@ -41,7 +41,7 @@ from tests.controller.synthetic_states import (
     uncompiled_function,
 )
 
-EVIDENCE = (
+SLACK_EVIDENCE_POINTS = (
     (TAUT_ABOVE_N, POINTS_AT_ONCE),
     (LIKELY_ABOVE_N, POINTS_LIKELY),
     (POSSIBLE_ABOVE_N, POINTS_POSSIBLE),
@@ -144,7 +144,9 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     """
     n = model.tendon_count
     above = next(
-        above for above, worth in EVIDENCE if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth
+        above
+        for above, worth in SLACK_EVIDENCE_POINTS
+        if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth
     )
     state = filter_state(model, TendonRegime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(
         length_known=(known,) * n
@@ -159,7 +161,7 @@ def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
     n = model.tendon_count
     state = filter_state(model, TendonRegime.SLACK, S=2e-3)
     for _ in range(POINTS_OF_TAUT):
-        state = regimes_after_sample(model, state, EVIDENCE[0][0] + 1.0)
+        state = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1.0)
     assert (state.regimes, state.length_known) == ((TendonRegime.FREE,) * n, (True,) * n)
 
 
@@ -167,7 +169,7 @@ def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: Hand
     state = filter_state(model, TendonRegime.SLACK, S=1e-4)._replace(
         stopped=(True,) * model.tendon_count
     )
-    after = regimes_after_sample(model, state, EVIDENCE[0][0] + 1e-6)
+    after = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1e-6)
     assert after.stopped == state.stopped
     assert (after.filter_states[S::STATE_COUNT] == 0.0).all()
     assert (state.filter_states[S::STATE_COUNT] == 1e-4).all(), (

@@ -33,12 +33,12 @@ from tests.controller.filter_runs import (
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
 from tests.controller.synthetic_states import active_state, stage_constants, uncompiled_function
 
-HANDS = ("jamia", "jamia11", "jamia_bench")
-FRICTION = (0.5, 1.0, 1.5, 2.0)
-LATER_S = 1.2
+TESTED_HANDS = ("jamia", "jamia11", "jamia_bench")
+FRICTION_FACTORS = (0.5, 1.0, 1.5, 2.0)
+EVALUATED_AFTER_S = 1.2
 """Time at which slack is taken up and the filter has noticed the wrong friction [s]."""
 TAUT_N = 0.5
-MOVES = {
+BACK_AND_FORTH_TASK = {
     "schema": 1,
     "name": "back and forth",
     "phase": [
@@ -46,20 +46,20 @@ MOVES = {
         for n, angle in enumerate((20.0, 50.0, 15.0, 55.0, 20.0, 50.0, 15.0))
     ],
 }
-seeds = pytest.mark.parametrize(
+with_each_seed = pytest.mark.parametrize(
     "seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 20))]
 )
 
 
 def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
     """Run a simulated hand that closes and opens. Its friction is ``friction`` times that of the hand file."""
-    program = TaskProgram(validate_content(MOVES, Task, "moves"))
+    program = TaskProgram(validate_content(BACK_AND_FORTH_TASK, Task, "moves"))
     return run_on_plant(hand, program, None, folder, 3.0, seed, friction=friction)
 
 
 def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
     """Return the tension RMSE [N] of the estimate and of the raw load cell, over taut tendons while the hand moves."""
-    real, later = np.array(run.true_tension), np.array(run.time_s) > LATER_S
+    real, later = np.array(run.true_tension), np.array(run.time_s) > EVALUATED_AFTER_S
     raw = np.array(run.measured_tension)
     kept = later[:, None] & (real > TAUT_N) & np.isfinite(raw)
     assert np.count_nonzero(kept) > 500
@@ -70,9 +70,9 @@ def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
     return estimate, cell
 
 
-@seeds
-@pytest.mark.parametrize("friction", FRICTION)
-@pytest.mark.parametrize("hand", HANDS)
+@with_each_seed
+@pytest.mark.parametrize("friction", FRICTION_FACTORS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
     hand: str, friction: float, seed: int, tmp_path: Path
 ) -> None:
@@ -81,7 +81,7 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
     assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
 
 
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     """A filter in doubt explains its innovations better.
 
@@ -104,7 +104,7 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
 
 
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix")
-def _judge(
+def _judge_innovations(
     block: BlockArray,
     at: TablePlaces,
     of: BlockArray,
@@ -124,7 +124,9 @@ def averages_and_doubts(
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
-    _judge(state.block, state.layout.places, *stage_constants(model), innovation, np.ones((n, 3)))
+    _judge_innovations(
+        state.block, state.layout.places, *stage_constants(model), innovation, np.ones((n, 3))
+    )
     return state.view("nis_lately").copy(), state.view("wary").copy()
 
 
@@ -179,7 +181,7 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
     ).tolist()
 
 
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_filter_in_doubt_is_stable(hand: str) -> None:
     """For every taut tendon, the errors of all estimated states decay while the filter is in doubt."""
     for blocks in model_of(hand).filter.blocks:

@@ -31,13 +31,13 @@ from tests.controller.filter_oracle import (
 from tests.controller.synthetic_states import constant_tables_of
 
 
-class DesignParts:
+class FilterDesigns:
     """Filter designs of the packaged hands at any control rate."""
 
     def __init__(self, models: dict[str, HandModel]) -> None:
         self.models = models
 
-    def design(self, name: str, rate_hz: float) -> FilterDesign:
+    def design_of(self, name: str, rate_hz: float) -> FilterDesign:
         model = self.models[name]
         return design_filter(
             model.space, FilterGains(), 1.0 / rate_hz, _joint_period(model.hand, 1.0 / rate_hz)
@@ -45,11 +45,11 @@ class DesignParts:
 
 
 @pytest.fixture
-def model_parts(jamia: HandModel, jamia11: HandModel) -> DesignParts:
-    return DesignParts({"jamia": jamia, "jamia11": jamia11})
+def filter_designs(jamia: HandModel, jamia11: HandModel) -> FilterDesigns:
+    return FilterDesigns({"jamia": jamia, "jamia11": jamia11})
 
 
-def one_of_each(model: HandModel) -> list[int]:
+def first_and_last_tendon(model: HandModel) -> list[int]:
     """Return the indices of the first finger's first tendon and of the thumb's last tendon."""
     return [0, model.tendon_count - 1]
 
@@ -58,7 +58,7 @@ def one_of_each(model: HandModel) -> list[int]:
 def test_discrete_model_and_gains_agree_with_the_differential_equations(
     model: HandModel, regime: TendonRegime
 ) -> None:
-    for i in one_of_each(model):
+    for i in first_and_last_tendon(model):
         block = model.filter.blocks[i][regime]
         F, G, Q = integrate_one_period(model, i, regime)
         np.testing.assert_allclose(
@@ -107,9 +107,9 @@ def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Ten
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0, 250.0, 400.0, 500.0, 1000.0])
 @pytest.mark.parametrize("name", ["jamia", "jamia11"])
 def test_every_regime_is_stable_at_every_rate(
-    name: str, rate_hz: float, model_parts: DesignParts
+    name: str, rate_hz: float, filter_designs: FilterDesigns
 ) -> None:
-    design = model_parts.design(name, rate_hz)
+    design = filter_designs.design_of(name, rate_hz)
     for blocks in design.blocks:
         for block in blocks:
             error = block.F @ (np.eye(STATE_COUNT) - block.K @ block.H)

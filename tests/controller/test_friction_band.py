@@ -19,7 +19,7 @@ MOVE_S = 0.3
 TURN_S = 0.05
 
 
-def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
+def tensions_at_speeds(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     """Return the tensions (ticks, N) expected at given winding speeds.
 
     The command is 12 N, and friction takes 20 %.
@@ -37,13 +37,13 @@ def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
 
 
 def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> None:
-    np.testing.assert_allclose(follow(model, [0.1] * 50, 12.0)[-1], 12.0 / 0.8)
-    np.testing.assert_allclose(follow(model, [-0.1] * 50, 12.0)[-1], 12.0 * 0.8)
+    np.testing.assert_allclose(tensions_at_speeds(model, [0.1] * 50, 12.0)[-1], 12.0 / 0.8)
+    np.testing.assert_allclose(tensions_at_speeds(model, [-0.1] * 50, 12.0)[-1], 12.0 * 0.8)
 
 
 def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> None:
     """The fall from 15 to 9.6 N at 100 N/mm and 5 mm/s takes 11 ms, and slightly less because the tendon creeps."""
-    turned = follow(model, [-5e-3] * 40, 15.0)
+    turned = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
     way = 5.4 / model.space.stiffness[0] / 5e-3
     assert 0.6 * way - model.period <= ticks * model.period <= way + model.period
@@ -51,7 +51,7 @@ def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> Non
 
 
 def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
-    rest = follow(model, [0.0] * round(0.5 / model.period), 15.0)
+    rest = tensions_at_speeds(model, [0.0] * round(0.5 / model.period), 15.0)
     np.testing.assert_allclose(rest[-1], 12.0, atol=0.01)
 
 

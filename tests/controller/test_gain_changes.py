@@ -33,11 +33,11 @@ from tests.controller.controller_bench import (
 )
 from tests.controller.law_runs import tension_limits_of
 
-HOLD = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'
-MOVE = '{"do": "move", "angle_deg": {"index": 45, "middle": 45, "ring": 45, "thumb": 20}, "duration_s": 0.2}'
+HOLD_REQUEST = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'
+MOVE_REQUEST = '{"do": "move", "angle_deg": {"index": 45, "middle": 45, "ring": 45, "thumb": 20}, "duration_s": 0.2}'
 
 
-def change(values: Mapping[str, float]) -> str:
+def gain_request(values: Mapping[str, float]) -> str:
     return json.dumps({"do": "gains", "set": values})
 
 
@@ -56,10 +56,10 @@ def noiseless_hand(model: HandModel) -> ControllerBench:
 
 
 @pytest.fixture
-def holding(jamia: HandModel) -> ControllerBench:
+def holding_bench(jamia: HandModel) -> ControllerBench:
     """Return a bench whose hand raises its tensions, so that the tension loops have errors."""
     desk = noiseless_hand(jamia)
-    desk.tick(HOLD)
+    desk.tick(HOLD_REQUEST)
     desk.run(0.1)
     return desk
 
@@ -83,20 +83,24 @@ def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandM
 
 @pytest.mark.parametrize("odd", [("motion.force_N", 1e-9), ("tension.tension_error_N", 1e-150)])
 def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
-    holding: ControllerBench, odd: tuple[str, float]
+    holding_bench: ControllerBench, odd: tuple[str, float]
 ) -> None:
-    before = holding.state.decisions.gains
-    outs = [holding.tick(change(dict([odd])))]
-    outs += [holding.tick() for _ in range(10)]
+    before = holding_bench.state.decisions.gains
+    outs = [holding_bench.tick(gain_request(dict([odd])))]
+    outs += [holding_bench.tick() for _ in range(10)]
     (said,) = [event for out in outs for event in out.events if event.name == "gains"]
     assert said.text.startswith("refused: gains: ")
     assert "no controller follows" in said.text
-    decisions = holding.state.decisions
-    assert (decisions.gains, decisions.pending, holding.state.mode) == (before, None, Mode.ACTIVE)
-    holding.tick(change({"tension.force_N": 6.0}))
-    holding.run(0.1)
-    assert holding.state.decisions.gains is not None
-    assert holding.state.decisions.gains.tension.force_N == 6.0, "the next ones are taken"
+    decisions = holding_bench.state.decisions
+    assert (decisions.gains, decisions.pending, holding_bench.state.mode) == (
+        before,
+        None,
+        Mode.ACTIVE,
+    )
+    holding_bench.tick(gain_request({"tension.force_N": 6.0}))
+    holding_bench.run(0.1)
+    assert holding_bench.state.decisions.gains is not None
+    assert holding_bench.state.decisions.gains.tension.force_N == 6.0, "the next ones are taken"
 
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
@@ -106,36 +110,36 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
         load_peer("firmware_sim.rig:LockstepHand", hand_path=str(hand_path("jamia"))),
     )
     desk.run_until_mode(Mode.ACTIVE)
-    out = desk.tick(change({"motion.force_N": 20.0}))
+    out = desk.tick(gain_request({"motion.force_N": 20.0}))
     assert "refused: the hand is being commissioned" in [event.text for event in out.events]
     assert desk.state.decisions.pending is None
 
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(
-    holding: ControllerBench, jamia: HandModel
+    holding_bench: ControllerBench, jamia: HandModel
 ) -> None:
-    outs = [holding.tick(change({"tension.force_N": 45.0}))]
-    outs += [holding.tick() for _ in range(design_piece_count(jamia.space) + 2)]
+    outs = [holding_bench.tick(gain_request({"tension.force_N": 45.0}))]
+    outs += [holding_bench.tick() for _ in range(design_piece_count(jamia.space) + 2)]
     events = [[event for event in out.events if event.name == "gain"] for out in outs]
     at = [i for i, found in enumerate(events) if found]
     assert at == [design_piece_count(jamia.space) - 1]
     assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
-    assert holding.state.decisions.gains is not None
-    assert holding.state.decisions.gains.tension.force_N == 45.0
+    assert holding_bench.state.decisions.gains is not None
+    assert holding_bench.state.decisions.gains.tension.force_N == 45.0
     hashes = {out.state_hash for out in outs}
     assert len(hashes) == len(outs)
 
 
-Call = tuple[Controller, State, State, Action, int]
+LawCall = tuple[Controller, State, State, Action, int]
 
 
-def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
+def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
     """Return a list that records calls of the control law.
 
     A call has its controller, the states before and after it, the action of the safety monitor, and
     the number of ticks.
     """
-    calls, real = list[Call](), Controller._compute_torques
+    calls, real = list[LawCall](), Controller._compute_torques
 
     def command(self: Controller, state: State, action: Action, ticks: int) -> None:
         before = state.copy()
@@ -149,11 +153,11 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
 @pytest.mark.parametrize(
     ("request_", "values"),
     [
-        (HOLD, {"tension.force_N": 45.0}),
-        (HOLD, {"tension.force_N": 1.5}),
-        (HOLD, {"tension.integral_per_s": 0.0, "motion.disturbance_rejection": 0.0}),
-        (MOVE, {"motion.force_N": 60.0}),
-        (MOVE, {"motion.position_error_m": 1.8e-3, "motion.tension_feedback": 1.0}),
+        (HOLD_REQUEST, {"tension.force_N": 45.0}),
+        (HOLD_REQUEST, {"tension.force_N": 1.5}),
+        (HOLD_REQUEST, {"tension.integral_per_s": 0.0, "motion.disturbance_rejection": 0.0}),
+        (MOVE_REQUEST, {"motion.force_N": 60.0}),
+        (MOVE_REQUEST, {"motion.position_error_m": 1.8e-3, "motion.tension_feedback": 1.0}),
     ],
 )
 def test_a_change_makes_no_step_in_torque(
@@ -164,7 +168,7 @@ def test_a_change_makes_no_step_in_torque(
     desk.tick(request_)
     desk.run(0.1)
     for _ in range(design_piece_count(jamia.space) - 1):
-        desk.tick(change(values)) if desk.state.decisions.pending is None else desk.tick()
+        desk.tick(gain_request(values)) if desk.state.decisions.pending is None else desk.tick()
     calls = record_law_calls(monkeypatch)
     out = desk.tick()
     assert any(event.name == "gain" for event in out.events)
@@ -185,14 +189,14 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
 ) -> None:
     """If only the old gains were limited, the difference would become a trim that makes the tendon slack."""
     desk = noiseless_hand(jamia)
-    desk.tick(MOVE)
+    desk.tick(MOVE_REQUEST)
     desk.run(0.05)
     judge = Controller._judge
     monkeypatch.setattr(
         Controller, "_judge", lambda self, *words: (Action.HOLD, judge(self, *words)[1])
     )
     calls = record_law_calls(monkeypatch)
-    desk.tick(change({"motion.force_N": 60.0}))
+    desk.tick(gain_request({"motion.force_N": 60.0}))
     while desk.state.decisions.pending is not None:
         calls.clear()
         desk.tick()
@@ -208,29 +212,31 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
         ).all()
 
 
-def test_the_trim_fades_and_the_goal_is_reached(holding: ControllerBench) -> None:
-    holding.tick(change({"tension.tension_error_N": 1.4}))
-    holding.run(2.5)
-    assert not holding.state.whole(s.TRIMMED)
-    assert not holding.state.view("trim").any()
-    tension = np.array([out.telemetry.tension for *_, out in holding.tick_history[-200:]])
+def test_the_trim_fades_and_the_goal_is_reached(holding_bench: ControllerBench) -> None:
+    holding_bench.tick(gain_request({"tension.tension_error_N": 1.4}))
+    holding_bench.run(2.5)
+    assert not holding_bench.state.whole(s.TRIMMED)
+    assert not holding_bench.state.view("trim").any()
+    tension = np.array([out.telemetry.tension for *_, out in holding_bench.tick_history[-200:]])
     np.testing.assert_allclose(tension.mean(axis=0), 14.0, atol=1.0)
 
 
 def test_two_changes_of_gains_add_up_and_can_be_undone(
-    holding: ControllerBench, jamia: HandModel
+    holding_bench: ControllerBench, jamia: HandModel
 ) -> None:
-    holding.tick(change({"tension.force_N": 30.0}))
-    holding.tick(change({"motion.tension_feedback": 0.1}))
-    holding.run(0.1)
-    gains = holding.state.decisions.gains
+    holding_bench.tick(gain_request({"tension.force_N": 30.0}))
+    holding_bench.tick(gain_request({"motion.tension_feedback": 0.1}))
+    holding_bench.run(0.1)
+    gains = holding_bench.state.decisions.gains
     assert gains is not None
     assert (gains.tension.force_N, gains.motion.tension_feedback) == (30.0, 0.1)
-    holding.tick(
-        change({"tension.force_N": jamia.gains.tension.force_N, "motion.tension_feedback": 0.3})
+    holding_bench.tick(
+        gain_request(
+            {"tension.force_N": jamia.gains.tension.force_N, "motion.tension_feedback": 0.3}
+        )
     )
-    holding.run(0.1)
-    assert holding.state.decisions.gains == jamia.gains
+    holding_bench.run(0.1)
+    assert holding_bench.state.decisions.gains == jamia.gains
 
 
 @pytest.mark.parametrize(
@@ -245,21 +251,21 @@ def test_two_changes_of_gains_add_up_and_can_be_undone(
     ],
 )
 def test_impossible_gains_are_refused_in_one_line_without_effect(
-    holding: ControllerBench, values: dict[str, float], said: str
+    holding_bench: ControllerBench, values: dict[str, float], said: str
 ) -> None:
-    out = holding.tick(change(values))
+    out = holding_bench.tick(gain_request(values))
     lines = [event for event in out.events if event.name == "request" and event.level == "warn"]
     assert len(lines) == 1
     assert said in lines[0].text
     assert "\n" not in lines[0].text
-    holding.run(0.1)
-    assert holding.state.decisions.gains is None
+    holding_bench.run(0.1)
+    assert holding_bench.state.decisions.gains is None
 
 
 def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -> None:
     desk = make_controller_bench(jamia, LiveProgram(), arm=False)
     desk.run_until_mode(Mode.READY)
-    desk.tick(change({"motion.force_N": 40.0}))
+    desk.tick(gain_request({"motion.force_N": 40.0}))
     desk.run(0.1)
     assert desk.state.decisions.gains is not None
     assert not desk.state.whole(s.TRIMMED)

@@ -14,7 +14,7 @@ from handctl.core.model import HandModel
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
 
-ODD = {
+EXTREME_GAINS = {
     "motion.force_N": 1e-9,
     "motion.position_error_m": 1e-200,
     "motion.speed_error_m_s": 1e-12,
@@ -23,20 +23,20 @@ ODD = {
     "filter.held_time_s": 1e-12,
     "filter.encoder_noise_counts": 1e-200,
 }
-WEIGHTS = [
+WEIGHT_KEYS = [
     key for key, bound in gain_bounds().items() if bound.open_low and not key.startswith("contact")
 ]
 
 
-@pytest.mark.parametrize("key", ODD)
+@pytest.mark.parametrize("key", EXTREME_GAINS)
 def test_solver_failure_is_one_line(key: str) -> None:
-    gains = with_values(Gains(), {key: ODD[key]}, "test")
+    gains = with_values(Gains(), {key: EXTREME_GAINS[key]}, "test")
     with pytest.raises(ConfigError, match=f"gains: {key.partition('.')[0]}: no controller follows"):
         HandModel.of(load_hand("jamia"), gains, 500.0)
 
 
 @settings(max_examples=12)
-@given(st.dictionaries(st.sampled_from(WEIGHTS), st.floats(-30.0, 0.0), min_size=1))
+@given(st.dictionaries(st.sampled_from(WEIGHT_KEYS), st.floats(-30.0, 0.0), min_size=1))
 def test_gains_within_bounds_are_designed_or_refused(powers: dict[str, float]) -> None:
     known = gain_bounds()
     gains = with_values(

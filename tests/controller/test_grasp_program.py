@@ -33,7 +33,7 @@ from tests.controller.synthetic_states import (
     slack_hand_estimate,
 )
 
-TASK = {
+GRASP_TASK = {
     "schema": 1,
     "name": "test",
     "phase": [
@@ -72,7 +72,7 @@ class ProgramRun:
         t: time of the last tick [s].
     """
 
-    def __init__(self, model: HandModel, task: dict[str, object] = TASK) -> None:
+    def __init__(self, model: HandModel, task: dict[str, object] = GRASP_TASK) -> None:
         self.model, self.program = model, TaskProgram(Task.model_validate_json(json.dumps(task)))
         self.progress: ProgramProgress = self.program.initial(model)
         self.events: list[TickEvent] = []
@@ -81,19 +81,21 @@ class ProgramRun:
     def tick(self, estimate: SyntheticEstimate) -> tuple[TickEvent, ...]:
         self.t += self.model.period
         self.state.view("closing")[...] = self.progress.closing or 0
-        felt = detect_contacts(self.model, self.state, estimate)
+        detected = detect_contacts(self.model, self.state, estimate)
         self.progress, events = self.program.advance(
-            self.model, self.progress, felt, empty_readings(self.model), self.t
+            self.model, self.progress, detected, empty_readings(self.model), self.t
         )
         self.events += events
         return events
 
-    def touch(self, estimate: SyntheticEstimate) -> None:
+    def run_until_contact(self, estimate: SyntheticEstimate) -> None:
         """Run so many ticks with an estimate that contact detection has time to find its contact."""
         for _ in range(round(5 * SMOOTH_S / self.model.period) + self.model.gains.contact.ticks):
             self.tick(estimate)
 
-    def until(self, phase: str, estimate: SyntheticEstimate, timeout: float = 20.0) -> float:
+    def run_until_phase(
+        self, phase: str, estimate: SyntheticEstimate, timeout: float = 20.0
+    ) -> float:
         """Run ticks until a phase begins, and return the time until then [s]."""
         began = self.t
         while self.progress.phase != phase:
@@ -102,14 +104,14 @@ class ProgramRun:
         return self.t - began
 
     @property
-    def phases(self) -> list[str]:
+    def phase_history(self) -> list[str]:
         return [
             event.text for event in self.events if event.name == "phase" and event.level == "info"
         ]
 
 
 @pytest.fixture
-def taut(model: HandModel) -> SyntheticEstimate:
+def taut_estimate(model: HandModel) -> SyntheticEstimate:
     return estimate_under_tension(model, 5.0)
 
 
@@ -128,27 +130,31 @@ def hand_in_contact(
 
 
 def test_phases_come_in_the_order_of_the_task_and_last_as_long(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.LIMP}, "limp until active"
-    assert run.until("tighten", taut) <= 2 * model.period
+    assert run.run_until_phase("tighten", taut_estimate) <= 2 * model.period
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.TENSION}
-    assert run.until("home", taut) == pytest.approx(0.3, abs=2.1 * model.period)
+    assert run.run_until_phase("home", taut_estimate) == pytest.approx(0.3, abs=2.1 * model.period)
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
-    assert run.until("preshape", taut) == pytest.approx(0.2, abs=1.1 * model.period)
-    assert run.until("close", taut) == pytest.approx(0.3, abs=1.1 * model.period)
+    assert run.run_until_phase("preshape", taut_estimate) == pytest.approx(
+        0.2, abs=1.1 * model.period
+    )
+    assert run.run_until_phase("close", taut_estimate) == pytest.approx(0.3, abs=1.1 * model.period)
     everything = hand_in_contact(model, dict.fromkeys(model.hand.digit_names, 12.0))
-    assert run.until("hold", everything) == pytest.approx(0.01, abs=0.01), "all touch: go on"
-    assert run.until("release", everything) == pytest.approx(0.4, abs=1.1 * model.period)
-    assert run.until("open", taut) == pytest.approx(0.1, abs=1.1 * model.period)
-    assert run.until("end", taut) == pytest.approx(0.2, abs=1.1 * model.period)
+    assert run.run_until_phase("hold", everything) == pytest.approx(0.01, abs=0.01), (
+        "all touch: go on"
+    )
+    assert run.run_until_phase("release", everything) == pytest.approx(0.4, abs=1.1 * model.period)
+    assert run.run_until_phase("open", taut_estimate) == pytest.approx(0.1, abs=1.1 * model.period)
+    assert run.run_until_phase("end", taut_estimate) == pytest.approx(0.2, abs=1.1 * model.period)
     assert run.progress.finished
     assert not run.progress.failure
     names = ["home", "preshape", "close", "hold", "release", "open", "task complete"]
-    assert run.phases == ["tighten: taking up slack", *names]
+    assert run.phase_history == ["tighten: taking up slack", *names]
     after = run.progress
-    run.tick(taut)
+    run.tick(taut_estimate)
     assert run.progress is after, "nothing comes after the end"
 
 
@@ -164,40 +170,46 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
     assert run.events[-1].level == "error"
 
 
-def test_tightening_must_last(model: HandModel, taut: SyntheticEstimate) -> None:
+def test_tightening_must_last(model: HandModel, taut_estimate: SyntheticEstimate) -> None:
     """Slack in a tick delays the end of tightening, but not by more than a limited time."""
     run = ProgramRun(model)
-    run.until("tighten", taut)
+    run.run_until_phase("tighten", taut_estimate)
     for seconds, estimate in (
-        (0.2, taut),
+        (0.2, taut_estimate),
         (0.1, slack_hand_estimate(model)),
-        (0.1, taut),
+        (0.1, taut_estimate),
         (0.5, slack_hand_estimate(model)),
     ):
         for _ in range(round(seconds / model.period)):
             run.tick(estimate)
-    assert run.until("home", taut) == pytest.approx(0.3, abs=3.1 * model.period)
+    assert run.run_until_phase("home", taut_estimate) == pytest.approx(0.3, abs=3.1 * model.period)
 
 
 def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
-    run.until("tighten", taut)
+    run.run_until_phase("tighten", taut_estimate)
     while run.progress.phase == "tighten":
-        for estimate in (slack_hand_estimate(model), taut, taut, taut, taut):
+        for estimate in (
+            slack_hand_estimate(model),
+            taut_estimate,
+            taut_estimate,
+            taut_estimate,
+            taut_estimate,
+        ):
             run.tick(estimate)
     assert run.progress.phase == "home"
     assert run.t == pytest.approx(0.5, abs=8 * model.period)
 
 
 def test_tendon_slack_in_every_second_tick_never_counts_as_tight(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     run = ProgramRun(model)
-    run.until("tighten", taut)
+    run.run_until_phase("tighten", taut_estimate)
     while not run.progress.finished:
-        run.tick(slack_hand_estimate(model) if run.progress.touching[0] else taut)
+        run.tick(slack_hand_estimate(model) if run.progress.touching[0] else taut_estimate)
     assert run.t == pytest.approx(TIGHTEN_TIMEOUT_S, abs=4 * model.period)
     assert run.progress.failure in (
         "not taut after 4 s: now one tendon, now another",
@@ -205,11 +217,13 @@ def test_tendon_slack_in_every_second_tick_never_counts_as_tight(
     )
 
 
-def test_motions_begin_where_the_digit_is(model: HandModel, taut: SyntheticEstimate) -> None:
+def test_motions_begin_where_the_digit_is(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
     run = ProgramRun(model)
-    run.until("home", taut)
+    run.run_until_phase("home", taut_estimate)
     bent = estimate_under_tension(model, 5.0, 0.4)
-    run.until("preshape", bent)
+    run.run_until_phase("preshape", bent)
     names = model.hand.digit_names
     for d, name in enumerate(names):
         goal = run.progress.goals[d]
@@ -224,13 +238,13 @@ def test_motions_begin_where_the_digit_is(model: HandModel, taut: SyntheticEstim
             np.testing.assert_allclose(goal.trajectory.end, 0.0, err_msg="not named: as before")
 
 
-def closing(model: HandModel, taut: SyntheticEstimate) -> ProgramRun:
+def begin_closing(model: HandModel, taut_estimate: SyntheticEstimate) -> ProgramRun:
     run = ProgramRun(model)
-    run.until("close", taut)
+    run.run_until_phase("close", taut_estimate)
     return run
 
 
-def felt(model: HandModel, estimate: SyntheticEstimate) -> np.ndarray:
+def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> np.ndarray:
     """Return the forces at the tips of all digits (D,) [N] while they close, before these forces are filtered."""
     state = active_state(model)
     state.view("closing")[...] = 1
@@ -240,7 +254,7 @@ def felt(model: HandModel, estimate: SyntheticEstimate) -> np.ndarray:
 
 def tension_for_tip_force(model: HandModel, newtons: float) -> float:
     """Return the unexplained tension of each index tendon [N] that shows a force at the index tip [N]."""
-    found = felt(
+    found = tip_forces_while_closing(
         model,
         estimate_under_tension(model, 15.0, 0.5)._replace(external=np.ones(model.tendon_count)),
     )
@@ -248,12 +262,12 @@ def tension_for_tip_force(model: HandModel, newtons: float) -> float:
 
 
 def test_contact_is_a_force_at_the_tip_that_lasts(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
-    run, threshold = closing(model, taut), model.gains.contact.threshold_N
+    run, threshold = begin_closing(model, taut_estimate), model.gains.contact.threshold_N
     weak = hand_in_contact(model, {"index": tension_for_tip_force(model, 0.95 * threshold)})
-    run.touch(weak)
-    run.touch(hand_in_contact(model, {"index": 0.0}))
+    run.run_until_contact(weak)
+    run.run_until_contact(hand_in_contact(model, {"index": 0.0}))
     for _ in range(10):
         run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, 1.5 * threshold)}))
         run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, -1.5 * threshold)}))
@@ -293,15 +307,15 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = x[:, X] = model.hand.moment_arms @ q
     np.testing.assert_allclose(
-        felt(model, exact_estimate(model, x)._replace(external=balance)), forces
+        tip_forces_while_closing(model, exact_estimate(model, x)._replace(external=balance)), forces
     )
 
 
 def test_a_digit_that_touches_later_joins_the_grasp(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
-    run = closing(model, taut)
-    run.touch(hand_in_contact(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
+    run = begin_closing(model, taut_estimate)
+    run.run_until_contact(hand_in_contact(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
     held = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
     assert [i for i, c in enumerate(run.progress.contact) if c] == held
     for d in held:
@@ -309,16 +323,16 @@ def test_a_digit_that_touches_later_joins_the_grasp(
             run.progress.goals[d].tension, 12.0, err_msg="at least the contact tension"
         )
     before = run.progress.goals[held[0]]
-    run.touch(hand_in_contact(model, {"ring": 12.0}))
+    run.run_until_contact(hand_in_contact(model, {"ring": 12.0}))
     assert sum(run.progress.contact) == 3
     assert run.progress.goals[held[0]] is before, "contact lost is not contact undone"
 
 
 def test_closing_without_contact_ends_with_a_message(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
-    run = closing(model, taut)
-    took = run.until("hold", taut)
+    run = begin_closing(model, taut_estimate)
+    took = run.run_until_phase("hold", taut_estimate)
     way = math.radians(80.0)
     longest = 15 / 8 * way / math.radians(100.0)
     assert took == pytest.approx(longest + SETTLE_AFTER_CLOSE_S, abs=2 * model.period)
@@ -328,44 +342,48 @@ def test_closing_without_contact_ends_with_a_message(
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
 
 
-def test_only_named_digits_in_contact_hold(model: HandModel, taut: SyntheticEstimate) -> None:
-    run = closing(model, taut)
+def test_only_named_digits_in_contact_hold(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = begin_closing(model, taut_estimate)
     touch = hand_in_contact(model, {"index": 12.0, "ring": 12.0})
-    run.touch(touch)
+    run.run_until_contact(touch)
     names = model.hand.digit_names
     before = run.progress.goals[names.index("ring")]
-    run.until("hold", touch)
+    run.run_until_phase("hold", touch)
     np.testing.assert_allclose(run.progress.goals[names.index("index")].tension, 30.0)
     assert run.progress.goals[names.index("ring")] is before, "the task says nothing about it"
     assert run.progress.goals[names.index("thumb")].kind == GoalKind.MOTION, "it met nothing"
 
 
-def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: SyntheticEstimate) -> None:
-    run = closing(model, taut)
+def test_release_waits_for_the_tension_to_fall(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = begin_closing(model, taut_estimate)
     touch = hand_in_contact(model, {"index": 12.0})
-    run.touch(touch)
-    run.until("release", touch)
+    run.run_until_contact(touch)
+    run.run_until_phase("release", touch)
     for _ in range(round(1.0 / model.period)):
         run.tick(estimate_under_tension(model, 20.0))
     assert run.progress.phase == "release"
-    run.until("open", estimate_under_tension(model, 9.0))
+    run.run_until_phase("open", estimate_under_tension(model, 9.0))
     assert not any(run.progress.contact), "free again"
     assert not [event for event in run.events if event.level == "warn"]
 
 
 def run_release(
-    model: HandModel, taut: SyntheticEstimate, tension: float, **release: float
+    model: HandModel, taut_estimate: SyntheticEstimate, tension: float, **release: float
 ) -> tuple[ProgramRun, float]:
     """Return a run after its release phase, and the duration of this phase [s]. All tendons keep ``tension`` [N]."""
     task = {
-        **TASK,
-        "phase": [{**p, **release} if p["kind"] == "release" else p for p in TASK["phase"]],
+        **GRASP_TASK,
+        "phase": [{**p, **release} if p["kind"] == "release" else p for p in GRASP_TASK["phase"]],
     }
     run, touch = ProgramRun(model, task), hand_in_contact(model, {"index": 12.0})
-    run.until("close", taut)
-    run.touch(touch)
-    run.until("release", touch)
-    return run, run.until("open", estimate_under_tension(model, tension))
+    run.run_until_phase("close", taut_estimate)
+    run.run_until_contact(touch)
+    run.run_until_phase("release", touch)
+    return run, run.run_until_phase("open", estimate_under_tension(model, tension))
 
 
 @pytest.mark.parametrize(("tension", "settle", "took", "is_reported"), [
@@ -376,9 +394,9 @@ def run_release(
     (50.0, 12.0, 12.0, True),
 ])  # fmt: skip
 def test_a_release_that_does_not_let_go_is_reported(
-    model, taut, tension, settle, took, is_reported
+    model, taut_estimate, tension, settle, took, is_reported
 ) -> None:
-    run, lasted = run_release(model, taut, tension, settle_s=settle)
+    run, lasted = run_release(model, taut_estimate, tension, settle_s=settle)
     assert lasted == pytest.approx(took, abs=0.1)
     warnings = [(event.where, event.text) for event in run.events if event.level == "warn"]
     assert warnings == (
@@ -387,21 +405,21 @@ def test_a_release_that_does_not_let_go_is_reported(
 
 
 def test_released_digit_needs_a_new_contact_to_hold(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
-    close, hold, release = TASK["phase"][2:5]
+    close, hold, release = GRASP_TASK["phase"][2:5]
     phases = [close, hold, release, {**close, "name": "again"}, {**hold, "name": "more"}]
-    run = ProgramRun(model, {**TASK, "phase": phases})
-    run.until("close", taut)
+    run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
+    run.run_until_phase("close", taut_estimate)
     touch, index = hand_in_contact(model, {"index": 12.0}), model.hand.digit_names.index("index")
-    run.touch(touch)
-    run.until("release", touch)
+    run.run_until_contact(touch)
+    run.run_until_phase("release", touch)
     run.tick(estimate_under_tension(model, 20.0))
     assert run.progress.contact[index], "until it has let go"
-    run.until("again", taut)
+    run.run_until_phase("again", taut_estimate)
     assert not any(run.progress.contact), "free again"
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}, "all close"
-    assert run.until("more", taut) > 0.3
+    assert run.run_until_phase("more", taut_estimate) > 0.3
     assert not any(run.progress.contact)
     assert [event.text for event in run.events if event.level == "warn"] == [
         "more: no digit is in contact"
@@ -409,28 +427,28 @@ def test_released_digit_needs_a_new_contact_to_hold(
 
 
 def test_a_digit_that_is_held_stays_so_while_others_close(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     """A digit in contact keeps its hold during a second close phase. Only a release or a move ends a hold."""
-    close, hold = TASK["phase"][2:4]
-    run = ProgramRun(model, {**TASK, "phase": [close, hold, {**close, "name": "again"}]})
-    run.until("close", taut)
+    close, hold = GRASP_TASK["phase"][2:4]
+    run = ProgramRun(model, {**GRASP_TASK, "phase": [close, hold, {**close, "name": "again"}]})
+    run.run_until_phase("close", taut_estimate)
     touch, index = hand_in_contact(model, {"index": 12.0}), model.hand.digit_names.index("index")
-    run.touch(touch)
-    run.until("again", touch)
+    run.run_until_contact(touch)
+    run.run_until_phase("again", touch)
     assert run.progress.contact[index]
     assert run.progress.goals[index].kind == GoalKind.TENSION
 
 
 def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
-    run = ProgramRun(model, {**TASK, "phase": phases})
-    run.until("close", taut)
+    run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
+    run.run_until_phase("close", taut_estimate)
     touch = hand_in_contact(model, {"index": 12.0})
-    run.touch(touch)
-    run.until("hold", touch)
+    run.run_until_contact(touch)
+    run.run_until_phase("hold", touch)
     d = model.hand.digit_names.index("index")
     digit, tension = model.digits[d], run.progress.goals[d].tension
     assert tension is not None
@@ -439,24 +457,26 @@ def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
     assert tip_force(digit, q, tension - static) == pytest.approx(4.0, rel=1e-3)
 
 
-def test_contact_ends_with_the_next_move(model: HandModel, taut: SyntheticEstimate) -> None:
+def test_contact_ends_with_the_next_move(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
     phases = [
         {"kind": "close"},
         {"kind": "move", "angle_deg": 0.0, "duration_s": 0.1},
         {"kind": "close", "name": "again"},
     ]
-    run = ProgramRun(model, {**TASK, "phase": phases})
-    run.until("close", taut)
-    run.touch(hand_in_contact(model, {"index": 12.0}))
-    run.until("move", taut)
+    run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
+    run.run_until_phase("close", taut_estimate)
+    run.run_until_contact(hand_in_contact(model, {"index": 12.0}))
+    run.run_until_phase("move", taut_estimate)
     assert not any(run.progress.contact)
     assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
-    run.until("again", taut)
+    run.run_until_phase("again", taut_estimate)
     assert not any(run.progress.touching)
 
 
 def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(
-    model: HandModel, taut: SyntheticEstimate
+    model: HandModel, taut_estimate: SyntheticEstimate
 ) -> None:
     size = len(model.digits[0].reduced_moment_arms)
     angles, tensions = [10.0, 20.0, 30.0][:size], [11.0, 12.0, 13.0][:size]
@@ -465,12 +485,12 @@ def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(
         {"kind": "close"},
         {"kind": "hold", "tension_N": {"index": tensions}},
     ]
-    run = ProgramRun(model, {**TASK, "phase": phases})
-    run.until("move", taut)
+    run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
+    run.run_until_phase("move", taut_estimate)
     goal = run.progress.goals[0]
     assert goal.trajectory is not None
     np.testing.assert_allclose(np.degrees(goal.trajectory.end), angles)
-    run.until("close", taut)
-    run.touch(hand_in_contact(model, {"index": 12.0}))
-    run.until("hold", taut)
+    run.run_until_phase("close", taut_estimate)
+    run.run_until_contact(hand_in_contact(model, {"index": 12.0}))
+    run.run_until_phase("hold", taut_estimate)
     np.testing.assert_allclose(run.progress.goals[0].tension, tensions)

@@ -18,7 +18,7 @@ from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
-READ, WRITTEN = 0x33, 0x55
+READ_REGISTER, WRITE_REGISTER = 0x33, 0x55
 """Third byte of a drive's reply to the reading and to the writing of a register."""
 
 
@@ -35,7 +35,7 @@ def test_motors_that_reply_in_alternate_ticks_are_armed(hand: ControllerBench) -
         return (
             frame.can_id not in motors
             or frame.can_id == motors[hand.k % 4]
-            or frame.data[2] in (READ, WRITTEN)
+            or frame.data[2] in (READ_REGISTER, WRITE_REGISTER)
         )
 
     hand.to_host = lambda frames: [frame for frame in frames if in_turn(frame)]
@@ -68,7 +68,7 @@ def hand_in_inventory(hand: ControllerBench, seconds: float) -> State:
     return state
 
 
-def decided(hand: ControllerBench, state: State) -> tuple[Mode, str]:
+def mode_after_inventory(hand: ControllerBench, state: State) -> tuple[Mode, str]:
     after = state.copy()
     next_mode(
         hand.controller.model,
@@ -91,10 +91,10 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(hand: Controller
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
     hand.controller.keep(unread, 1, blind)
     unread.set_whole(s.FILTER_STARTED, 0)
-    assert decided(hand, unread) == (Mode.DONE, "no position from middle_motor")
+    assert mode_after_inventory(hand, unread) == (Mode.DONE, "no position from middle_motor")
     late = unread.copy()
     hand.controller.keep(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
-    assert decided(hand, late) == (Mode.DONE, "middle_motor: not configured in time")
+    assert mode_after_inventory(hand, late) == (Mode.DONE, "middle_motor: not configured in time")
     unread.mode_since = 0.0
-    assert decided(hand, unread)[0] == Mode.INVENTORY
-    assert decided(hand, known) == (Mode.READY, "")
+    assert mode_after_inventory(hand, unread)[0] == Mode.INVENTORY
+    assert mode_after_inventory(hand, known) == (Mode.READY, "")

@@ -28,7 +28,7 @@ EVALUATED_S = 0.25
 """Time in a motion of one second at which the control law is evaluated [s]. The motion still accelerates then."""
 
 
-def force(
+def motor_force_of(
     model: HandModel, estimate: SyntheticEstimate, goals: tuple[DigitGoal, ...]
 ) -> np.ndarray:
     """Return the motor force (N,) [N] that the control law commands for an estimate and goals."""
@@ -37,7 +37,7 @@ def force(
 
 
 @pytest.fixture
-def way(model: HandModel) -> tuple[DigitGoal, ...]:
+def motion_goals(model: HandModel) -> tuple[DigitGoal, ...]:
     return moving_goals(model, 0.4, 0.6, 1.0)
 
 
@@ -47,31 +47,35 @@ def estimate(model: HandModel) -> SyntheticEstimate:
 
 
 def test_motion_feedback_applies_each_gain(
-    model: HandModel, way: tuple[DigitGoal, ...], estimate: SyntheticEstimate
+    model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
     space, gains, design = model.space, model.gains.motion, model.motion
     mass = space.motor_mass + space.load_mass
-    before = force(model, estimate, way)
+    before = motor_force_of(model, estimate, motion_goals)
     for name, size, slope in (
         ("disturbance", 0.5, -gains.disturbance_rejection),
         ("tension", 0.4, -gains.tension_feedback),
         ("speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
         ("excursion", 2e-5, -mass * design.stiffness),
     ):
-        after = force(model, estimate._replace(**{name: getattr(estimate, name) + size}), way)
+        after = motor_force_of(
+            model, estimate._replace(**{name: getattr(estimate, name) + size}), motion_goals
+        )
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, atol=1e-9, err_msg=name)
 
 
 def test_the_planned_acceleration_is_fed_forward(
-    model: HandModel, way: tuple[DigitGoal, ...], estimate: SyntheticEstimate
+    model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
     """Without the feedforward of rotor inertia, the commanded force decreases by inertia times planned acceleration."""
     without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
-    for digit, tendons, goal in zip(model.digits, model.digit_tendons, way, strict=True):
+    for digit, tendons, goal in zip(model.digits, model.digit_tendons, motion_goals, strict=True):
         acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(EVALUATED_S)[2]
-    found = force(model, estimate, way) - force(other, estimate, way)
+    found = motor_force_of(model, estimate, motion_goals) - motor_force_of(
+        other, estimate, motion_goals
+    )
     assert (acceleration > 0.0).all()
     np.testing.assert_allclose(
         found, model.gains.motion.inertia_share * model.space.motor_mass * acceleration, rtol=1e-9
@@ -81,7 +85,7 @@ def test_the_planned_acceleration_is_fed_forward(
 def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 20.0)
     off = estimate._replace(disturbance=np.full(model.tendon_count, 0.5))
-    change = force(model, off, holding_goals(model, 20.0)) - force(
+    change = motor_force_of(model, off, holding_goals(model, 20.0)) - motor_force_of(
         model, estimate, holding_goals(model, 20.0)
     )
     np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
@@ -173,10 +177,12 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
     needed += (model.motion.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(
-        force(model, estimate, goals) - force(model, estimate, still), needed, rtol=1e-9
+        motor_force_of(model, estimate, goals) - motor_force_of(model, estimate, still),
+        needed,
+        rtol=1e-9,
     )
     one_only = (goals[0], *still[1:])
-    change = force(model, estimate, one_only) - force(model, estimate, still)
+    change = motor_force_of(model, estimate, one_only) - motor_force_of(model, estimate, still)
     first = model.digit_tendons[0]
     np.testing.assert_allclose(change[first], needed[first], rtol=1e-9)
     assert not np.delete(change, first).any(), "no other digit is in motion"
@@ -195,13 +201,13 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
 
 
 def test_the_goal_tension_of_a_motion_stays_within_its_limit(
-    model: HandModel, way: tuple[DigitGoal, ...], estimate: SyntheticEstimate
+    model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
     free = run_law_tick(
-        model, LawState.idle_at_tensions(estimate.tension), estimate, way, EVALUATED_S
+        model, LawState.idle_at_tensions(estimate.tension), estimate, motion_goals, EVALUATED_S
     )[1].tension
     state, most = LawState.idle_at_tensions(estimate.tension), np.maximum(0.5 * free, model.floor)
-    held = run_law_tick(model, state, estimate, way, EVALUATED_S, most)[1].tension
+    held = run_law_tick(model, state, estimate, motion_goals, EVALUATED_S, most)[1].tension
     np.testing.assert_allclose(held, most)
 
 

@@ -21,7 +21,7 @@ AT_ONCE = 1e6
 """Rate of a set-point that is so fast that it reaches its goal in one tick [N/s]."""
 
 
-def idle(model: HandModel) -> LawState:
+def idle_law_state(model: HandModel) -> LawState:
     return LawState.idle_at_tensions(np.full(model.tendon_count, 20.0))
 
 
@@ -34,7 +34,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
     most, kept = (None if value is None else np.full(n, value) for value in (warm, held))
     law, command = run_law_tick(
         jamia,
-        idle(jamia),
+        idle_law_state(jamia),
         estimate_under_tension(jamia, 0.0),
         holding_goals(jamia, HIGH_N, AT_ONCE),
         0.0,
@@ -51,7 +51,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
 def test_without_a_limit_the_goal_is_not_changed(jamia: HandModel) -> None:
     law, command = run_law_tick(
         jamia,
-        idle(jamia),
+        idle_law_state(jamia),
         estimate_under_tension(jamia, 0.0),
         holding_goals(jamia, HIGH_N, AT_ONCE),
         0.0,
@@ -67,14 +67,14 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
     n = jamia.tendon_count
     free = run_law_tick(
         jamia,
-        idle(jamia),
+        idle_law_state(jamia),
         estimate_under_tension(jamia, 5.0),
         moving_goals(jamia, 0.0, 1.2, 0.2),
         0.1,
     )[1]
     kept = run_law_tick(
         jamia,
-        idle(jamia),
+        idle_law_state(jamia),
         estimate_under_tension(jamia, 5.0),
         moving_goals(jamia, 0.0, 1.2, 0.2),
         0.1,
@@ -91,8 +91,10 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
 @pytest.mark.parametrize("held", [True, False])
 def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
     asked = holding_goals(jamia, 20.0, AT_ONCE) if held else moving_goals(jamia, 0.0, 1.2, 0.2)
-    plain = run_law_tick(jamia, idle(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0)[1]
-    trimmed = idle(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
+    plain = run_law_tick(
+        jamia, idle_law_state(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0
+    )[1]
+    trimmed = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
     law, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), asked, 0.0)
     np.testing.assert_allclose((command.torque - plain.torque) / jamia.space.spool, 2.0)
     assert law.trim is not None
@@ -105,7 +107,7 @@ def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
 
 def test_limp_digits_have_no_trim(jamia: HandModel) -> None:
     goals = (*holding_goals(jamia, 20.0, AT_ONCE)[:3], DigitGoal(GoalKind.LIMP))
-    trimmed = idle(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
+    trimmed = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
     _, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), goals, 0.0)
     assert command.torque[3] == 0.0
     assert np.isnan(command.tension[3])

@@ -19,13 +19,15 @@ from tests.controller.synthetic_states import (
 )
 
 
-def goal_from(text: str) -> MoveDigits | HoldTension:
+def goal_of_request(text: str) -> MoveDigits | HoldTension:
     request = parse_request(text)
     assert isinstance(request, MoveDigits | HoldTension)
     return request
 
 
-def live(model: HandModel, estimate: SyntheticEstimate) -> tuple[LiveProgram, ProgramProgress]:
+def begin_live_program(
+    model: HandModel, estimate: SyntheticEstimate
+) -> tuple[LiveProgram, ProgramProgress]:
     """Return a live program and its progress at the moment at which it waits for requests."""
     program = LiveProgram()
     progress, t = program.initial(model), 0.0
@@ -38,9 +40,11 @@ def live(model: HandModel, estimate: SyntheticEstimate) -> tuple[LiveProgram, Pr
 
 def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 5.0, 0.3)
-    _, progress = live(model, estimate)
+    _, progress = begin_live_program(model, estimate)
     names = model.hand.digit_names
-    request = goal_from('{"do": "move", "angle_deg": {"index": 40, "thumb": 10}, "duration_s": 2}')
+    request = goal_of_request(
+        '{"do": "move", "angle_deg": {"index": 40, "thumb": 10}, "duration_s": 2}'
+    )
     moved, events = apply_goal(model, progress, request, estimate, 7.0)
     assert [event.level for event in events] == ["info"]
     for d, name in enumerate(names):
@@ -56,7 +60,7 @@ def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
     held, _ = apply_goal(
         model,
         moved,
-        goal_from('{"do": "hold", "tension_N": {"index": 25}, "rate_N_per_s": 9}'),
+        goal_of_request('{"do": "hold", "tension_N": {"index": 25}, "rate_N_per_s": 9}'),
         estimate,
         8.0,
     )
@@ -68,10 +72,10 @@ def test_move_and_hold_requests_are_followed(model: HandModel) -> None:
 
 def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 5.0)
-    _, progress = live(model, estimate)
+    _, progress = begin_live_program(model, estimate)
     progress = replace(progress, contact=(True,) * len(model.digits))
     moved, _ = apply_goal(
-        model, progress, goal_from('{"do": "move", "angle_deg": {"index": 0}}'), estimate, 1.0
+        model, progress, goal_of_request('{"do": "move", "angle_deg": {"index": 0}}'), estimate, 1.0
     )
     assert moved.contact == (False, *[True] * (len(model.digits) - 1))
 
@@ -89,8 +93,8 @@ def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
 )
 def test_a_request_with_one_mistake_changes_nothing(model: HandModel, text: str, said: str) -> None:
     estimate = estimate_under_tension(model, 5.0)
-    _, progress = live(model, estimate)
-    after, events = apply_goal(model, progress, goal_from(text), estimate, 1.0)
+    _, progress = begin_live_program(model, estimate)
+    after, events = apply_goal(model, progress, goal_of_request(text), estimate, 1.0)
     assert after is progress
     assert [event.level for event in events] == ["warn"]
     assert said in events[0].text
@@ -101,7 +105,11 @@ def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> No
     progress = program.initial(model)
     for t in (0.0, 0.1):
         after, events = apply_goal(
-            model, progress, goal_from('{"do": "move", "angle_deg": {"index": 0}}'), estimate, t
+            model,
+            progress,
+            goal_of_request('{"do": "move", "angle_deg": {"index": 0}}'),
+            estimate,
+            t,
         )
         assert after is progress
         assert "not ready" in events[0].text
@@ -123,7 +131,7 @@ def test_a_live_session_with_a_loose_tendon_gives_up(model: HandModel) -> None:
 
 def test_a_live_session_never_ends_by_itself(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 5.0)
-    program, progress = live(model, estimate)
+    program, progress = begin_live_program(model, estimate)
     for t in (10.0, 1e3, 1e6):
         after, events = program.advance(model, progress, estimate, empty_readings(model), t)
         assert (after, events) == (progress, ())
@@ -132,7 +140,7 @@ def test_a_live_session_never_ends_by_itself(model: HandModel) -> None:
 def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
     estimate, jog, t = (
         estimate_under_tension(model, 5.0),
-        JogProgram(goal_from('{"do": "hold", "tension_N": {"thumb": 8}}'), 0.5),
+        JogProgram(goal_of_request('{"do": "hold", "tension_N": {"thumb": 8}}'), 0.5),
         0.0,
     )  # type: ignore[arg-type]
     progress, began = jog.initial(model), -1.0
@@ -152,7 +160,7 @@ def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
 def test_impossible_jog_fails(model: HandModel) -> None:
     estimate, jog, t = (
         estimate_under_tension(model, 5.0),
-        JogProgram(goal_from('{"do": "move", "angle_deg": {"index": 101}}'), 0.5),
+        JogProgram(goal_of_request('{"do": "move", "angle_deg": {"index": 101}}'), 0.5),
         0.0,
     )  # type: ignore[arg-type]
     progress = jog.initial(model)

@@ -34,14 +34,14 @@ from tests.controller.synthetic_states import (
 
 RATE_HZ = 250.0
 PERIOD_NS = round(1e9 / RATE_HZ)
-SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") else (3,)
-GRASPS = [
+SIMULATOR_SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") else (3,)
+GRASPS_AND_OBJECTS = [
     ("grasp.toml", "cylinder"),
     ("pinch.toml", "sphere"),
     ("hook.toml", "handle"),
     ("grasp.toml", "box"),
 ]
-HELD, FREE = ("close", "hold", "release"), ("tighten", "home")
+HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
 
 
 class PostureTick(NamedTuple):
@@ -59,13 +59,13 @@ class PostureTick(NamedTuple):
     force: np.ndarray
 
 
-def packaged(name: str) -> Path:
+def packaged_task(name: str) -> Path:
     return PACKAGED_HANDS_FOLDER / f"{name}.toml"
 
 
-def with_encoders(folder: Path, joints: int | None = None) -> Path:
+def hand_file_with_encoders(folder: Path, joints: int | None = None) -> Path:
     """Return the file of a jamia hand with joint encoders at all joints, or at the first ``joints`` ones."""
-    text = packaged("jamia").read_text(encoding="utf-8")
+    text = packaged_task("jamia").read_text(encoding="utf-8")
     read = load_hand("jamia").joints[:joints]
     path = folder / "encoders.toml"
     path.write_text(
@@ -95,31 +95,32 @@ def rms(values: np.ndarray) -> float:
     return float(np.degrees(np.sqrt(np.mean(values**2))))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 @pytest.mark.parametrize(
-    ("task", "scene"), GRASPS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS[:2]
+    ("task", "scene"),
+    GRASPS_AND_OBJECTS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS_AND_OBJECTS[:2],
 )
 def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: int) -> None:
     """This holds for at least 95 % of joints and ticks.
 
     During the hold, the angles of free digits would be further off.
     """
-    seen = list(run_grasp(packaged("jamia"), task, scene, seed))
-    held = [one for one in seen if one.phase in HELD]
+    seen = list(run_grasp(packaged_task("jamia"), task, scene, seed))
+    held = [one for one in seen if one.phase in HELD_PHASES]
     assert np.mean([np.abs(one.q - one.real) <= 2.0 * one.sigma for one in held]) >= 0.95
     hold = [one for one in seen if one.phase == "hold"]
     assert len(hold) > 1000
     error = rms(np.array([one.q - one.real for one in hold]))
     assumed = rms(np.array([one.free - one.real for one in hold]))
     assert error < 0.7 * assumed, f"{error:.1f} deg, free digit {assumed:.1f} deg"
-    free = [one for one in seen if one.phase in FREE]
+    free = [one for one in seen if one.phase in FREE_PHASES]
     assert rms(np.array([one.sigma for one in free])) < 1.0
     assert rms(np.array([one.q - one.real for one in free])) < 0.5
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_joint_encoders_measure_the_angles_of_a_held_digit(tmp_path: Path, seed: int) -> None:
-    seen = list(run_grasp(with_encoders(tmp_path), "grasp.toml", "cylinder", seed))
+    seen = list(run_grasp(hand_file_with_encoders(tmp_path), "grasp.toml", "cylinder", seed))
     hold = [one for one in seen if one.phase == "hold"]
     error = np.array([one.q - one.real for one in hold])
     assert rms(error) < 0.2
@@ -129,7 +130,7 @@ def test_joint_encoders_measure_the_angles_of_a_held_digit(tmp_path: Path, seed:
     assert within >= 0.9
 
 
-class Angles(NamedTuple):
+class JointAngles(NamedTuple):
     """Joint angles and their standard deviations, (J,) [rad]."""
 
     q: np.ndarray
@@ -138,7 +139,7 @@ class Angles(NamedTuple):
 
 def angles_of_tick(
     model: HandModel, state: State, estimate: SyntheticEstimate, touched: np.ndarray, k: int
-) -> Angles:
+) -> JointAngles:
     """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
 
     The state then contains the tick.
@@ -147,7 +148,7 @@ def angles_of_tick(
     state.set_whole(s.K, k)
     detect_contacts(model, state, estimate._replace(external=touched[list(model.digit_of)]))
     np.testing.assert_allclose(state.view("touch"), touched, err_msg="it lasts")
-    return Angles(state.view("q").copy(), state.view("q_sigma").copy())
+    return JointAngles(state.view("q").copy(), state.view("q_sigma").copy())
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia_bench", "jamia11"])
@@ -168,7 +169,7 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
     nothing = np.zeros(len(model.digits))
 
-    def after(touched: np.ndarray, seconds: float) -> Angles:
+    def after(touched: np.ndarray, seconds: float) -> JointAngles:
         for k in range(round(seconds / model.period)):
             angles = angles_of_tick(model, state, estimate, touched, k)
         return angles
@@ -191,7 +192,7 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
 
 
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix", "count")
-def _fuse(
+def _fuse_encoders(
     block: BlockArray,
     at: TablePlaces,
     of: BlockArray,
@@ -210,7 +211,9 @@ def state_after_fusion(
 ) -> State:
     """Return a state after joint encoders were fused. Columns (C, J) and spread (J, N) give the prior covariance."""
     after = state.copy()
-    _fuse(after.block, after.layout.places, *controller_of(model)._constants, columns, spread, t_ns)
+    _fuse_encoders(
+        after.block, after.layout.places, *controller_of(model)._constants, columns, spread, t_ns
+    )
     return after
 
 
@@ -220,7 +223,9 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     Covariances weight its prior and its reading. The angles of other joints follow by their
     correlation.
     """
-    model = HandModel.of(load_hand(str(with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ)
+    model = HandModel.of(
+        load_hand(str(hand_file_with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ
+    )
     joints, state = len(model.hand.joints), active_state(model)
     noise = constant_tables_of(model).joint[h.ENCODER_VARIANCE]
     columns = np.zeros((2, joints))
@@ -250,7 +255,7 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
 
     The result is that of the matrix form, although some frames are too old.
     """
-    model = HandModel.of(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
+    model = HandModel.of(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, of, state = np.random.default_rng(seed), constant_tables_of(model), active_state(model)
     joints, now = len(model.hand.joints), 10**9
     columns, spread = (

@@ -12,7 +12,9 @@ from tests.controller.digit_goals import moving_goals
 from tests.controller.law_runs import required_tensions_of, way_of
 
 
-def ways(model: HandModel, since: float, durations: tuple[float, ...]) -> tuple[DigitGoal, ...]:
+def motion_goals(
+    model: HandModel, since: float, durations: tuple[float, ...]
+) -> tuple[DigitGoal, ...]:
     return moving_goals(model, 0.2, 0.9, durations, since)
 
 
@@ -23,14 +25,14 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
 ) -> None:
     """This holds if all digits have the same duration, and if their durations differ."""
     model: HandModel = request.getfixturevalue(hand)
-    first, later = (ways(model, since, durations) for since in (0.0, 2.0))
+    first, later = (motion_goals(model, since, durations) for since in (0.0, 2.0))
     way = way_of(model, first, 0.1)
     np.testing.assert_allclose(way_of(model, later, 2.1), way, rtol=1e-9)
     assert (np.ptp(way[1]) > 1e-3) == (len(set(durations)) > 1)
     assert way[1].min() > 0.0
 
 
-def load_by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
+def required_tensions_by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
     """Compute the tensions (N,) of a motion [N] for each digit separately, without the shortcuts of the control law."""
     found = np.zeros(model.tendon_count)
     q, dq, ddq = way.tolist()
@@ -51,7 +53,7 @@ def test_the_load_of_each_digit_is_limited_separately(
     A bound of one digit does not change the tensions of other digits.
     """
     model: HandModel = request.getfixturevalue(hand)
-    goals, rng = ways(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)
+    goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)
     joints = len(model.hand.joints)
     kinds = set()
     for spread in (0.0, 1.0, 30.0, 1000.0, 1e5):
@@ -60,14 +62,16 @@ def test_the_load_of_each_digit_is_limited_separately(
                 [[0.7], [0.0], [0.0]]
             )
             load = required_tensions_of(model, goals, way)
-            np.testing.assert_allclose(load, load_by_digit(model, way), rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(
+                load, required_tensions_by_digit(model, way), rtol=1e-6, atol=1e-6
+            )
             bound = (load <= model.floor) | (load >= model.ceiling)
             kinds.add("all" if bound.all() else "some" if bound.any() else "none")
     assert kinds >= {"some", "none"}
 
 
 def test_resting_digits_load_no_moving_digit(jamia11: HandModel) -> None:
-    goals = ways(jamia11, 0.0, (0.5,) * 4)
+    goals = motion_goals(jamia11, 0.0, (0.5,) * 4)
     alone = (goals[0], *(replace(goal, kind=GoalKind.LIMP, trajectory=None) for goal in goals[1:]))
     way = way_of(jamia11, goals, 0.2)
     own = jamia11.digit_tendons[0]

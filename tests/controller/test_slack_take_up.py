@@ -13,7 +13,7 @@ from handctl.core.estimation.take_up import (
 from handctl.core.model import HandModel
 from tests.controller.synthetic_states import active_state, uncompiled_function
 
-SLACK = int(TendonRegime.SLACK)
+SLACK_REGIME = int(TendonRegime.SLACK)
 
 
 @pytest.mark.parametrize(("length_is_known", "samples"), [(True, 1), (False, 3)])
@@ -25,8 +25,10 @@ def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
     No sample may therefore be wasted.
     """
     points, taken = 0, 0
-    while not uncompiled_function(is_regime_over)(SLACK, points, False):
-        points = uncompiled_function(regime_evidence)(SLACK, points, 0.0, 1.6, 0.0, length_is_known)
+    while not uncompiled_function(is_regime_over)(SLACK_REGIME, points, False):
+        points = uncompiled_function(regime_evidence)(
+            SLACK_REGIME, points, 0.0, 1.6, 0.0, length_is_known
+        )
         taken += 1
     assert taken == samples
 

@@ -33,15 +33,15 @@ class GraspRun:
     """A grasp with all digits except the last. It runs tick by tick on synthetic estimates."""
 
     def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
-        self.model, self.quiet = model, estimate_under_tension(model, TENSION_N, 0.5)
+        self.model, self.resting_estimate = model, estimate_under_tension(model, TENSION_N, 0.5)
         sizes = [tendons.stop - tendons.start for tendons in model.digit_tendons]
         held = [DigitGoal(GoalKind.TENSION, tension=np.full(size, TENSION_N)) for size in sizes]
         self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
         self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
         self.t = 0.0
-        self.grip = GripState.of(model, self.goals, self.quiet, self.t)
+        self.grip = GripState.of(model, self.goals, self.resting_estimate, self.t)
         self.state = active_state(model)
-        detect_contacts(model, self.state, self.quiet)
+        detect_contacts(model, self.state, self.resting_estimate)
         self.state.set_whole(s.GRIPPING, 1)
         self.events: list[TickEvent] = []
 
@@ -56,11 +56,11 @@ class GraspRun:
             )
             self.events += events
 
-    def moved(self, metres: float, digit: int = 0) -> SyntheticEstimate:
+    def estimate_after_winding(self, metres: float, digit: int = 0) -> SyntheticEstimate:
         """Return the estimate after the tendons of a digit were wound further by ``metres``."""
-        travel = self.quiet.travel.copy()
+        travel = self.resting_estimate.travel.copy()
         travel[self.model.digit_tendons[digit]] += metres
-        return self.quiet._replace(travel=travel)
+        return self.resting_estimate._replace(travel=travel)
 
     @property
     def tension(self) -> float:
@@ -70,9 +70,9 @@ class GraspRun:
 
 def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -> None:
     held = GraspRun(model, limit=30.0)
-    held.tick(held.quiet, 1.0)
+    held.tick(held.resting_estimate, 1.0)
     assert not held.events
-    held.tick(held.moved(-3 * SLIP_EXCURSION_M), 0.06)
+    held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.06)
     assert [event.where for event in held.events] == [model.hand.digit_names[0]]
     for goal in held.goals[:-1]:
         np.testing.assert_allclose(goal.tension, grip.RAISE_FACTOR * TENSION_N)
@@ -81,45 +81,46 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
 
 def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None:
     held = GraspRun(model, limit=26.0)
-    held.tick(held.quiet, 1.0)
+    held.tick(held.resting_estimate, 1.0)
     for step in range(1, 8):
-        held.tick(held.moved(-3 * step * SLIP_EXCURSION_M), 0.5)
+        held.tick(held.estimate_after_winding(-3 * step * SLIP_EXCURSION_M), 0.5)
     assert held.tension == pytest.approx(26.0)
     assert [("no more" in event.text) for event in held.events] == [False, False, True]
 
 
 def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -> None:
     held = GraspRun(model)
-    held.tick(held.quiet, 1.0)
-    held.tick(held.moved(-3 * SLIP_EXCURSION_M), 0.5)
+    held.tick(held.resting_estimate, 1.0)
+    held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.5)
     assert [event.level for event in held.events] == ["warn"]
     assert held.tension == TENSION_N
 
 
 def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
     held = GraspRun(model, limit=30.0)
-    held.tick(held.moved(-5 * SLIP_EXCURSION_M), 0.2)
-    held.tick(held.quiet, 1.0)
-    held.tick(held.moved(5 * SLIP_EXCURSION_M), 1.0)
+    held.tick(held.estimate_after_winding(-5 * SLIP_EXCURSION_M), 0.2)
+    held.tick(held.resting_estimate, 1.0)
+    held.tick(held.estimate_after_winding(5 * SLIP_EXCURSION_M), 1.0)
     chance = np.random.default_rng(1)
     for k in range(round(20.0 / model.period)):
         creep = -0.02e-3 * k * model.period
         held.tick(
-            held.moved(5 * SLIP_EXCURSION_M + creep + chance.normal(0.0, 3.5e-6)), model.period
+            held.estimate_after_winding(5 * SLIP_EXCURSION_M + creep + chance.normal(0.0, 3.5e-6)),
+            model.period,
         )
     assert not held.events
 
 
 def test_a_stiff_grip_pulls_back_what_is_pulled_out(model: HandModel) -> None:
     held = GraspRun(model, limit=np.nan, stiffness=5e3)
-    held.tick(held.quiet, 1.0)
-    held.tick(held.moved(-0.2e-3), 0.01)
+    held.tick(held.resting_estimate, 1.0)
+    held.tick(held.estimate_after_winding(-0.2e-3), 0.01)
     assert held.tension == pytest.approx(TENSION_N + 1.0, abs=0.01)
-    held.tick(held.moved(0.2e-3), 0.01)
+    held.tick(held.estimate_after_winding(0.2e-3), 0.01)
     assert held.tension == pytest.approx(TENSION_N - 1.0, abs=0.01)
 
 
-PULL = """name = "pull"
+PULLED_CYLINDER_SCENE = """name = "pull"
 [object]
 shape = "cylinder"
 diameter_m = 0.035
@@ -138,7 +139,7 @@ rate_N_per_s = {rate}
 """
 
 
-def grasp(limit: str) -> TaskProgram:
+def grasp_program(limit: str) -> TaskProgram:
     phases = [
         {
             "kind": "move",
@@ -159,9 +160,9 @@ def test_a_growing_load_removes_the_object_only_without_slip_reaction(
     hand: str, friction: float, rate: float, tmp_path: Path
 ) -> None:
     """Both runs have equal loads, hands and seeds. Only the task key that permits more force differs."""
-    scene, motion, tension = PULL.format(friction=friction, rate=rate), {}, {}
+    scene, motion, tension = PULLED_CYLINDER_SCENE.format(friction=friction, rate=rate), {}, {}
     for limit in ("", "limit"):
-        run = run_on_plant(hand, grasp(limit), scene, tmp_path, 5.6)
+        run = run_on_plant(hand, grasp_program(limit), scene, tmp_path, 5.6)
         begin = run.time_s.index(3.4)
         motion[limit] = 1e3 * np.linalg.norm(
             np.subtract(run.object_position[-1], run.object_position[begin])

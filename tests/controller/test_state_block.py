@@ -42,10 +42,10 @@ from tests.controller.controller_bench import ControllerBench
 from tests.controller.synthetic_states import uncompiled_function
 from tests.hand.many_motors import fifteen_motors
 
-SEEDS = range(6)
+RANDOM_HAND_SEEDS = range(6)
 
 
-def names_of(of: list[BlockField]) -> list[str]:
+def field_names(of: list[BlockField]) -> list[str]:
     return [field.name for field in of]
 
 
@@ -146,7 +146,7 @@ def constants_by_field(module: Any) -> dict[str, str]:
 def test_every_field_is_declared_once_and_found_by_its_name(
     schema: BlockSchema, module: Any
 ) -> None:
-    names = names_of(schema.fields)
+    names = field_names(schema.fields)
     assert len(set(names)) == len(names) > 50
     declared = constants_by_field(module)
     assert set(declared) == set(names)
@@ -178,7 +178,7 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
     assert not any((state.view(field.name) == 77).all() for field in STATE.fields)
 
 
-@pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
+@pytest.mark.parametrize("field", STATE.fields, ids=field_names(STATE.fields))
 def test_a_difference_names_its_field(state: State, field: BlockField) -> None:
     """The message names the first field that differs, in the order of the schema.
 
@@ -223,26 +223,28 @@ def random_hand(seed: int) -> HandModel:
     digits = [digit["name"] for digit in raw["digit"]]
     kept = sorted(chance.sample(digits, chance.randint(1, len(digits))), key=digits.index)
 
-    def own(name: str) -> bool:
+    def is_kept_section(name: str) -> bool:
         return any(name == digit or name.startswith(f"{digit}_") for digit in kept)
 
     for section in ("digit", "tendon", "motor"):
-        raw[section] = [_varied(one, chance) for one in raw[section] if own(one["name"])]
+        raw[section] = [
+            _varied_section(one, chance) for one in raw[section] if is_kept_section(one["name"])
+        ]
     node = raw["sensor_node"]
     raw["sensor_node"] = node | {
-        key: [name for name in node[key] if own(name)] for key in ("tendons", "joints")
+        key: [name for name in node[key] if is_kept_section(name)] for key in ("tendons", "joints")
     }
     return HandModel.of(hand_from_content(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0)
 
 
-VARIED = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
+VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
           "stiffness_N_per_m", "inertia_kg_m2", "coulomb_N_m")  # fmt: skip
 
 
-def _varied(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
+def _varied_section(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
     """Return a section of a hand file with its numbers varied at random."""
     found = dict(one)
-    for key in VARIED:
+    for key in VARIED_KEYS:
         if key in found:
             factor = chance.uniform(0.8, 1.25)
             found[key] = (
@@ -265,23 +267,23 @@ def packed_constants(
         "_structure_constants",
         "_posture_constants",
     ):
-        own = getattr(hand_constants, part)(model)
-        assert not values.keys() & own.keys(), "each field is packed once"
-        values |= own
+        packed = getattr(hand_constants, part)(model)
+        assert not values.keys() & packed.keys(), "each field is packed once"
+        values |= packed
 
-    def recorded(model: HandModel, more: dict[str, object]) -> HandConstants:
+    def record_packed_values(model: HandModel, more: dict[str, object]) -> HandConstants:
         assert not values.keys() & more.keys(), "each field is packed once"
         values.update(more)
         return HandConstants(model, more)
 
-    monkeypatch.setattr(thresholds, "HandConstants", recorded)
+    monkeypatch.setattr(thresholds, "HandConstants", record_packed_values)
     drives, sensors = make_drives(model.hand), make_sensors(model.hand)
     limits = thresholds.safety_limits(model, drives, sensors)
     tare, zero = np.random.default_rng(2).normal(size=(2, model.tendon_count))
     return thresholds.compiled_constants(model, drives, sensors, limits, tare, zero), values
 
 
-@pytest.mark.parametrize("hand", [*packaged_hands(), *SEEDS])
+@pytest.mark.parametrize("hand", [*packaged_hands(), *RANDOM_HAND_SEEDS])
 def test_every_constant_that_kernels_see_is_what_was_packed(
     hand: str | int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -291,7 +293,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
         else HandModel.of(load_hand(hand), Gains(), 200.0)
     )
     found, values = packed_constants(model, monkeypatch)
-    assert values.keys() == set(names_of(HAND.fields)), "every field is packed"
+    assert values.keys() == set(field_names(HAND.fields)), "every field is packed"
     assert not found.block.flags.writeable
     seen = uncompiled_function(constant_tables)(found.block, found.layout.places)
     assert seen.design.shape == (model.tendon_count, KINDS, ELEMENTS)
@@ -310,15 +312,15 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
 # Digest of a state.
 
 
-@pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
+@pytest.mark.parametrize("field", STATE.fields, ids=field_names(STATE.fields))
 def test_every_element_of_every_field_changes_the_digest(
-    active: ControllerBench, field: BlockField
+    active_bench: ControllerBench, field: BlockField
 ) -> None:
     """Change each element of a state by one unit in the last place.
 
     By day the test takes only 16 elements of each field.
     """
-    state = active.state
+    state = active_bench.state
     seen = {state.digest()}
     size = state.view(field.name).size
     for at in (
@@ -339,7 +341,7 @@ def test_every_element_of_every_field_changes_the_digest(
         seen.add(digest)
 
 
-def goals() -> Iterator[tuple[str, DigitGoal]]:
+def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
     move = MinimumJerk(np.array([0.1]), np.array([0.2]), 1.0)
     tension = np.array([5.0])
     yield "limp", DigitGoal()
@@ -353,7 +355,7 @@ def goals() -> Iterator[tuple[str, DigitGoal]]:
     yield "limit", DigitGoal(GoalKind.TENSION, tension=tension, force_limit=12.0)
 
 
-def progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
+def changed_progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
     """Yield a program's progress with one part changed, for each of its parts.
 
     The goals are changed part by part.
@@ -365,7 +367,7 @@ def progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]
         "touching": [(9, *before.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
         "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(anchor=np.zeros(4)),
                  grip._replace(ready=2.0), grip._replace(raised=1.2), grip._replace(limited=True)],
-        "goals": [before.goals[::-1], *((goal, *before.goals[1:]) for _, goal in goals())],
+        "goals": [before.goals[::-1], *((goal, *before.goals[1:]) for _, goal in changed_goals())],
         "task": [find_task(None, load_hand(name))[0] for name in ("jamia", "t42")],
     }  # fmt: skip
     assert values.keys() == {field.name for field in fields(ProgramProgress)}, (
@@ -376,19 +378,19 @@ def progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]
             yield name, replace(before, **{name: value})
 
 
-STREAM = StreamPlan("s", "one", "digit", ("index",), "linear", 0.01, 0.014)
-OTHER_STREAM = {
+EXAMPLE_STREAM = StreamPlan("s", "one", "digit", ("index",), "linear", 0.01, 0.014)
+OTHER_STREAM_VALUES = {
     "name": "t", "client": "two", "space": "joint", "names": ("thumb",), "interpolation": "minimum_jerk",
     "period": 0.02, "horizon": 0.015,
 }  # fmt: skip
 
 
-def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
+def changed_decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
     """Yield a controller's decisions with one part changed, for each of their parts."""
     pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
         "drives": [before.drives[::-1]],
-        "progress": [progress for _, progress in progresses(before.progress)],
+        "progress": [progress for _, progress in changed_progresses(before.progress)],
         "latched": [
             (*before.latched, LatchedFault("B01", "x")),
             (LatchedFault("B01", "y"),),
@@ -419,8 +421,11 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
             (AmplifierState(0x21), AmplifierState(0x22)),
         ],
         "stream": [
-            STREAM,
-            *(replace(STREAM, **{name: value}) for name, value in OTHER_STREAM.items()),
+            EXAMPLE_STREAM,
+            *(
+                replace(EXAMPLE_STREAM, **{name: value})
+                for name, value in OTHER_STREAM_VALUES.items()
+            ),
         ],
     }
     assert values.keys() == set(Decisions._fields), "a new decision needs a line here"
@@ -429,10 +434,10 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
             yield name, before._replace(**{name: value})
 
 
-def test_every_decision_changes_the_digest(active: ControllerBench) -> None:
-    state = active.state
+def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> None:
+    state = active_bench.state
     seen = {state.digest(): "unchanged"}
-    for name, changed in decisions(state.decisions):
+    for name, changed in changed_decisions(state.decisions):
         digest = State(state.layout, state.block, changed).digest()
         assert digest not in seen, f"{name} and {seen[digest]} have one digest"
         seen[digest] = name
@@ -464,15 +469,15 @@ def other_values(value: Any) -> list[Any]:
 
 @pytest.mark.parametrize("name", DriveState._fields)
 def test_everything_that_is_known_of_a_drive_changes_the_digest(
-    active: ControllerBench, name: str
+    active_bench: ControllerBench, name: str
 ) -> None:
     """The digest covers a drive's values, which are in the block, and its set-up, which is among the decisions."""
-    state = active.state
+    state = active_bench.state
     seen = {state.digest()}
     for n, drive in enumerate(state.drives):
         for value in other_values(getattr(drive, name)):
             changed = state.copy()
-            active.controller.keep(changed, n, drive._replace(**{name: value}))
+            active_bench.controller.keep(changed, n, drive._replace(**{name: value}))
             digest = changed.digest()
             assert digest not in seen, (n, value)
             seen.add(digest)

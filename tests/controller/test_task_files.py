@@ -21,7 +21,7 @@ from handctl.programs.task import (
 )
 from handctl.programs.task_checks import check_task_for_hand
 
-GOOD = """schema = 1
+VALID_TASK = """schema = 1
 name = "t"
 [[phase]]
 kind = "move"
@@ -80,7 +80,9 @@ def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
 def test_a_list_has_one_number_for_each_coordinate_of_the_digit(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
     path.write_text(
-        GOOD.replace("angle_deg = 10.0", "angle_deg = { index = [10.0, 5.0, 5.0], thumb = 3.0 }")
+        VALID_TASK.replace(
+            "angle_deg = 10.0", "angle_deg = { index = [10.0, 5.0, 5.0], thumb = 3.0 }"
+        )
     )
     task = load_task(path)
     check_task(
@@ -89,12 +91,26 @@ def test_a_list_has_one_number_for_each_coordinate_of_the_digit(tmp_path: Path) 
     with pytest.raises(
         ConfigError, match=r"t: phase\[0\]\.angle_deg.*3 numbers for index.*one coordinate"
     ):
-        check_task(task, ("index", "thumb"), 110.0, "t", {"index": ONE, "thumb": ONE})
+        check_task(
+            task,
+            ("index", "thumb"),
+            110.0,
+            "t",
+            {"index": ONE_JOINT_DIGIT, "thumb": ONE_JOINT_DIGIT},
+        )
     tense = load_task(
-        _written(tmp_path, GOOD.replace("{ index = 20.0 }", "{ index = [20.0, 120.0] }"))
+        _write_task_file(
+            tmp_path, VALID_TASK.replace("{ index = 20.0 }", "{ index = [20.0, 120.0] }")
+        )
     )
     with pytest.raises(ConfigError, match="120 N"):
-        check_task(tense, ("index", "thumb"), 110.0, "t", {"index": DigitShape(2, 2), "thumb": ONE})
+        check_task(
+            tense,
+            ("index", "thumb"),
+            110.0,
+            "t",
+            {"index": DigitShape(2, 2), "thumb": ONE_JOINT_DIGIT},
+        )
 
 
 def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_path: Path) -> None:
@@ -114,9 +130,11 @@ def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_pat
             r"phase\[1\]\.tension_N: 2 numbers.*or 3: it has 3 tendons",
         ),
     ):
-        text = GOOD.replace("angle_deg = 10.0", f"angle_deg = {{ thumb = {angles} }}")
+        text = VALID_TASK.replace("angle_deg = 10.0", f"angle_deg = {{ thumb = {angles} }}")
         task = load_task(
-            _written(tmp_path, text.replace("{ index = 20.0 }", f"{{ thumb = {tensions} }}"))
+            _write_task_file(
+                tmp_path, text.replace("{ index = 20.0 }", f"{{ thumb = {tensions} }}")
+            )
         )
         if not wrong:
             check_task_for_hand(task, hand, "t")
@@ -146,17 +164,17 @@ def hand_with_an_extensor() -> Hand:
     return hand_from_content(content, "with an extensor")
 
 
-ONE = DigitShape(1, 1)
+ONE_JOINT_DIGIT = DigitShape(1, 1)
 
 
-def _written(folder: Path, text: str) -> Path:
+def _write_task_file(folder: Path, text: str) -> Path:
     (folder / "written.toml").write_text(text)
     return folder / "written.toml"
 
 
 def test_phases_have_the_type_of_their_kind(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
-    path.write_text(GOOD + '[[phase]]\nkind = "close"\n[[phase]]\nkind = "release"\n')
+    path.write_text(VALID_TASK + '[[phase]]\nkind = "close"\n[[phase]]\nkind = "release"\n')
     assert [type(phase) for phase in load_task(path).phase] == [
         MovePhase,
         HoldPhase,
@@ -187,7 +205,7 @@ def test_phases_have_the_type_of_their_kind(tmp_path: Path) -> None:
 def test_mistake_in_a_task_is_named(
     refusal, change: tuple[str, str], where: str, said: str
 ) -> None:  # type: ignore[no-untyped-def]
-    line = refusal(GOOD.replace(*change))
+    line = refusal(VALID_TASK.replace(*change))
     assert where in line
     assert said in line
 
@@ -211,7 +229,7 @@ def test_a_value_applies_to_one_digit_or_to_all_digits() -> None:
 
 def test_an_empty_table_of_digits_is_accepted(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
-    path.write_text(GOOD.replace("{ index = 20.0 }", "{}"))
+    path.write_text(VALID_TASK.replace("{ index = 20.0 }", "{}"))
     check_task(load_task(path), ("index", "thumb"), 110.0, "t")
 
 
@@ -219,11 +237,11 @@ def test_an_empty_table_of_digits_is_accepted(tmp_path: Path) -> None:
 def test_a_phase_may_not_have_a_reserved_name(refusal, name: str) -> None:  # type: ignore[no-untyped-def]
     """A phase may not be called tare or start, because the controller treats these names in a special way."""
     assert "must not be named" in refusal(
-        GOOD.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"')
+        VALID_TASK.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"')
     )
 
 
 def test_a_move_takes_its_time(refusal) -> None:  # type: ignore[no-untyped-def]
     assert "duration_s" in refusal(
-        GOOD.replace("angle_deg = 10.0", "angle_deg = 10.0\nduration_s = 1e-300")
+        VALID_TASK.replace("angle_deg = 10.0", "angle_deg = 10.0\nduration_s = 1e-300")
     )

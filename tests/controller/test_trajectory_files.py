@@ -13,7 +13,7 @@ from handctl.core.law.trajectory import CurveTrajectory
 from handctl.errors import ConfigError
 from handctl.programs.task import FollowPhase, load_trajectory
 
-GOOD = """schema = 1
+VALID_TRAJECTORY = """schema = 1
 name = "wave"
 time_s = [0.0, 0.5, 1.0, 2.0]
 [angle_deg]
@@ -52,7 +52,7 @@ def test_peak_speed_is_the_largest_on_the_way() -> None:
 
 def test_a_file_becomes_a_slow_move_and_the_curve(tmp_path: Path) -> None:
     path = tmp_path / "wave.toml"
-    path.write_text(GOOD)
+    path.write_text(VALID_TRAJECTORY)
     first, follow = load_trajectory(path).phase
     assert first.angle_deg == {"index": 0.0, "thumb": 5.0}  # type: ignore[union-attr]
     assert isinstance(follow, FollowPhase)
@@ -76,7 +76,7 @@ def test_a_wrong_file_is_refused_in_one_line(
     tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     path = tmp_path / "wave.toml"
-    path.write_text(GOOD.replace(old, new))
+    path.write_text(VALID_TRAJECTORY.replace(old, new))
     with pytest.raises(ConfigError) as refused:
         load_trajectory(path)
     assert message in str(refused.value)
@@ -86,7 +86,7 @@ def test_a_wrong_file_is_refused_in_one_line(
 
 def test_radians_are_not_degrees(tmp_path: Path) -> None:
     path = tmp_path / "wave.toml"
-    path.write_text(GOOD)
+    path.write_text(VALID_TRAJECTORY)
     follow = load_trajectory(path).phase[1]
     assert isinstance(follow, FollowPhase)
     curve = CurveTrajectory.through(

@@ -31,15 +31,17 @@ def estimate_with_unexplained_tension(model: HandModel, external: float) -> Synt
 def test_a_lasting_tension_blocks_and_a_short_one_does_not(model: HandModel) -> None:
     state, lasting = active_state(model), round(0.1 / model.period)
 
-    def feel(external: float, ticks: int) -> np.ndarray:
+    def blocked_digits_after(external: float, ticks: int) -> np.ndarray:
         for _ in range(ticks):
             detect_contacts(model, state, estimate_with_unexplained_tension(model, external))
         return state.view("blocked")
 
-    assert not feel(2.0 * BLOCKED_ABOVE_N, 1).any(), "one tick of it"
-    assert feel(2.0 * BLOCKED_ABOVE_N, lasting).all()
-    assert feel(0.5 * (BLOCKED_ABOVE_N + FREE_BELOW_N), lasting).all(), "until it is free"
-    assert not feel(0.0, lasting).any()
+    assert not blocked_digits_after(2.0 * BLOCKED_ABOVE_N, 1).any(), "one tick of it"
+    assert blocked_digits_after(2.0 * BLOCKED_ABOVE_N, lasting).all()
+    assert blocked_digits_after(0.5 * (BLOCKED_ABOVE_N + FREE_BELOW_N), lasting).all(), (
+        "until it is free"
+    )
+    assert not blocked_digits_after(0.0, lasting).any()
 
 
 def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> None:
@@ -57,7 +59,7 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
 
 
 @pytest.fixture(scope="module", params=["jamia", "jamia11"])
-def pressed(
+def run_against_palm(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, PlantRun]:
     """Return a hand and its run. The index finger moves towards 100 degrees but touches the palm before."""
@@ -67,8 +69,10 @@ def pressed(
     )
 
 
-def test_a_motion_into_a_stop_is_reported_and_presses_gently(pressed: tuple[str, PlantRun]) -> None:
-    hand, run = pressed
+def test_a_motion_into_a_stop_is_reported_and_presses_gently(
+    run_against_palm: tuple[str, PlantRun],
+) -> None:
+    hand, run = run_against_palm
     assert [where for _, where in run.events_named("blocked")][:1] == ["index"]
     assert not run.events_named("fault"), (
         "no safety fault: before, the loop wound the rope up to the trip at 140 N"

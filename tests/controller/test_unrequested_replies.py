@@ -8,12 +8,12 @@ from handctl.drives.frame import Frame
 from handctl.programs.live import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
-UNASKED = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
+UNREQUESTED_REPLY = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
 """Feedback frame of the first motor. It reports that the motor is enabled."""
 
 
 @pytest.fixture
-def silent(jamia: HandModel) -> ControllerBench:
+def silent_bench(jamia: HandModel) -> ControllerBench:
     """Return a bench whose controller has not yet sent a request."""
     run = make_controller_bench(jamia, LiveProgram())
     run.tick()
@@ -21,7 +21,7 @@ def silent(jamia: HandModel) -> ControllerBench:
 
 
 @pytest.fixture
-def run(jamia: HandModel) -> ControllerBench:
+def active_bench(jamia: HandModel) -> ControllerBench:
     """Return a bench whose hand is active."""
     run = make_controller_bench(jamia, LiveProgram())
     run.run_until_mode(Mode.ACTIVE)
@@ -29,51 +29,60 @@ def run(jamia: HandModel) -> ControllerBench:
     return run
 
 
-def faults(out: TickOut) -> list[str]:
+def reported_faults(out: TickOut) -> list[str]:
     return [event.text[:3] for event in out.events if event.name == "fault"]
 
 
 @pytest.mark.parametrize("times", [1, 3])
 def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controller(
-    silent: ControllerBench, times: int
+    silent_bench: ControllerBench, times: int
 ) -> None:
-    out = silent.tick(extra_frames=(UNASKED,) * times)
-    assert faults(out) == ["H13"], "one is enough; it is no duplicate, since nothing was asked"
+    out = silent_bench.tick(extra_frames=(UNREQUESTED_REPLY,) * times)
+    assert reported_faults(out) == ["H13"], (
+        "one is enough; it is no duplicate, since nothing was asked"
+    )
     assert out.mode == Mode.DONE
-    name = silent.controller.drives[0].name
-    assert silent.state.failure == f"another controller is on the bus (heard: {name} answering it)"
-    assert all(out.frames == () for _, _, out in silent.tick_history)
+    name = silent_bench.controller.drives[0].name
+    assert (
+        silent_bench.state.failure
+        == f"another controller is on the bus (heard: {name} answering it)"
+    )
+    assert all(out.frames == () for _, _, out in silent_bench.tick_history)
 
 
 def test_a_request_of_another_host_and_its_answer_in_one_tick_are_both_reported(
-    silent: ControllerBench,
+    silent_bench: ControllerBench,
 ) -> None:
-    out = silent.tick(extra_frames=(Frame(0x01, bytes(8)), UNASKED))
-    assert faults(out) == ["H13", "H13"]
-    assert "(heard: 0x001, " in silent.state.failure
+    out = silent_bench.tick(extra_frames=(Frame(0x01, bytes(8)), UNREQUESTED_REPLY))
+    assert reported_faults(out) == ["H13", "H13"]
+    assert "(heard: 0x001, " in silent_bench.state.failure
 
 
-def test_the_first_reply_to_the_first_request_is_not_in_excess(silent: ControllerBench) -> None:
-    silent.run_until_mode(Mode.INVENTORY)
-    assert not silent.tick().events
-    assert not silent.tick().events
+def test_the_first_reply_to_the_first_request_is_not_in_excess(
+    silent_bench: ControllerBench,
+) -> None:
+    silent_bench.run_until_mode(Mode.INVENTORY)
+    assert not silent_bench.tick().events
+    assert not silent_bench.tick().events
 
 
-def test_frames_of_others_do_not_make_a_duplicate_a_second_node(run: ControllerBench) -> None:
+def test_frames_of_others_do_not_make_a_duplicate_a_second_node(
+    active_bench: ControllerBench,
+) -> None:
     """Only frames that were decoded as feedback of a motor count as its replies."""
-    run.to_host = lambda frames: [
+    active_bench.to_host = lambda frames: [
         *frames,
         *[f for f in frames if f.can_id == 0x11],
         Frame(0x11, bytes([0x12] * 8)),
     ]
-    assert faults(run.tick()) == ["B05", "B09"]
+    assert reported_faults(active_bench.tick()) == ["B05", "B09"]
 
 
 def test_two_different_replies_show_a_second_node_despite_frames_between_them(
-    run: ControllerBench,
+    active_bench: ControllerBench,
 ) -> None:
-    run.to_host = lambda frames: [*frames, Frame(0x11, bytes(7)), UNASKED]
-    assert "B06" in faults(run.tick())
+    active_bench.to_host = lambda frames: [*frames, Frame(0x11, bytes(7)), UNREQUESTED_REPLY]
+    assert "B06" in reported_faults(active_bench.tick())
 
 
 @pytest.mark.parametrize(("behind", "found"), [
@@ -84,15 +93,17 @@ def test_two_different_replies_show_a_second_node_despite_frames_between_them(
     (lambda cell: [cell, with_other_tension(cell), with_older_counter(cell), with_older_counter(cell)], ["B06", "B07"]),
     (lambda cell: [cell, with_older_counter(cell)], ["B07"]),
 ])  # fmt: skip
-def test_only_load_cell_replies_of_the_present_tick_count(run, behind, found) -> None:
-    run.to_host = lambda frames: [
-        f for frame in frames for f in (behind(frame) if is_cell(run, frame) else [frame])
+def test_only_load_cell_replies_of_the_present_tick_count(active_bench, behind, found) -> None:
+    active_bench.to_host = lambda frames: [
+        f
+        for frame in frames
+        for f in (behind(frame) if is_load_cell_frame(active_bench, frame) else [frame])
     ]
-    assert sorted(faults(run.tick())) == found
+    assert sorted(reported_faults(active_bench.tick())) == found
 
 
-def is_cell(run: ControllerBench, frame: Frame) -> bool:
-    return frame.can_id == run.controller.sensors.ids[0]
+def is_load_cell_frame(active_bench: ControllerBench, frame: Frame) -> bool:
+    return frame.can_id == active_bench.controller.sensors.ids[0]
 
 
 def with_older_counter(cell: Frame) -> Frame:
@@ -110,14 +121,16 @@ def with_other_tension(cell: Frame) -> Frame:
     (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
 ])  # fmt: skip
 def test_only_replies_in_excess_are_compared_with_the_expected_reply(
-    run, outstanding, came, found
+    active_bench, outstanding, came, found
 ) -> None:
     """A late reply to an older request is not in excess. Its bytes may differ from those of the new reply."""
     if outstanding == 2:
-        run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
-        run.tick()
-    run.to_host = lambda frames: [f for frame in frames for f in change_first_motor(frame, came)]
-    reported = [id_ for id_ in faults(run.tick()) if id_ in ("B05", "B06")]
+        active_bench.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
+        active_bench.tick()
+    active_bench.to_host = lambda frames: [
+        f for frame in frames for f in change_first_motor(frame, came)
+    ]
+    reported = [id_ for id_ in reported_faults(active_bench.tick()) if id_ in ("B05", "B06")]
     assert reported == ([found] if found else [])
 
 

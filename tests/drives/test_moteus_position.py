@@ -27,7 +27,11 @@ from handctl.drives.moteus.settings import (
 from handctl.drives.records import WORDS_PER_RECORD, Frames
 from handctl.drives.signals import Quantity, SignalTable
 from handctl.runtime.diagnostics.drive_rig import DriveRig
-from tests.controller.test_position_loop import loop_hand, moteus_command, moving
+from tests.controller.test_position_loop import (
+    begin_to_and_fro,
+    hand_with_position_loop,
+    moteus_command,
+)
 from tests.drives.protocol_bench import motor_on_bench
 from tests.drives.test_guard_readback import hold
 from tests.drives.virtual_bench import NODE, VirtualBench
@@ -163,7 +167,7 @@ BAD = [
     ("row", "value"), [*BAD, *((row, bad) for row, _ in BAD[:6] for bad in (math.nan, math.inf))]
 )
 def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, value: float) -> None:
-    with moving(loop_hand(protocol="moteus")) as run:
+    with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(10):
             run.tick()
         assert run.state.view("servo_kp").all()
@@ -208,7 +212,7 @@ def test_every_signal_has_its_range() -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
     """The lost gains change the torque at once, and the read-back finds the lost items."""
-    hand = loop_hand(protocol="moteus")
+    hand = hand_with_position_loop(protocol="moteus")
     with homed_run(hand, 500.0, seed) as course:
         advance_to(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
