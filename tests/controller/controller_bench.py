@@ -72,13 +72,13 @@ class ToyHand:
             if frame.can_id == self.hand.sensor_node.sync_id:
                 answers += [] if self.silent_sensors else self._sensor_frames(frame.data[0])
             for i, motor in enumerate(self.motors):
-                motor.codes = self._feedback_codes(i)
-                answers += motor.answer(frame, t_ns)
-                if motor.torques:
+                motor.feedback_codes = self._feedback_codes(i)
+                answers += motor.answer_frame(frame, t_ns)
+                if motor.torque_codes:
                     self.motor_force[i] = (
-                        motor.torques.pop() / 4095.0 * 1.6 - 0.8
+                        motor.torque_codes.pop() / 4095.0 * 1.6 - 0.8
                     ) / self.spool_radius[i]
-                if motor.nibble != 1:
+                if motor.state_nibble != 1:
                     self.motor_force[i] = 0.0
         self._advance_tendons()
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
@@ -105,7 +105,7 @@ class ToyHand:
     def _advance_tendons(self) -> None:
         dt = self.period_s / SUBSTEPS_PER_TICK
         force = np.array(self.motor_force)
-        free = np.array([motor.nibble == 1 for motor in self.motors]) | (
+        free = np.array([motor.state_nibble == 1 for motor in self.motors]) | (
             not self.locked_when_disabled
         )
         for _ in range(SUBSTEPS_PER_TICK):

@@ -21,7 +21,7 @@ def hand_after_crash() -> ControllerBench:
     """Return a bench whose hand was armed when its previous controller died."""
     run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     for motor in run.peer.motors:
-        motor.nibble = COMMUNICATION_LOST
+        motor.state_nibble = COMMUNICATION_LOST
     return run
 
 
@@ -32,7 +32,9 @@ def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(
     assert Mode.ARMING not in hand_after_crash.mode_history
     assert "communication lost" in hand_after_crash.state.failure
     assert "--clear" in hand_after_crash.state.failure
-    assert [motor.nibble for motor in hand_after_crash.peer.motors] == [COMMUNICATION_LOST] * 4
+    assert [motor.state_nibble for motor in hand_after_crash.peer.motors] == [
+        COMMUNICATION_LOST
+    ] * 4
 
 
 def test_with_the_order_the_drives_are_cleared_configured_and_armed(
@@ -54,14 +56,14 @@ def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: Contr
     hand_after_crash.tick(CLEAR_REQUEST)
     hand_after_crash.run_until_mode(Mode.ACTIVE)
     hand_after_crash.run(0.5)
-    hand_after_crash.peer.motors[1].nibble = COMMUNICATION_LOST
+    hand_after_crash.peer.motors[1].state_nibble = COMMUNICATION_LOST
     hand_after_crash.run_until_mode(Mode.DONE)
     assert "N08" in hand_after_crash.state.failure
-    assert hand_after_crash.peer.motors[1].nibble == COMMUNICATION_LOST
+    assert hand_after_crash.peer.motors[1].state_nibble == COMMUNICATION_LOST
 
 
 def test_a_drive_that_does_not_clear_is_refused_in_time(hand_after_crash: ControllerBench) -> None:
-    hand_after_crash.peer.motors[2].deaf = {0xFB}
+    hand_after_crash.peer.motors[2].ignored_commands = {0xFB}
     hand_after_crash.tick(CLEAR_REQUEST)
     hand_after_crash.run_until_mode(Mode.DONE)
     assert (

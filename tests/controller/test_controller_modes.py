@@ -53,7 +53,7 @@ def ids_sent(run: ControllerBench, data: bytes) -> list[int]:
 
 
 def all_motors_disabled(run: ControllerBench) -> bool:
-    return all(motor.nibble != 1 for motor in run.peer.motors)
+    return all(motor.state_nibble != 1 for motor in run.peer.motors)
 
 
 def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> None:
@@ -68,7 +68,7 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
     assert ids_sent(run, ENABLE_PAYLOAD) == [motor.node_id for motor in run.peer.motors], (
         "each drive is enabled once"
     )
-    assert [motor.nibble for motor in run.peer.motors] == [1] * model.tendon_count
+    assert [motor.state_nibble for motor in run.peer.motors] == [1] * model.tendon_count
     run.run(2.0)
     assert run.state.progress.phase == "live"
     run.tick(STOP_REQUEST)
@@ -83,7 +83,7 @@ def test_registers_are_written_before_any_torque(hand: ControllerBench) -> None:
     for motor in hand.peer.motors:
         motor.registers[23] = 1.0
     hand.run_until_mode(Mode.ACTIVE)
-    assert all(motor.written for motor in hand.peer.motors)
+    assert all(motor.written_registers for motor in hand.peer.motors)
     assert all(motor.registers[9] == 1000 for motor in hand.peer.motors), (
         "watchdog of 50 ms, in units of 50 us"
     )
@@ -212,7 +212,7 @@ def test_unknown_identifiers_are_not_signs_of_a_second_controller(hand: Controll
 
 
 def test_a_missing_motor_is_named(hand: ControllerBench) -> None:
-    hand.peer.motors[2].silent = True
+    hand.peer.motors[2].sends_nothing = True
     hand.run_until_mode(Mode.DONE)
     assert hand.state.failure == "no answer from ring_motor"
     assert ids_sent(hand, ENABLE_PAYLOAD) == []
@@ -220,7 +220,7 @@ def test_a_missing_motor_is_named(hand: ControllerBench) -> None:
 
 
 def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(hand: ControllerBench) -> None:
-    hand.peer.motors[0].silent = hand.peer.motors[3].silent = True
+    hand.peer.motors[0].sends_nothing = hand.peer.motors[3].sends_nothing = True
     hand.peer.silent_sensors = True
     hand.run_until_mode(Mode.DONE)
     for name in ("index_motor", "thumb_motor", "sensor node"):
@@ -237,7 +237,7 @@ def test_silent_joint_encoders_are_reported_as_missing(jamia11: HandModel) -> No
 
 
 def test_a_motor_that_reports_an_error_is_named_with_it(hand: ControllerBench) -> None:
-    hand.peer.motors[1].nibble = 0xB
+    hand.peer.motors[1].state_nibble = 0xB
     hand.run_until_mode(Mode.DONE)
     assert "middle_motor" in hand.state.failure
     assert ids_sent(hand, ENABLE_PAYLOAD) == []
@@ -245,7 +245,7 @@ def test_a_motor_that_reports_an_error_is_named_with_it(hand: ControllerBench) -
 
 def test_a_register_that_does_not_read_back_is_named(hand: ControllerBench) -> None:
     hand.peer.motors[1].registers[23] = 1.25
-    hand.peer.motors[1].stuck.add(23)
+    hand.peer.motors[1].fixed_registers.add(23)
     hand.run_until_mode(Mode.DONE)
     assert "middle_motor" in hand.state.failure
     assert "1.25" in hand.state.failure
@@ -254,7 +254,7 @@ def test_a_register_that_does_not_read_back_is_named(hand: ControllerBench) -> N
 def test_a_motor_that_does_not_enable_is_named_and_all_are_disabled_again(
     hand: ControllerBench,
 ) -> None:
-    hand.peer.motors[1].deaf.add(0xFC)
+    hand.peer.motors[1].ignored_commands.add(0xFC)
     hand.run_until_mode(Mode.DONE)
     assert hand.state.failure == "not enabled: middle_motor"
     assert hand.mode_history == [*MODES_TO_ACTIVE[:4], Mode.DISARM, Mode.DONE]
@@ -266,7 +266,7 @@ def test_a_motor_that_does_not_confirm_disabling_needs_its_power_removed(
     hand: ControllerBench,
 ) -> None:
     hand.run_until_mode(Mode.ACTIVE)
-    hand.peer.motors[3].deaf.add(0xFD)
+    hand.peer.motors[3].ignored_commands.add(0xFD)
     hand.tick(STOP_REQUEST)
     hand.run_until_mode(Mode.DONE)
     assert hand.state.unconfirmed == ("thumb_motor",)
@@ -279,19 +279,19 @@ def test_a_silent_motor_relaxes_the_others_and_both_faults_are_reported(
 ) -> None:
     hand.run_until_mode(Mode.ACTIVE)
     hand.run(1.0)
-    hand.peer.motors[0].silent = True
+    hand.peer.motors[0].sends_nothing = True
     hand.run_until_mode(Mode.DONE)
     assert hand.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE
     assert hand.state.unconfirmed == ("index_motor",)
     assert "B17 index_motor" in hand.state.failure
     assert "REMOVE POWER" in hand.state.failure
-    assert all(motor.nibble != 1 for motor in hand.peer.motors[1:])
+    assert all(motor.state_nibble != 1 for motor in hand.peer.motors[1:])
 
 
 def test_a_drive_error_in_action(hand: ControllerBench) -> None:
     hand.run_until_mode(Mode.ACTIVE)
     hand.run(1.0)
-    hand.peer.motors[2].nibble = 0xC
+    hand.peer.motors[2].state_nibble = 0xC
     hand.run_until_mode(Mode.DONE)
     assert "N11 ring_motor" in hand.state.failure
     assert hand.mode_history == MODES_TO_ACTIVE + MODES_TO_DONE

@@ -7,12 +7,12 @@ import pytest
 from handctl.controller.monitor.thresholds import max_frames_per_tick
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.hand.load import load_hand
-from tests.drives.protocol_bench import OPTIONS, hand_file
+from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 
 FEEDBACK = "torque_feedback = true\n"
 
 
-@pytest.mark.parametrize("protocol", sorted(OPTIONS))
+@pytest.mark.parametrize("protocol", sorted(OPTIONS_TEXT_BY_PROTOCOL))
 def test_the_flood_limit_grows_with_the_number_of_motors(protocol: str, tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol], FEEDBACK * (protocol == "odrive"))))
     drives, node = make_drives(hand), make_sensors(hand)

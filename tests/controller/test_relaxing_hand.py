@@ -134,7 +134,7 @@ def test_a_fault_during_relax_makes_the_run_fail(low_rate_jamia: HandModel, aske
 
 def test_after_a_fault_during_arming_no_further_drive_is_enabled(low_rate_jamia: HandModel) -> None:
     run = make_controller_bench(low_rate_jamia, LiveProgram())
-    run.peer.motors[1].deaf.add(0xFC)
+    run.peer.motors[1].ignored_commands.add(0xFC)
     run.run_until_mode(Mode.ARMING)
     run.tick(extra_frames=(foreign_command(run),))
     assert run.state.mode == Mode.DISARM

@@ -6,19 +6,21 @@ from hypothesis import strategies as st
 
 from handctl.drives.frame_time import bus_time_s, frame_time_s, highest_rate
 
-NOMINAL, DATA = 1_000_000, 5_000_000
+NOMINAL_BITRATE, DATA_BITRATE = 1_000_000, 5_000_000
 
 
 @pytest.mark.parametrize(("size", "microseconds"), [(0, 55), (4, 95), (8, 135)])
 def test_classical_frame_times_match_reference_values(size: int, microseconds: float) -> None:
-    assert frame_time_s(size, False, NOMINAL) * 1e6 == pytest.approx(microseconds)
+    assert frame_time_s(size, False, NOMINAL_BITRATE) * 1e6 == pytest.approx(microseconds)
 
 
 @pytest.mark.parametrize(
     ("size", "microseconds"), [(4, 48.6), (8, 56.6), (16, 72.6), (32, 105.6), (64, 169.6)]
 )
 def test_fd_frame_times_match_reference_values(size: int, microseconds: float) -> None:
-    assert frame_time_s(size, True, NOMINAL, DATA) * 1e6 == pytest.approx(microseconds, rel=0.001)
+    assert frame_time_s(size, True, NOMINAL_BITRATE, DATA_BITRATE) * 1e6 == pytest.approx(
+        microseconds, rel=0.001
+    )
 
 
 @pytest.mark.parametrize(
@@ -34,10 +36,12 @@ def test_tick_time_of_mit_motors_and_load_cells_matches_reference_values(
     fd: bool, motors: int, tensions: list[int], microseconds: float
 ) -> None:
     frames = [(8, fd, 2.0 * motors), *((size, fd, 1.0) for size in tensions)]
-    assert bus_time_s(frames, NOMINAL, DATA) * 1e6 == pytest.approx(microseconds, rel=0.001)
+    assert bus_time_s(frames, NOMINAL_BITRATE, DATA_BITRATE) * 1e6 == pytest.approx(
+        microseconds, rel=0.001
+    )
 
 
-PAYLOADS = st.lists(
+random_payloads = st.lists(
     st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0x0F, 0xF0, 0xFF])), max_size=8
 ).map(bytes)
 """Random payloads. Bytes that need many stuff bits are frequent."""
@@ -67,12 +71,12 @@ def crc15(bits: str) -> str:
     return format(register, "015b")
 
 
-@given(st.integers(0, 0x7FF), PAYLOADS)
+@given(st.integers(0, 0x7FF), random_payloads)
 def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: bytes) -> None:
     head = "0" + format(can_id, "011b") + "000" + format(len(data), "04b")
     body = head + "".join(format(byte, "08b") for byte in data)
     bits = len(stuff_bits(body + crc15(body))) + 13
-    assert bits / NOMINAL <= frame_time_s(len(data), False, NOMINAL) + 1e-12
+    assert bits / NOMINAL_BITRATE <= frame_time_s(len(data), False, NOMINAL_BITRATE) + 1e-12
 
 
 def test_the_worst_case_can_nearly_happen() -> None:
@@ -84,9 +88,9 @@ def test_the_worst_case_can_nearly_happen() -> None:
 
 @pytest.mark.parametrize("size", range(65))
 def test_fd_lengths_round_up(size: int) -> None:
-    at_once = frame_time_s(size, True, NOMINAL, DATA)
-    assert at_once <= frame_time_s(min(64, size + 1), True, NOMINAL, DATA)
-    assert at_once < frame_time_s(size, True, NOMINAL)
+    at_once = frame_time_s(size, True, NOMINAL_BITRATE, DATA_BITRATE)
+    assert at_once <= frame_time_s(min(64, size + 1), True, NOMINAL_BITRATE, DATA_BITRATE)
+    assert at_once < frame_time_s(size, True, NOMINAL_BITRATE)
 
 
 @pytest.mark.parametrize(

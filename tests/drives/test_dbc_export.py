@@ -17,85 +17,96 @@ from handctl.drives.frame import Frame
 from handctl.drives.signals import Message, Quantity
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
-from tests.drives.wired_drives import Wired
+from tests.drives.protocol_bench import ProtocolBench, hand_file, move_to_second_bus
+from tests.drives.wired_drives import WiredDrives
 
-FIELD = {Quantity.POSITION: "position", Quantity.VELOCITY: "velocity", Quantity.TORQUE: "reported"}
-VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n")}
-TICKS = 40
+FIELD_BY_QUANTITY = {
+    Quantity.POSITION: "position",
+    Quantity.VELOCITY: "velocity",
+    Quantity.TORQUE: "reported",
+}
+DRIVE_VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n")}
+EXCHANGED_TICKS = 40
 
 
-def database(hand: Hand, bus: int = 0) -> Database:
+def exported_dbc(hand: Hand, bus: int = 0) -> Database:
     text = dbc_of_bus(bus, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
     found = cantools.database.load_string(text, "dbc", strict=True)
     assert isinstance(found, Database)
     return found
 
 
-@pytest.fixture(params=VARIANTS)
-def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
-    variant = VARIANTS[request.param]
+@pytest.fixture(params=DRIVE_VARIANTS)
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ProtocolBench]:
+    variant = DRIVE_VARIANTS[request.param]
     path = hand_file(tmp_path, [variant.protocol], variant.options)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
-    made = Bench(path)
+    made = ProtocolBench(path)
     yield made
-    made.rig.close()
+    made.simulated_hand.close()
 
 
-def read(wired: Wired, message: Message, i: int) -> dict[str, float]:
+def values_read_by_controller(wired: WiredDrives, message: Message, i: int) -> dict[str, float]:
     """Return the values that the controller decoded from a frame of drive i."""
     values = {
-        signal.name: signal.quantity for signal in message.signals if signal.quantity in FIELD
+        signal.name: signal.quantity
+        for signal in message.signals
+        if signal.quantity in FIELD_BY_QUANTITY
     }
-    return {name: float(wired.view(FIELD[quantity])[i]) for name, quantity in values.items()}
+    return {
+        name: float(wired.field_view(FIELD_BY_QUANTITY[quantity])[i])
+        for name, quantity in values.items()
+    }
 
 
-def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
+def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
     """The frames come from a lockstep run with the simulated firmware.
 
     They are commands and feedback of drives, and readings of load cells and joint encoders.
     """
-    dbc, hand = database(bench.hand), bench.hand
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    wired, seen = Wired(bench.drives, bench.node), Counter[str]()
+    dbc, hand = exported_dbc(bench.hand), bench.hand
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    wired, seen = WiredDrives(bench.drives, bench.sensor_node), Counter[str]()
     for i, state in enumerate(bench.states):
-        wired.keep(i, state)
+        wired.store_drive_state(i, state)
     owners = {
         one.can_id: (i, one)
         for i, drive in enumerate(bench.drives)
         for one in drive.cyclic.feedback
     }
-    for k in range(TICKS):
+    for k in range(EXCHANGED_TICKS):
         torque = 0.04 * math.sin(0.3 * k)
-        wired.sync(bench.k)
+        wired.begin_tick_with_sync(bench.k)
         bench.tick(DriveTarget.ENABLE, torque)
-        for frame in bench.incoming:
+        for frame in bench.received_frames:
             wired.receive([frame])
             # A reply to a register request has the identifier of the feedback, but another length.
             if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
                 decoded = dbc.decode_message(frame.can_id, frame.data)
-                for name, value in read(
+                for name, value in values_read_by_controller(
                     wired, owners[frame.can_id][1], owners[frame.can_id][0]
                 ).items():
                     assert decoded[name] == pytest.approx(value, abs=1e-9), (name, frame)
                     seen[name] += 1
-            if frame.can_id in bench.node.node_ids:
+            if frame.can_id in bench.sensor_node.node_ids:
                 decoded = dbc.decode_message(frame.can_id, frame.data)
                 decoded.pop("counter")
                 names = {hand.tendon_names[n]: value for n, value in wired.tensions.items()}
                 names |= {hand.joints[j]: value for j, value in wired.joints.items()}
                 assert decoded == pytest.approx({name: names[name] for name in decoded}, abs=1e-9)
                 seen["sensors"] += 1
-        seen["torques"] += sum(is_torque_command(dbc, frame, bench, torque) for frame in bench.sent)
-    assert min(seen[name] for name in ("position", "sensors")) >= TICKS // 4
+        seen["torques"] += sum(
+            is_torque_command(dbc, frame, bench, torque) for frame in bench.sent_frames
+        )
+    assert min(seen[name] for name in ("position", "sensors")) >= EXCHANGED_TICKS // 4
     assert seen["torques"] == (
-        0 if hand.motor[0].protocol in ("cubemars", "robstride") else 4 * TICKS
+        0 if hand.motor[0].protocol in ("cubemars", "robstride") else 4 * EXCHANGED_TICKS
     )
 
 
-def is_torque_command(dbc: Database, frame: Frame, bench: Bench, torque: float) -> bool:
+def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque: float) -> bool:
     """Return True if a frame is a command with a torque. Check that its torque is that sent, within one count."""
     for drive in bench.drives:
         for message in drive.cyclic.commands:
@@ -115,7 +126,7 @@ def is_torque_command(dbc: Database, frame: Frame, bench: Bench, torque: float) 
 
 
 def test_the_dbc_tells_who_sends_and_what_is_fd(tmp_path: Path) -> None:
-    dbc = database(load_hand(str(hand_file(tmp_path, ["mit"], "[motor.options]\nfd = true\n"))))
+    dbc = exported_dbc(load_hand(str(hand_file(tmp_path, ["mit"], "[motor.options]\nfd = true\n"))))
     senders = {message.name: message.senders for message in dbc.messages}
     assert senders["sync"] == [HOST_NODE_NAME]
     assert senders["tensions_0"] == [SENSOR_NODE_NAME]
@@ -129,9 +140,9 @@ def test_the_dbc_tells_who_sends_and_what_is_fd(tmp_path: Path) -> None:
 
 def test_each_bus_has_its_own(tmp_path: Path) -> None:
     hand = load_hand(
-        str(on_two_buses(hand_file(tmp_path, ["mit", "odrive", "cia402", "cubemars"])))
+        str(move_to_second_bus(hand_file(tmp_path, ["mit", "odrive", "cia402", "cubemars"])))
     )
-    main, second = (database(hand, bus) for bus in (0, 1))
+    main, second = (exported_dbc(hand, bus) for bus in (0, 1))
     assert {"sync", "index_motor_feedback", "middle_motor_encoder_estimates"} <= {
         one.name for one in main.messages
     }
@@ -143,5 +154,5 @@ def test_each_bus_has_its_own(tmp_path: Path) -> None:
 def test_every_packaged_hand_has_one() -> None:
     for name in ("jamia", "jamia11"):
         hand = load_hand(name)
-        ids = [message.frame_id for message in database(hand).messages]
+        ids = [message.frame_id for message in exported_dbc(hand).messages]
         assert len(ids) == len(set(ids)) >= 2 * len(hand.tendon_names) + 2

@@ -13,7 +13,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import hand_file, motor_on_bench
 
-CIA402 = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
+CIA402_OPTIONS = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
 
 
 @pytest.mark.parametrize(
@@ -21,18 +21,28 @@ CIA402 = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
     [
         (
             "cia402",
-            CIA402 | {"counts_per_turn": 0.4},
+            CIA402_OPTIONS | {"counts_per_turn": 0.4},
             "counts_per_turn",
             "a whole number from 1 to 16777216",
         ),
-        ("cia402", CIA402 | {"heartbeat_ms": 0.3}, "heartbeat_ms", "a whole number from 1 to 1000"),
         (
             "cia402",
-            CIA402 | {"heartbeat_ms": True},
+            CIA402_OPTIONS | {"heartbeat_ms": 0.3},
             "heartbeat_ms",
             "a whole number from 1 to 1000",
         ),
-        ("cia402", CIA402 | {"rated_torque_N_m": 4e-4}, "rated_torque_N_m", "at least one mN_m"),
+        (
+            "cia402",
+            CIA402_OPTIONS | {"heartbeat_ms": True},
+            "heartbeat_ms",
+            "a whole number from 1 to 1000",
+        ),
+        (
+            "cia402",
+            CIA402_OPTIONS | {"rated_torque_N_m": 4e-4},
+            "rated_torque_N_m",
+            "at least one mN_m",
+        ),
         ("odrive", {"heartbeat_ms": 1e-7}, "heartbeat_ms", "a whole number from 1 to 1000"),
         (
             "odrive",
@@ -54,7 +64,7 @@ def test_a_number_that_rounds_to_nothing_is_refused(
 
 @pytest.mark.parametrize("heartbeat", [1, 50.0, 1000])
 def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
-    for protocol, options in (("cia402", CIA402), ("odrive", {})):
+    for protocol, options in (("cia402", CIA402_OPTIONS), ("odrive", {})):
         drive = make_drive(
             motor_on_bench(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0
         )
@@ -66,7 +76,7 @@ def test_position_step_is_reported() -> None:
 
     An encoder of 1000 counts is coarser than 16 bits over the range.
     """
-    coarse = CIA402 | {"counts_per_turn": 1000, "gear_ratio": 2.0}
+    coarse = CIA402_OPTIONS | {"counts_per_turn": 1000, "gear_ratio": 2.0}
     assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(
         math.pi / 1000
     )

@@ -21,10 +21,10 @@ from handctl.drives.mit.progress import MitProgress
 from handctl.session.plan import default_rate
 
 TICK_NS = 2_000_000
-SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
+SIMULATOR_SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
 
 
-def enabled(node_id: int) -> tuple[MitDrive, object]:
+def enabled_mit_drive(node_id: int) -> tuple[MitDrive, object]:
     """Return an enabled MIT drive and its state."""
     drive = MitDrive(
         "m", 0, node_id, node_id + 0x100, codec.MotorRanges(12.5, 50.0, 0.8), 1, 0.0, 1000
@@ -37,7 +37,7 @@ def enabled(node_id: int) -> tuple[MitDrive, object]:
     return drive, state
 
 
-def run(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: bool = True):
+def run_drive(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: bool = True):
     """Run a drive whose motor replies to commands and requests.
 
     Return the state, and tick and register of each request.
@@ -60,7 +60,7 @@ def run(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: 
     return state, asked
 
 
-GOOD = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
+CORRECT_REGISTERS = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
 
 
 @pytest.mark.parametrize("node_id", [1, 11, 0x11, 0x1F])
@@ -69,8 +69,8 @@ def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
 
     Their first byte may equal that of an enabled motor's feedback.
     """
-    drive, state = enabled(node_id)
-    state, asked = run(drive, state, 2001, GOOD)
+    drive, state = enabled_mit_drive(node_id)
+    state, asked = run_drive(drive, state, 2001, CORRECT_REGISTERS)
     assert [register for _, register in asked] == [codec.TIMEOUT, codec.TMAX] * 4
     assert {b - a for (a, _), (b, _) in pairwise(asked)} == {250}
     assert state.phase == DrivePhase.ENABLED
@@ -79,15 +79,18 @@ def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
 
 
 def test_no_two_of_eleven_motors_ask_in_one_tick():
-    ticks = [run(*enabled(node_id), 260, GOOD)[1][0][0] for node_id in range(1, 12)]
+    ticks = [
+        run_drive(*enabled_mit_drive(node_id), 260, CORRECT_REGISTERS)[1][0][0]
+        for node_id in range(1, 12)
+    ]
     assert len(set(ticks)) == 11
 
 
 @pytest.mark.parametrize("lost", [{codec.TIMEOUT: 0}, {codec.TMAX: 10.0}])
 @pytest.mark.parametrize("node_id", [2, 0x12])
 def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
-    drive, state = enabled(node_id)
-    state, asked = run(drive, state, 600, GOOD | lost)
+    drive, state = enabled_mit_drive(node_id)
+    state, asked = run_drive(drive, state, 600, CORRECT_REGISTERS | lost)
     assert state.phase == DrivePhase.FAULT
     assert drive.cause(state.error) == DriveFaultCause.MISMATCH
     assert "while enabled" in state.error_text
@@ -95,16 +98,20 @@ def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
 
 
 def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
-    drive, state = enabled(3)
-    few, _ = run(drive, state, 250 * (readback.RECHECK_TRIES - 1), GOOD, heard=False)
+    drive, state = enabled_mit_drive(3)
+    few, _ = run_drive(
+        drive, state, 250 * (readback.RECHECK_TRIES - 1), CORRECT_REGISTERS, heard=False
+    )
     assert few.phase == DrivePhase.ENABLED
-    many, asked = run(drive, state, 250 * (readback.RECHECK_TRIES + 1), GOOD, heard=False)
+    many, asked = run_drive(
+        drive, state, 250 * (readback.RECHECK_TRIES + 1), CORRECT_REGISTERS, heard=False
+    )
     assert many.phase == DrivePhase.FAULT
     assert "not answered while enabled" in many.error_text
     assert len(asked) == readback.RECHECK_TRIES - 1
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 @pytest.mark.parametrize("protocol", sorted(set(ALL_PROTOCOLS) - {"moteus"}))
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
     hand = hand_with_protocol("jamia", protocol)
@@ -118,7 +125,7 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
         assert latched == {("N12", hand.motor[seed % 4].name)}
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
     """A moteus that lost its settings may no longer obey.
 

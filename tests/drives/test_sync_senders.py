@@ -21,17 +21,17 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content, load_hand
 from handctl.programs.live import LiveProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
-from tests.drives.protocol_bench import hand_file, on_two_buses
+from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
-SYNC = 0x080
+SYNC_ID = 0x080
 
 
-def senders(hand: Hand) -> list[str]:
+def sync_sender_names(hand: Hand) -> list[str]:
     """Return the names of the drives that send SYNC."""
     return [drive.name for drive in make_drives(hand) if getattr(drive, "sync", False)]
 
 
-def without_sensors() -> Hand:
+def hand_without_sensors() -> Hand:
     """Return jamia with CiA 402 drives and without a sensor node."""
     content: dict[str, Any] = hand_content("jamia")
     del content["sensor_node"]
@@ -42,22 +42,24 @@ def without_sensors() -> Hand:
 
 def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     """Regression: the bus without the sensor node had no SYNC, so a hand with CiA 402 drives was never armed."""
-    path = on_two_buses(hand_file(tmp_path, ["cia402"]))
+    path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))
-    assert senders(hand) == ["thumb_motor"], "the last drive of the bus without the sensor node"
+    assert sync_sender_names(hand) == ["thumb_motor"], (
+        "the last drive of the bus without the sensor node"
+    )
     model = HandModel.of(hand, Gains(), 250.0)
     with SimulatorSettings(str(path), None, 0, homed=True).against(
         homed_controller(model, LiveProgram())
     ) as run:
         assert run.until(lambda out: out.mode == Mode.ACTIVE, 5.0)
-        sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC]
+        sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC_ID]
         assert sent == [(0, 1), (1, 0)], (
             "once on each bus: with the counter for the sensor node, else empty"
         )
 
 
 def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
-    assert senders(hand_with_protocol("n_plus_1", "cia402")) == ["middle_f2"], (
+    assert sync_sender_names(hand_with_protocol("n_plus_1", "cia402")) == ["middle_f2"], (
         "the last drive of the bus without the sensor node"
     )
 
@@ -80,19 +82,24 @@ def test_one_drive_of_a_bus_sends_sync(
 
     A drive with the option ``sync`` remains the sender.
     """
-    path = on_two_buses(hand_file(tmp_path, ["cia402"]))
+    path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
-    assert senders(load_hand(str(path))) == expected
+    assert sync_sender_names(load_hand(str(path))) == expected
 
 
 def test_other_protocols_have_no_sync(tmp_path: Path) -> None:
-    assert senders(load_hand(str(on_two_buses(hand_file(tmp_path, ["mit", "odrive"]))))) == []
+    assert (
+        sync_sender_names(
+            load_hand(str(move_to_second_bus(hand_file(tmp_path, ["mit", "odrive"]))))
+        )
+        == []
+    )
 
 
 def test_the_bus_load_has_the_sync_without_sensors() -> None:
-    (load,) = bus_loads(without_sensors())
+    (load,) = bus_loads(hand_without_sensors())
     (sync,) = [row for row in load.rows if row.size == 0]
     assert (sync.per_tick, sync.frame_s) == (1.0, frame_time_s(0, False, 1e6))
 

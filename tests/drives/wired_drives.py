@@ -18,14 +18,14 @@ from handctl.drives.records import WORDS_PER_RECORD, Frames, frames_as_records
 from handctl.drives.sensors.contract import SensorInterface
 
 
-class Wired:
+class WiredDrives:
     """State of the drives and of the sensor node between ticks.
 
     Attributes:
         block: numbers of the state. states: states of the drives as their state machines left them. The values of
             drives are in the block.
-        seen: frames of the last ``receive`` that a state machine of a drive had to process.
-        foreign: frames of the last ``receive`` with identifiers that only the host may use.
+        frames_for_drives: frames of the last ``receive`` that a state machine of a drive had to process.
+        foreign_frames: frames of the last ``receive`` with identifiers that only the host may use.
     """
 
     def __init__(self, drives: Sequence[Drive], sensors: SensorInterface) -> None:
@@ -45,57 +45,57 @@ class Wired:
             (drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids
         }
         self.states: list[DriveState] = [drive.initial() for drive in drives]
-        self.seen: list[Frame] = []
-        self.foreign: list[Frame] = []
+        self.frames_for_drives: list[Frame] = []
+        self.foreign_frames: list[Frame] = []
         for i, state in enumerate(self.states):
-            self.keep(i, state)
+            self.store_drive_state(i, state)
 
-    def view(self, name: str) -> NDArray:
+    def field_view(self, name: str) -> NDArray:
         """Return a field of the block."""
         return self.layout.view(self.block, name)
 
-    def number(self, name: str) -> int:
+    def field_number(self, name: str) -> int:
         """Return a single number of the state block by its name."""
-        return int(self.view(name)[0])
+        return int(self.field_view(name)[0])
 
-    def begin(self) -> None:
+    def begin_tick(self) -> None:
         """Begin a tick without changing the tick's number and time."""
-        numbers = [self.number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
+        numbers = [self.field_number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
         wire.begin_tick(self.block, self.layout.places, *numbers)
 
-    def sync(self, k: int) -> Frame:
+    def begin_tick_with_sync(self, k: int) -> Frame:
         """Return the request to the sensors as the end of a tick sends it, and begin the next tick."""
         frame = self.sensors.sync(k)
-        self.view("sync_asked")[...], self.view("syncs")[...] = (
+        self.field_view("sync_asked")[...], self.field_view("syncs")[...] = (
             self.sensors.counter(k) & 0xF,
-            self.number("syncs") + 1,
+            self.field_number("syncs") + 1,
         )
-        self.begin()
+        self.begin_tick()
         return frame
 
-    def receive(self, frames: Iterable[Frame]) -> "Wired":
+    def receive(self, frames: Iterable[Frame]) -> "WiredDrives":
         """Receive frames as a tick does, and return this object."""
         frames, known, at = frames_as_records(frames), self.tables, 0
-        self.seen, self.foreign = [], []
+        self.frames_for_drives, self.foreign_frames = [], []
         while True:
             at = wire.receive_frames(
                 self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries, known.wholes,
-                known.reals, at, self.sensors.earliest_answer_ns(self.number("t_ns")),
+                known.reals, at, self.sensors.earliest_answer_ns(self.field_number("t_ns")),
             )  # fmt: skip
             if at >= len(frames):
                 return self
             frame = frames[at]
             i = self.owners.get((frame.bus, frame.can_id & ~ERROR))
             if i is None:
-                self.foreign.append(frame)
+                self.foreign_frames.append(frame)
             else:
-                self.seen.append(frame)
-                self.keep(i, self.drives[i].receive(self.drive(i), frame))
+                self.frames_for_drives.append(frame)
+                self.store_drive_state(i, self.drives[i].receive(self.drive_state(i), frame))
             at += 1
 
     def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
         """Return the frames that a tick sends to the drives for a target and torques."""
-        self.view("t_ns")[...] = t_ns
+        self.field_view("t_ns")[...] = t_ns
         tables, sent, first = self.tables, list[Frame](), 0
         while True:
             if target == DriveTarget.ENABLE:
@@ -109,13 +109,13 @@ class Wired:
             if first >= len(self.drives):
                 return sent
             state, frames = self.drives[first].advance(
-                self.drive(first), t_ns, target, torque[first]
+                self.drive_state(first), t_ns, target, torque[first]
             )
-            self.keep(first, state)
+            self.store_drive_state(first, state)
             sent += frames
             first += 1
 
-    def keep(self, i: int, known: DriveState) -> None:
+    def store_drive_state(self, i: int, known: DriveState) -> None:
         """Store the state of drive i, with its values in the block."""
         drive, whole, table = (
             self.drives[i],
@@ -130,7 +130,7 @@ class Wired:
         )
         self.states[i] = known
 
-    def drive(self, i: int) -> DriveState:
+    def drive_state(self, i: int) -> DriveState:
         """Return the state of drive i with its values from the block."""
         table, whole = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
         return self.states[i].with_values(*drive_values(table, whole, i))
@@ -140,21 +140,21 @@ class Wired:
     @property
     def tensions(self) -> dict[int, float]:
         """Return the load-cell readings that arrived in this tick, by tendon [N]."""
-        fresh, cells = self.view("cell_fresh"), self.view("cell")
+        fresh, cells = self.field_view("cell_fresh"), self.field_view("cell")
         return {i: float(cells[i]) for i in np.flatnonzero(fresh).tolist()}
 
     @property
     def joints(self) -> dict[int, float]:
         """Return the joint-encoder readings that arrived in this tick, by joint [rad]."""
-        fresh, angles = self.view("joint_fresh"), self.view("joint_angle")
+        fresh, angles = self.field_view("joint_fresh"), self.field_view("joint_angle")
         return {j: float(angles[j]) for j in np.flatnonzero(fresh).tolist()}
 
     @property
-    def misread(self) -> bool:
+    def has_malformed_frame(self) -> bool:
         """Return True if a frame of the sensor node had a wrong form in this tick."""
-        return bool(self.view("misread_now")[-1])
+        return bool(self.field_view("misread_now")[-1])
 
-    def observe(self) -> "Wired":
+    def observe_readings(self) -> "WiredDrives":
         """Convert received values to measurements, and start the filter once every sensor has been read."""
         stages.observe_tick(self.block, self.layout.places, *self._constants)
         return self

@@ -33,7 +33,7 @@ from handctl.runtime.clocks.real import RealClock
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome, make_controller, run_live
-from tests.drives.protocol_bench import hand_file, on_two_buses
+from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 RATE_HZ = 200.0
 PERIOD_NS = 5_000_000
@@ -162,7 +162,7 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     """The whole controller runs with its recorder and with two protocols, which ``test_run`` does not use."""
-    path = on_two_buses(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
+    path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
     outcome, truth = pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
     assert outcome.state.failure == ""
     assert outcome.state.unconfirmed == ()
