@@ -23,41 +23,43 @@ from handctl.safety.faults.table import (
 from handctl.safety.judge import TickVerdict
 from handctl.safety.limits import SafetyLimits, ticks_for
 from tests.safety.fault_cases import (
-    CASES,
-    LIMITS,
-    OTHER_SIGNS,
-    REST,
+    CASE_BY_FAULT,
+    EIGHT_TENDON_LIMITS,
+    INPUT_AT_REST,
+    OTHER_SIGNS_BY_FAULT,
     TickInput,
-    heat,
+    drive_temperatures,
+    measured_tensions,
     merge_inputs,
+    reset_for_input,
     rested_monitor,
-    show,
-    tensions,
     without_torque,
 )
-from tests.safety.synthetic_monitor import Monitor, call_interpreted
+from tests.safety.synthetic_monitor import SyntheticMonitor, call_interpreted
 
 SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
 
 
 def check_ticks(
-    *ticks: TickInput, monitor: Monitor | None = None
-) -> tuple[Monitor, list[TickVerdict]]:
+    *ticks: TickInput, monitor: SyntheticMonitor | None = None
+) -> tuple[SyntheticMonitor, list[TickVerdict]]:
     """Judge several ticks one after the other, and return the monitor and the verdicts."""
     monitor = monitor or rested_monitor()
-    return monitor, [monitor.judge(show(monitor, shown), shown.reports) for shown in ticks]
+    return monitor, [
+        monitor.judge(reset_for_input(monitor, shown), shown.reports) for shown in ticks
+    ]
 
 
 def check_fault_alone(
-    id_: str, *ticks: TickInput, monitor: Monitor | None = None
-) -> tuple[Monitor, list[Action], list[tuple[str, str]]]:
+    id_: str, *ticks: TickInput, monitor: SyntheticMonitor | None = None
+) -> tuple[SyntheticMonitor, list[Action], list[tuple[str, str]]]:
     """Judge several ticks.
 
     Return the monitor, the action of one fault in each tick, and the findings of this fault.
     """
     monitor, actions, reported = monitor or rested_monitor(), [], []
     for shown in ticks:
-        verdict = monitor.judge(show(monitor, shown), shown.reports)
+        verdict = monitor.judge(reset_for_input(monitor, shown), shown.reports)
         found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
         present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
         present += [one.ticks for one in verdict.reported_faults if one.id == id_]
@@ -71,86 +73,92 @@ def check_fault_alone(
 
 
 def test_every_row_has_a_case_and_is_there_once() -> None:
-    assert [fault.id for fault in FAULT_TABLE] == list(CASES)
+    assert [fault.id for fault in FAULT_TABLE] == list(CASE_BY_FAULT)
 
 
 def test_hand_without_disturbance_has_no_fault() -> None:
-    monitor, verdicts = check_ticks(*[REST] * 50)
+    monitor, verdicts = check_ticks(*[INPUT_AT_REST] * 50)
     assert (monitor.latched, monitor.reported_faults) == ((), ())
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
     assert not any(verdict.findings for verdict in verdicts)
 
 
-@pytest.mark.parametrize("id_", CASES)
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_a_fault_counts_after_its_ticks_and_is_reported_once(id_: str) -> None:
-    case = CASES[id_]
-    _, actions, reported = check_fault_alone(id_, *[case.present] * (case.debounce - 1))
+    case = CASE_BY_FAULT[id_]
+    _, actions, reported = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce - 1))
     assert (actions, reported) == ([Action.PASS] * (case.debounce - 1), [])
-    _, actions, reported = check_fault_alone(id_, *[case.present] * (case.debounce + 5))
+    _, actions, reported = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce + 5))
     assert actions == [Action.PASS] * (case.debounce - 1) + [case.action] * 6
     assert reported == [(id_, case.instance)]
 
 
-@pytest.mark.parametrize("id_", CASES)
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
-    _, actions, reported = check_fault_alone(id_, *[CASES[id_].almost] * 100)
+    _, actions, reported = check_fault_alone(id_, *[CASE_BY_FAULT[id_].input_below_limit] * 100)
     assert set(actions) == {Action.PASS}
     assert not reported
 
 
-@pytest.mark.parametrize("id_", OTHER_SIGNS)
+@pytest.mark.parametrize("id_", OTHER_SIGNS_BY_FAULT)
 def test_every_sign_of_a_fault_is_detected(id_: str) -> None:
-    for shown in OTHER_SIGNS[id_]:
-        _, actions, _ = check_fault_alone(id_, *[shown] * CASES[id_].debounce)
-        assert actions[-1] == CASES[id_].action
+    for shown in OTHER_SIGNS_BY_FAULT[id_]:
+        _, actions, _ = check_fault_alone(id_, *[shown] * CASE_BY_FAULT[id_].debounce)
+        assert actions[-1] == CASE_BY_FAULT[id_].action
 
 
-@pytest.mark.parametrize("id_", CASES)
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_interrupted_fault_counts_from_zero(id_: str) -> None:
-    case = CASES[id_]
+    case = CASE_BY_FAULT[id_]
     if case.debounce == 1:
         return
-    almost = [case.present] * (case.debounce - 1)
-    _, actions, _ = check_fault_alone(id_, *almost, REST, *almost, REST)
+    almost = [case.input_with_fault] * (case.debounce - 1)
+    _, actions, _ = check_fault_alone(id_, *almost, INPUT_AT_REST, *almost, INPUT_AT_REST)
     assert set(actions) == {Action.PASS}
 
 
-@pytest.mark.parametrize("id_", CASES)
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_latched_fault_stays_until_cleared(id_: str) -> None:
-    case = CASES[id_]
-    monitor, _, _ = check_fault_alone(id_, *[case.present] * case.debounce)
-    _, actions, reported = check_fault_alone(id_, *[REST] * 100, monitor=monitor)
+    case = CASE_BY_FAULT[id_]
+    monitor, _, _ = check_fault_alone(id_, *[case.input_with_fault] * case.debounce)
+    _, actions, reported = check_fault_alone(id_, *[INPUT_AT_REST] * 100, monitor=monitor)
     assert set(actions) == {case.action if case.latched else Action.PASS}
     assert not reported
-    monitor.clear()
-    _, actions, _ = check_fault_alone(id_, REST, monitor=monitor)
+    monitor.clear_latched()
+    _, actions, _ = check_fault_alone(id_, INPUT_AT_REST, monitor=monitor)
     assert actions == [Action.PASS]
-    _, actions, reported = check_fault_alone(id_, *[case.present] * case.debounce, monitor=monitor)
+    _, actions, reported = check_fault_alone(
+        id_, *[case.input_with_fault] * case.debounce, monitor=monitor
+    )
     assert actions[-1] == case.action, "it can come again"
     assert [name for name, _ in reported] == [id_], "and is reported again"
 
 
-@pytest.mark.parametrize("id_", [id_ for id_, case in CASES.items() if case.latched])
+@pytest.mark.parametrize("id_", [id_ for id_, case in CASE_BY_FAULT.items() if case.latched])
 def test_clearing_a_present_fault_has_no_effect(id_: str) -> None:
-    case = CASES[id_]
-    monitor, _, _ = check_fault_alone(id_, *[case.present] * (case.debounce + 3))
-    monitor.clear()
-    _, actions, _ = check_fault_alone(id_, case.present, monitor=monitor)
+    case = CASE_BY_FAULT[id_]
+    monitor, _, _ = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce + 3))
+    monitor.clear_latched()
+    _, actions, _ = check_fault_alone(id_, case.input_with_fault, monitor=monitor)
     assert actions == [case.action]
-    _, actions, _ = check_fault_alone(id_, REST, monitor=monitor)
+    _, actions, _ = check_fault_alone(id_, INPUT_AT_REST, monitor=monitor)
     assert actions == [case.action], "it has latched again"
 
 
-@pytest.mark.parametrize("id_", CASES)
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_a_silent_drive_is_no_fault_while_torque_is_off(id_: str) -> None:
-    case = CASES[id_]
-    _, actions, _ = check_fault_alone(id_, *[without_torque(case.present)] * (case.debounce + 1))
-    assert actions[-1] == (Action.PASS if case.asleep else case.action)
+    case = CASE_BY_FAULT[id_]
+    _, actions, _ = check_fault_alone(
+        id_, *[without_torque(case.input_with_fault)] * (case.debounce + 1)
+    )
+    assert actions[-1] == (Action.PASS if case.only_while_armed else case.action)
 
 
 def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
-    nan = {f"t{i}": math.nan for i in range(len(LIMITS.tendons))}
-    _, verdicts = check_ticks(*[merge_inputs(tensions(**nan), heat(**nan))] * 30)
+    nan = {f"t{i}": math.nan for i in range(len(EIGHT_TENDON_LIMITS.tendons))}
+    _, verdicts = check_ticks(
+        *[merge_inputs(measured_tensions(**nan), drive_temperatures(**nan))] * 30
+    )
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
 
 
@@ -160,11 +168,11 @@ def test_each_row_is_one_line_for_the_operator() -> None:
         assert fault.detection
         assert "\n" not in fault.title + fault.detection
         assert fault.clears in ("by the operator", "by itself")
-        assert fault.latched == CASES[fault.id].latched
+        assert fault.latched == CASE_BY_FAULT[fault.id].latched
         assert fault.action < Action.RELAX or fault.latched, "only a person ends a relax or a cut"
 
 
-DOUBT_THE_LOOP = {
+FAULTS_OF_TENSION_LOOP = {
     "N04",
     "N05b",
     "N06b",
@@ -185,7 +193,7 @@ def test_faults_of_the_tension_loop_relax_without_it() -> None:
     relaxing = {one.id: one.relax_method for one in FAULT_TABLE if one.action >= Action.RELAX}
     assert {
         one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP
-    } == DOUBT_THE_LOOP
+    } == FAULTS_OF_TENSION_LOOP
     assert {one for one, release in relaxing.items() if release is RelaxMethod.FAST_LOOP} == {
         "T03",
         "T06",
@@ -235,20 +243,26 @@ def test_a_time_is_rounded_to_ticks(seconds: float, period: float, least: int, t
     assert ticks_for(seconds, period, least) == ticks
 
 
-def trace(id_: str) -> list[tuple[Action, int]]:
+def trace_fault(id_: str) -> list[tuple[Action, int]]:
     """Return the action and the number of findings of one fault in each tick, from before its onset to its end.
 
     Interpreted code debounces the fault.
     """
-    case, monitor, seen = CASES[id_], rested_monitor(), []
+    case, monitor, seen = CASE_BY_FAULT[id_], rested_monitor(), []
     kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_}
-    for shown in [case.almost, *[case.present] * (case.debounce + 1), REST]:
-        rows, before = show(monitor, shown), monitor.view("fault_ticks").copy()
+    for shown in [
+        case.input_below_limit,
+        *[case.input_with_fault] * (case.debounce + 1),
+        INPUT_AT_REST,
+    ]:
+        rows, before = reset_for_input(monitor, shown), monitor.view("fault_ticks").copy()
         monitor.tick(rows)
-        monitor.set({"fault_ticks": before})
-        monitor.found[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = math.nan
+        monitor.set_rows({"fault_ticks": before})
+        monitor.found_values[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = (
+            math.nan
+        )
         demanded = call_interpreted(
-            compiled_judge.debounce_faults, monitor.state_tables, monitor.found
+            compiled_judge.debounce_faults, monitor.state_tables, monitor.found_values
         )
         reports = shown.reports if judgement.FAULT_BY_ID[id_].reports else ()
         verdict = monitor.conclude(demanded, reports)
@@ -279,7 +293,7 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     return declare
 
 
-@pytest.mark.parametrize("id_", CASES)
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
 def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
     """If a number or a word of a row is changed by one step, the result differs. The cases can therefore fail."""
     fault = FAULT_BY_ID[id_]
@@ -292,7 +306,7 @@ def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
         if 0 <= fault.action + step <= 4
     ]
     declare_changed(fault)
-    right = trace(id_)
+    right = trace_fault(id_)
     for mutant in changed:
         if (mutant.action, mutant.latched) == (
             Action.PASS,
@@ -300,24 +314,28 @@ def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
         ) or fault.action == mutant.action == Action.PASS:
             continue  # a latched fault without an action has no effect
         declare_changed(mutant)
-        assert trace(id_) != right, mutant
+        assert trace_fault(id_) != right, mutant
 
 
-THRESHOLDS = {
+THRESHOLD_STEPS = {
     "B02": {"silent_ticks": 1}, "N02": {"silent_ticks": 1}, "H03": {"stalled_ticks": 1},
     "N09a": {"temperature_soft": 0.2}, "N09b": {"temperature_hard": 0.2},
     "T06": {"tension_rail": 0.1},
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("id_", THRESHOLDS)
+@pytest.mark.parametrize("id_", THRESHOLD_STEPS)
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_moved_threshold_would_be_noticed(id_: str, sign: int) -> None:
-    name, step = next(iter(THRESHOLDS[id_].items()))
-    moved: SafetyLimits = replace(LIMITS, **{name: getattr(LIMITS, name) + sign * step})
-    case, monitor = CASES[id_], rested_monitor()
-    monitor.follow(moved)
+    name, step = next(iter(THRESHOLD_STEPS[id_].items()))
+    moved: SafetyLimits = replace(
+        EIGHT_TENDON_LIMITS, **{name: getattr(EIGHT_TENDON_LIMITS, name) + sign * step}
+    )
+    case, monitor = CASE_BY_FAULT[id_], rested_monitor()
+    monitor.replace_limits(moved)
     _, actions, _ = check_fault_alone(
-        id_, *[case.present if sign > 0 else case.almost] * case.debounce, monitor=monitor
+        id_,
+        *[case.input_with_fault if sign > 0 else case.input_below_limit] * case.debounce,
+        monitor=monitor,
     )
     assert actions[-1] == (Action.PASS if sign > 0 else case.action)

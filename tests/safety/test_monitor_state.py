@@ -25,36 +25,40 @@ from handctl.core.types import Mode
 from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
+    PERIOD_S,
     SPOOL_M,
-    Monitor,
-    T,
+    SyntheticMonitor,
     call_interpreted,
     synthetic_limits,
 )
 
-N = np.nan
-LIMITS = replace(
+NAN = np.nan
+TWO_TENDON_LIMITS = replace(
     synthetic_limits(2), tendons=("a", "b"), motors=("ma", "mb"), joints=("ja", "jb"),
     tension_rail=240.0, drive_limit=(1e9, 1e9),
 )  # fmt: skip
-Evidence = dict[str, dict[str, float]]
+FindingsByFault = dict[str, dict[str, float]]
 
 
-def make_monitor(stiffness: float = 1e5, motor_period: Any = T, joint_period: float = T) -> Monitor:
+def make_monitor(
+    stiffness: float = 1e5, motor_period: Any = PERIOD_S, joint_period: float = PERIOD_S
+) -> SyntheticMonitor:
     """Return the safety monitor of two tendons.
 
     Stiffness [N/m] and sampling periods of motors and joints [s] are given.
     """
     arms = np.array([0.02, 0.01])
-    monitor = Monitor(
-        LIMITS, motor_period, joint_period, stiffness=stiffness, arms_sum=arms, excursion_to_joints=np.diag(1.0 / arms),
+    monitor = SyntheticMonitor(
+        TWO_TENDON_LIMITS, motor_period, joint_period, stiffness=stiffness, arms_sum=arms,
+        excursion_to_joints=np.diag(1.0 / arms),
         step_limit=[0.1, 0.2], joint_step_limit=[0.3, 0.4],
     )  # fmt: skip
-    monitor.set({"residual": 0.0, "filtered": 0})
+    monitor.set_rows({"residual": 0.0, "filtered": 0})
     return monitor
 
 
-NAMES = {"tension": "measured_tension", "travel": "measured_travel", "position": "measured_position", "speed": "speed",
+FIELD_BY_NAME = {"tension": "measured_tension", "travel": "measured_travel", "position": "measured_position",
+                 "speed": "speed",
          "force": "measured_force", "excursion": "measured_excursion", "joints": "measured_joint",
          "read": "joints_read"}  # fmt: skip
 
@@ -69,25 +73,27 @@ def resting_tick(**given: Any) -> dict[str, Any]:
         "travel": 0.0,
         "speed": 0.0,
         "force": 20.0,
-        "excursion": N,
-        "joints": N,
+        "excursion": NAN,
+        "joints": NAN,
         "read": False,
     }
     facts |= given
     # Travel and position come from the same encoder. The travel is the position times the radius of
     # the spool.
     facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_M)
-    return {NAMES[name]: value for name, value in facts.items()}
+    return {FIELD_BY_NAME[name]: value for name, value in facts.items()}
 
 
-def monitor_at_20_newton(monitor: Monitor | None = None, **given: Any) -> Monitor:
+def monitor_at_20_newton(monitor: SyntheticMonitor | None = None, **given: Any) -> SyntheticMonitor:
     """Return the monitor of a hand at rest whose commanded and planned tensions are 20 N."""
     monitor = monitor or make_monitor()
-    monitor.set({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | given)
+    monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | given)
     return monitor
 
 
-def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Monitor, Evidence]:
+def run_ticks(
+    number: int, monitor: SyntheticMonitor | None = None, **given: Any
+) -> tuple[SyntheticMonitor, FindingsByFault]:
     """Run the same tick several times. Return the monitor and the last findings.
 
     Values that are functions get the number of the tick.
@@ -101,10 +107,13 @@ def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Mo
 
 
 def test_at_rest_nothing_is_reported():
-    monitor, found = ticks(600)
+    monitor, found = run_ticks(600)
     assert found == {}
     assert monitor.view("taut_s") == pytest.approx([1.2, 1.2])
-    assert (monitor.get("taut_ago"), monitor.get("slack_ticks")) == ([0, 0], [0, 0])
+    assert (monitor.field_values("taut_ago"), monitor.field_values("slack_ticks")) == (
+        [0, 0],
+        [0, 0],
+    )
 
 
 def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
@@ -112,13 +121,13 @@ def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
 
     Tension and force have not changed since, so no reading must change.
     """
-    _, found = ticks(200, monitor_at_20_newton(wanted=N, followed=N, asked=N))
+    _, found = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))
     assert found == {}
 
 
 def test_without_torque_all_history_but_the_counts_is_reset():
-    monitor, _ = ticks(10)
-    monitor.set({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
+    monitor, _ = run_ticks(10)
+    monitor.set_rows({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
     assert monitor.tick(resting_tick(), mode=int(Mode.READY)) == {}
     for field in STATE.fields:
         first, end = {
@@ -129,32 +138,32 @@ def test_without_torque_all_history_but_the_counts_is_reset():
         if first <= field.first < end:
             initial = monitor.layout.view(monitor.layout.initial, field.name)
             np.testing.assert_array_equal(monitor.view(field.name), initial, err_msg=field.name)
-    assert monitor.view("unknown").item() == pytest.approx(3.0 * (1.0 - T))
-    assert monitor.get("open_questions") == [2, 1]
-    assert monitor.get("lost")[0] == [10, 10, 10]
-    assert monitor.get("misshapen") == [6, 6, 6]
+    assert monitor.view("unknown").item() == pytest.approx(3.0 * (1.0 - PERIOD_S))
+    assert monitor.field_values("open_questions") == [2, 1]
+    assert monitor.field_values("lost")[0] == [10, 10, 10]
+    assert monitor.field_values("misshapen") == [6, 6, 6]
 
 
 def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
-    monitor = ticks(3)[0]
-    monitor.set({"mode": int(Mode.CUT)})
+    monitor = run_ticks(3)[0]
+    monitor.set_rows({"mode": int(Mode.CUT)})
     for _ in range(50):
         assert "N16" not in monitor.tick(resting_tick(tension=[30.0, 8.0]))
     assert monitor.tick(resting_tick(tension=[30.0, 8.0]))["N16"] == {"a": 30.0}
-    assert monitor.get("cut_from") == [30.0, 8.0]
+    assert monitor.field_values("cut_from") == [30.0, 8.0]
 
 
 def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut():
-    monitor = ticks(3, tension=[30.0, 25.0])[0]
-    ticks(2, monitor, tension=N)
-    monitor.set({"mode": int(Mode.CUT)})
+    monitor = run_ticks(3, tension=[30.0, 25.0])[0]
+    run_ticks(2, monitor, tension=NAN)
+    monitor.set_rows({"mode": int(Mode.CUT)})
     for k in range(51):
-        found = monitor.tick(resting_tick(tension=[30.0, 8.0] if k else N))
+        found = monitor.tick(resting_tick(tension=[30.0, 8.0] if k else NAN))
     assert found["N16"] == {"a": 30.0}
-    assert monitor.get("cut_from") == [30.0, 25.0]
+    assert monitor.field_values("cut_from") == [30.0, 25.0]
 
 
-def unexplained(monitor: Monitor) -> list[float]:
+def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
     return [
         call_interpreted(
             residuals.unexplained_tension, monitor.state_tables, monitor.hand_tables, n
@@ -168,15 +177,15 @@ def unexplained(monitor: Monitor) -> list[float]:
 )
 def test_lasting_residual_is_a_fault(tension, residual):
     """Friction explains 3 N of the residual. The tolerance of the torque constant explains a tenth of 20 N."""
-    monitor, found = ticks(1200, tension=tension)
-    assert unexplained(monitor) == pytest.approx([residual] * 2, abs=0.05)
+    monitor, found = run_ticks(1200, tension=tension)
+    assert unexplained_tensions(monitor) == pytest.approx([residual] * 2, abs=0.05)
     all_cells = {name: pytest.approx(residual, abs=0.05) for name in "ab"}
     assert found.get("T04a", {}) == (all_cells if residual > 5.0 else {})
 
 
 @pytest.mark.parametrize(("force", "is_reported"), [(5.1, False), (4.9, True), (35.1, True)])
 def test_missing_torque_is_a_fault(force, is_reported):
-    _, found = ticks(600, force=force, tension=force)
+    _, found = run_ticks(600, force=force, tension=force)
     expected = {name: pytest.approx(15.1, abs=0.01) for name in ("ma", "mb")}
     assert found.get("N14", {}) == (expected if is_reported else {})
 
@@ -187,9 +196,9 @@ def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
 
     The tenth is the tolerance of the torque constant.
     """
-    monitor = ticks(30)[0]
-    monitor.set({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
-    _, found = ticks(1, monitor, force=29.0, tension=29.0)
+    monitor = run_ticks(30)[0]
+    monitor.set_rows({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
+    _, found = run_ticks(1, monitor, force=29.0, tension=29.0)
     grown = [call_interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)]
     assert grown == pytest.approx([rub - 2.9] * 2, abs=0.01)
     assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if is_reported else {})
@@ -201,17 +210,17 @@ def test_a_noisy_encoder_is_detected():
         (2.4e-3, {}),
         (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02))),
     ):
-        _, found = ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
+        _, found = run_ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
         assert found.get("N07", {}) == expected
 
 
 def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
-    monitor, _ = ticks(100)
-    _, found = ticks(90, monitor, tension=[0.0, 20.0])
+    monitor, _ = run_ticks(100)
+    _, found = run_ticks(90, monitor, tension=[0.0, 20.0])
     assert list(found["T02a"]) == ["a"]
     assert "T01" not in found
-    monitor, _ = ticks(100)
-    _, found = ticks(3, monitor, tension=[0.0, 20.0], speed=[0.05, 0.05])
+    monitor, _ = run_ticks(100)
+    _, found = run_ticks(3, monitor, tension=[0.0, 20.0], speed=[0.05, 0.05])
     assert found["T01"] == {"a": 0.05}
 
 
@@ -222,9 +231,9 @@ def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
     """
 
     def slipped(deg):
-        monitor, _ = ticks(100, excursion=0.0, read=True)
+        monitor, _ = run_ticks(100, excursion=0.0, read=True)
         assert not np.isnan(monitor.view("slip_from")).any()
-        return ticks(1500, monitor, excursion=[-0.02 * np.radians(deg), 0.0], read=True)[1]
+        return run_ticks(1500, monitor, excursion=[-0.02 * np.radians(deg), 0.0], read=True)[1]
 
     assert "N06a" not in slipped(2.9)
     reported = slipped(3.1)
@@ -235,32 +244,37 @@ def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
 
 
 def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
-    monitor, _ = ticks(100, excursion=0.0, read=True)
-    ticks(1, monitor, tension=[1.9, 20.0], excursion=0.0, read=True)
-    assert (monitor.get("taut_s")[0], np.isnan(monitor.get("slip_from")[0])) == (0.0, True)
-    ticks(5, monitor, tension=[2.2, 20.0], excursion=0.0, read=True)
-    assert monitor.get("taut_s")[0] == 0.0, "between slack and taut no time passes"
-    ticks(49, monitor, excursion=0.5, read=True)
-    assert np.isnan(monitor.get("slip_from")[0]), "100 ms after it became taut"
-    ticks(3, monitor, excursion=0.5, read=True)
-    begin = monitor.get("slip_from")[0]
+    monitor, _ = run_ticks(100, excursion=0.0, read=True)
+    run_ticks(1, monitor, tension=[1.9, 20.0], excursion=0.0, read=True)
+    assert (monitor.field_values("taut_s")[0], np.isnan(monitor.field_values("slip_from")[0])) == (
+        0.0,
+        True,
+    )
+    run_ticks(5, monitor, tension=[2.2, 20.0], excursion=0.0, read=True)
+    assert monitor.field_values("taut_s")[0] == 0.0, "between slack and taut no time passes"
+    run_ticks(49, monitor, excursion=0.5, read=True)
+    assert np.isnan(monitor.field_values("slip_from")[0]), "100 ms after it became taut"
+    run_ticks(3, monitor, excursion=0.5, read=True)
+    begin = monitor.field_values("slip_from")[0]
     assert begin == pytest.approx(-20.0 / 1e5 - 0.5)
-    _, reported = ticks(1, monitor, excursion=N)
-    assert monitor.get("slip_from")[0] == begin
+    _, reported = run_ticks(1, monitor, excursion=NAN)
+    assert monitor.field_values("slip_from")[0] == begin
     assert "T08" not in reported
 
 
-EVERY = 4
+TICKS_PER_JOINT_READING = 4
 """Ticks from one reading of the joints to the next. A bus may have no room for more readings."""
 
 
-def run_sparse_joints(number: int, monitor: Monitor, **given: Any) -> list[Evidence]:
+def run_sparse_joints(
+    number: int, monitor: SyntheticMonitor, **given: Any
+) -> list[FindingsByFault]:
     """Run ticks of a hand whose joints are read in every fourth tick, and return the findings of each tick."""
     reported = []
     for k in range(number):
         read = (
             {"read": True} | given
-            if k % EVERY == 0
+            if k % TICKS_PER_JOINT_READING == 0
             else {n: v for n, v in given.items() if n == "travel"}
         )
         reported.append(monitor.tick(resting_tick(**read)))
@@ -268,7 +282,7 @@ def run_sparse_joints(number: int, monitor: Monitor, **given: Any) -> list[Evide
 
 
 def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
-    monitor = monitor_at_20_newton(make_monitor(joint_period=EVERY * T))
+    monitor = monitor_at_20_newton(make_monitor(joint_period=TICKS_PER_JOINT_READING * PERIOD_S))
     run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
     reported = run_sparse_joints(9, monitor, **off)
@@ -281,7 +295,7 @@ def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
 
 
 def test_good_reading_restarts_the_count_of_derailed_readings():
-    monitor = monitor_at_20_newton(make_monitor(joint_period=EVERY * T))
+    monitor = monitor_at_20_newton(make_monitor(joint_period=TICKS_PER_JOINT_READING * PERIOD_S))
     run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
     assert not any("T08" in found for found in run_sparse_joints(8, monitor, **off))
@@ -291,9 +305,9 @@ def test_good_reading_restarts_the_count_of_derailed_readings():
 
 def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
     """With a step to 3.5 deg, the filtered angle reaches 3 deg after 0.3 s ln 7 = 0.58 s."""
-    for every in (1, EVERY):
-        monitor = monitor_at_20_newton(make_monitor(joint_period=every * T))
-        ticks(100, monitor, excursion=0.0, read=True)
+    for every in (1, TICKS_PER_JOINT_READING):
+        monitor = monitor_at_20_newton(make_monitor(joint_period=every * PERIOD_S))
+        run_ticks(100, monitor, excursion=0.0, read=True)
         begun = None
         for k in range(400):
             read = (
@@ -302,13 +316,16 @@ def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
                 else {}
             )
             found = monitor.tick(resting_tick(**read))
-            begun = k * T if begun is None and "N06a" in found else begun
+            begun = k * PERIOD_S if begun is None and "N06a" in found else begun
         assert begun == pytest.approx(0.584, abs=0.01)
 
 
 def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
     monitor = monitor_at_20_newton(
-        make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T)
+        make_monitor(
+            motor_period=(TICKS_PER_JOINT_READING * PERIOD_S, PERIOD_S),
+            joint_period=TICKS_PER_JOINT_READING * PERIOD_S,
+        )
     )
     run_sparse_joints(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
     run_sparse_joints(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
@@ -318,20 +335,25 @@ def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
     joint = [k for k, found in enumerate(reported) if "ja" in found.get("N04", {})]
     assert joint[0] == 48, "100 ms are 12.5 readings after one"
     monitor = monitor_after_motion(
-        make_monitor(motor_period=(EVERY * T, T), joint_period=EVERY * T)
+        make_monitor(
+            motor_period=(TICKS_PER_JOINT_READING * PERIOD_S, PERIOD_S),
+            joint_period=TICKS_PER_JOINT_READING * PERIOD_S,
+        )
     )
-    monitor.set({"followed": [0.51e-3, 0.0]})
+    monitor.set_rows({"followed": [0.51e-3, 0.0]})
     first = None
     for k in range(60):
-        found = monitor.tick(resting_tick(travel=1e-5 if k % EVERY == 0 else [N, 1e-5]))
+        found = monitor.tick(
+            resting_tick(travel=1e-5 if k % TICKS_PER_JOINT_READING == 0 else [NAN, 1e-5])
+        )
         first = k if first is None and "N04" in found else first
     assert first == 48
 
 
-def monitor_after_motion(monitor: Monitor | None = None, **given: Any) -> Monitor:
+def monitor_after_motion(monitor: SyntheticMonitor | None = None, **given: Any) -> SyntheticMonitor:
     """Return the monitor of a hand whose filters have settled and whose motors moved in the last tick."""
-    return ticks(
-        1, ticks(150, monitor_at_20_newton(monitor), **given)[0], **{"travel": 1e-5} | given
+    return run_ticks(
+        1, run_ticks(150, monitor_at_20_newton(monitor), **given)[0], **{"travel": 1e-5} | given
     )[0]
 
 
@@ -341,14 +363,14 @@ def monitor_after_motion(monitor: Monitor | None = None, **given: Any) -> Monito
 ])  # fmt: skip
 def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, is_reported):
     monitor = monitor_after_motion()
-    monitor.set({"followed": [goal, 0.0]})
-    _, found = ticks(number, monitor, travel=1e-5)
+    monitor.set_rows({"followed": [goal, 0.0]})
+    _, found = run_ticks(number, monitor, travel=1e-5)
     assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if is_reported else {})
 
 
 def test_constant_motor_reading_is_stuck_while_the_tension_changes():
     for tension, expected in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
-        _, found = ticks(
+        _, found = run_ticks(
             200, monitor_after_motion(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension]
         )
         assert list(found.get("N04", {})) == expected
@@ -358,9 +380,9 @@ def test_constant_joint_reading_is_stuck_while_the_spool_turns():
     for angle, expected in ((9.9, []), (10.1, ["ja"])):
         joints = {"excursion": 0.0, "read": True}
         monitor = monitor_after_motion(joints=0.2, **joints)
-        ticks(1, monitor, travel=1e-5, joints=0.3, **joints)
+        run_ticks(1, monitor, travel=1e-5, joints=0.3, **joints)
         travel = [1e-5 + np.radians(angle) / 50.0, 1e-5]
-        _, found = ticks(55, monitor, travel=travel, joints=0.3, **joints)
+        _, found = run_ticks(55, monitor, travel=travel, joints=0.3, **joints)
         assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected
 
 
@@ -371,26 +393,26 @@ def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
     """
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
 
-    def stuck(found: Evidence) -> list[str]:
+    def stuck(found: FindingsByFault) -> list[str]:
         return [name for name in found.get("N04", {}) if name[0] == "j"]
 
     slack = {"tension": 0.5, "force": 0.5}
-    monitor, reported = ticks(
+    monitor, reported = run_ticks(
         200, None, **slack, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints
     )
     assert stuck(reported) == []
-    _, reported = ticks(200, monitor, travel=[3.0 * turn, 0.0], **joints)
+    _, reported = run_ticks(200, monitor, travel=[3.0 * turn, 0.0], **joints)
     assert stuck(reported) == [], "that it has become taut moves nothing"
-    _, reported = ticks(200, monitor, travel=[4.1 * turn, 0.0], **joints)
+    _, reported = run_ticks(200, monitor, travel=[4.1 * turn, 0.0], **joints)
     assert stuck(reported) == ["ja"]
 
 
 @pytest.mark.parametrize(("tension", "expected"), [(2.1, ["ja"]), (1.9, [])])
 def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, expected):
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
-    monitor, _ = ticks(200, None, tension=2.6, force=2.6, **joints)
-    ticks(200, monitor, tension=tension, force=tension, **joints)
-    _, found = ticks(
+    monitor, _ = run_ticks(200, None, tension=2.6, force=2.6, **joints)
+    run_ticks(200, monitor, tension=tension, force=tension, **joints)
+    _, found = run_ticks(
         60, monitor, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints
     )
     assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected
@@ -399,9 +421,11 @@ def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, e
 def test_each_joint_is_checked_with_its_own_tendons():
     """A slack tendon a does not change the check of joint b, which has tendon b."""
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
-    monitor, _ = ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
+    monitor, _ = run_ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
-    _, found = ticks(60, monitor, tension=[0.5, 20.0], force=[0.5, 20.0], travel=travel, **joints)
+    _, found = run_ticks(
+        60, monitor, tension=[0.5, 20.0], force=[0.5, 20.0], travel=travel, **joints
+    )
     assert [name for name in found.get("N04", {}) if name[0] == "j"] == ["jb"]
 
 
@@ -411,9 +435,9 @@ def test_each_joint_is_checked_with_its_own_tendons():
 ])  # fmt: skip
 def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tension, is_reported):
     chance = np.random.default_rng(1)
-    monitor, _ = ticks(100, tension=lambda k: tension + 0.1 * chance.standard_normal())
-    ticks(1, monitor, tension=tension)
-    _, found = ticks(number, monitor, tension=tension, force=[force, 20.0])
+    monitor, _ = run_ticks(100, tension=lambda k: tension + 0.1 * chance.standard_normal())
+    run_ticks(1, monitor, tension=tension)
+    _, found = run_ticks(number, monitor, tension=tension, force=[force, 20.0])
     assert list(found.get("T05", {})) == (["a"] if is_reported else [])
 
 
@@ -425,7 +449,7 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
     """
 
     def course(missed):
-        monitor, at, speed, noisy = ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
+        monitor, at, speed, noisy = run_ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
         for k in range(20):
             at, speed = (at + 0.25, 0.14) if k == 10 + late else (at + 0.05, speed)
             rows = resting_tick(position=at, speed=speed, force=23.0 + 40.0 * speed)
@@ -441,15 +465,15 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
 
 
 def screen_positions(
-    monitor: Monitor, motors: list[float], joints: list[float] | None, missed: int = 0
+    monitor: SyntheticMonitor, motors: list[float], joints: list[float] | None, missed: int = 0
 ) -> tuple[Any, Any]:
     """Screen positions of motors and joints, and return the size of each jump.
 
     ``joints`` is None if none was read.
     """
     read = {"joint_fresh": joints is not None, "joint_angle": joints or 0.0}
-    monitor.observe({"answered": 1, "position": motors, "missed": missed, **read})
-    return monitor.get("jump"), monitor.get("joint_jump")
+    monitor.observe_readings({"answered": 1, "position": motors, "missed": missed, **read})
+    return monitor.field_values("jump"), monitor.field_values("joint_jump")
 
 
 def test_positions_are_checked_separately():
@@ -457,14 +481,14 @@ def test_positions_are_checked_separately():
     assert screen_positions(monitor, [0.0, 0.0], [0.0, 0.0]) == ([0.0, 0.0], [0.0, 0.0])
     assert screen_positions(monitor, [0.11, 0.19], [0.29, 0.41]) == ([0.11, 0.0], [0.0, 0.41])
     assert screen_positions(monitor, [0.05, 0.19], None) == ([0.0, 0.0], [0.0, 0.0])
-    assert monitor.get("joint_gap") == [1.0, 2.0]
-    assert monitor.get("accepted") == [0.05, 0.19]
-    assert monitor.get("dropped") == [0.0, 0.0]
-    assert monitor.get("joint_dropped") == [0.0, 1.0]
+    assert monitor.field_values("joint_gap") == [1.0, 2.0]
+    assert monitor.field_values("accepted") == [0.05, 0.19]
+    assert monitor.field_values("dropped") == [0.0, 0.0]
+    assert monitor.field_values("joint_dropped") == [0.0, 1.0]
 
 
 def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
-    def begun() -> Monitor:
+    def begun() -> SyntheticMonitor:
         monitor = make_monitor()
         screen_positions(monitor, [0.0, 0.0], [0.0, 0.0])
         return monitor
@@ -477,10 +501,10 @@ def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
     assert twisted == [0.91, 0.0], "three times 0.3 and 0.4"
     monitor = begun()
     screen_positions(monitor, motor, None, 2)
-    assert monitor.get("joint_gap") == [3.0, 3.0]
+    assert monitor.field_values("joint_gap") == [3.0, 3.0]
 
 
-def late(**ages: int) -> dict[str, Any]:
+def rows_with_ages(**ages: int) -> dict[str, Any]:
     """Return rows of the state with ages in ticks of the replies of motors (ma=...) and load cells (a=...)."""
     heard = {name: NOW_NS - ages.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
     return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}
@@ -493,13 +517,14 @@ def test_without_lost_replies_no_count_grows():
 
 
 @pytest.mark.parametrize(("rows", "lost"), [
-    (late(mb=1), [0, 1, 0]), (late(b=1), [0, 0, 1]), (late(ma=3), [1, 0, 0]),
-    (late(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]), (late(ma=1, mb=1) | {"mode": int(Mode.READY)}, [0, 0, 0]),
+    (rows_with_ages(mb=1), [0, 1, 0]), (rows_with_ages(b=1), [0, 0, 1]), (rows_with_ages(ma=3), [1, 0, 0]),
+    (rows_with_ages(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]),
+    (rows_with_ages(ma=1, mb=1) | {"mode": int(Mode.READY)}, [0, 0, 0]),
 ])  # fmt: skip
 def test_lost_replies_are_recorded_per_node(rows, lost):
     monitor = make_monitor()
     monitor.tick(rows)
-    assert monitor.get("lost") == [lost, [0, 0, 0]]
+    assert monitor.field_values("lost") == [lost, [0, 0, 0]]
 
 
 def test_malformed_frames_are_reported_with_sender_and_recent_count():
@@ -513,7 +538,7 @@ def test_malformed_frames_are_reported_with_sender_and_recent_count():
 def test_a_node_that_replies_in_every_second_tick_is_reported():
     monitor = make_monitor()
     for k in range(20):
-        found = monitor.tick(late(mb=k % 2))
+        found = monitor.tick(rows_with_ages(mb=k % 2))
         assert list(found.get("N15", {})) == (["mb"] if k >= 13 else []), k
 
 
@@ -522,7 +547,7 @@ def test_count_of_unknown_frames_decays():
     monitor.tick(strange=5)
     assert monitor.view("unknown").item() == 5.0
     monitor.tick(strange=0)
-    assert monitor.view("unknown").item() == pytest.approx(5.0 * (1.0 - T))
+    assert monitor.view("unknown").item() == pytest.approx(5.0 * (1.0 - PERIOD_S))
 
 
 def test_refused_goals_are_reported_in_their_tick():
@@ -539,10 +564,10 @@ def test_thresholds_follow_from_the_hand():
 
 
 def test_fast_residuals_start_at_the_first_reading():
-    monitor = ticks(5)[0]
+    monitor = run_ticks(5)[0]
     for row in (TENSION, QUICK_FORCE):
         assert monitor.view("residual")[row] == pytest.approx([20.0, 20.0])
-    ticks(1, monitor, tension=30.0, force=30.0)
-    moved = 10.0 * -np.expm1(-T / 0.02)
+    run_ticks(1, monitor, tension=30.0, force=30.0)
+    moved = 10.0 * -np.expm1(-PERIOD_S / 0.02)
     for row in (TENSION, QUICK_FORCE):
         assert monitor.view("residual")[row] == pytest.approx([20.0 + moved, 20.0 + moved])

@@ -8,23 +8,23 @@ import pytest
 from handctl.core.detectors.answers import MAX_REQUESTS, add_requests, close_answered_requests
 from handctl.drives.contract import DrivePhase
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
-from tests.safety.synthetic_monitor import Monitor, call_interpreted, synthetic_limits
+from tests.safety.synthetic_monitor import SyntheticMonitor, call_interpreted, synthetic_limits
 
-Outstanding = tuple[tuple[int, ...], ...]
+RequestTicks = tuple[tuple[int, ...], ...]
 
 
-class OpenRequests(Monitor):
+class OpenRequests(SyntheticMonitor):
     """Motors that still owe replies to requests of earlier ticks."""
 
-    def __init__(self, outstanding: Outstanding) -> None:
+    def __init__(self, outstanding: RequestTicks) -> None:
         super().__init__(synthetic_limits(len(outstanding)))
-        self.set({
+        self.set_rows({
             "open_questions": {n: len(ticks) for n, ticks in enumerate(outstanding)},
             "question": {(i, n): k for n, ticks in enumerate(outstanding) for i, k in enumerate(ticks)},
         })  # fmt: skip
 
     @property
-    def outstanding(self) -> Outstanding:
+    def outstanding(self) -> RequestTicks:
         """Return the ticks of the open requests of each motor."""
         numbers, ticks = (
             self.view("open_questions"),
@@ -32,10 +32,10 @@ class OpenRequests(Monitor):
         )
         return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
 
-    def ask(self, k: int, able: tuple[bool, ...] | None = None) -> None:
+    def send_requests(self, k: int, able: tuple[bool, ...] | None = None) -> None:
         """Send one request to every motor. A motor that is not able may leave its request unanswered."""
         if able:
-            self.set(
+            self.set_rows(
                 {
                     "phase_before": [
                         int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in able
@@ -44,9 +44,9 @@ class OpenRequests(Monitor):
             )
         call_interpreted(add_requests, self.state_tables, k)
 
-    def answer(self, came: list[int]) -> list[int]:
+    def receive_replies(self, came: list[int]) -> list[int]:
         """Receive ``came`` replies from each motor, and return the indices of motors that replied too often."""
-        self.set({"answered": came})
+        self.set_rows({"answered": came})
         some = call_interpreted(close_answered_requests, self.state_tables, self.hand_tables)
         surplus = self.view("surplus")
         assert some == bool(surplus.any())
@@ -66,14 +66,14 @@ class OpenRequests(Monitor):
 ])  # fmt: skip
 def test_a_request_increases_the_number_of_outstanding_replies(outstanding, able, after):
     questions = OpenRequests(outstanding)
-    questions.ask(7, able)
+    questions.send_requests(7, able)
     assert questions.outstanding == after
 
 
 def test_outstanding_requests_are_limited() -> None:
     questions = OpenRequests(((),))
     for k in range(3 * MAX_REQUESTS):
-        questions.ask(k)
+        questions.send_requests(k)
         assert len(questions.outstanding[0]) == min(k + 1, MAX_REQUESTS)
     assert questions.outstanding[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
 
@@ -92,10 +92,10 @@ def test_outstanding_requests_are_limited() -> None:
 ])  # fmt: skip
 def test_replies_match_requests_and_the_rest_is_excess(outstanding, came, after, too_many):
     questions = OpenRequests(outstanding)
-    assert questions.answer(came) == too_many
+    assert questions.receive_replies(came) == too_many
     assert questions.outstanding == after
     expected = [1 + len(ticks) if n in too_many else 0 for n, ticks in enumerate(outstanding)]
-    assert questions.get("surplus") == expected
+    assert questions.field_values("surplus") == expected
 
 
 @pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])
@@ -103,33 +103,33 @@ def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int)
     """After some ticks without a reply, all missing replies may arrive at once. One reply more is a duplicate."""
     questions = OpenRequests(((),))
     for start in range(2 * LOSS_WINDOW_TICKS):
-        questions.set({"open_questions": 0})
+        questions.set_rows({"open_questions": 0})
         for k in range(start, start + ticks + 1):
-            questions.ask(k)
-            extra = questions.answer([0] if k < start + ticks else [ticks + 1])
+            questions.send_requests(k)
+            extra = questions.receive_replies([0] if k < start + ticks else [ticks + 1])
             assert extra == [], f"from tick {start} on"
         assert questions.outstanding == ((),)
-        questions.ask(k + 1)
-        assert questions.answer([2]) == [0]
+        questions.send_requests(k + 1)
+        assert questions.receive_replies([2]) == [0]
 
 
 def test_lost_replies_do_not_hide_duplicates_for_long() -> None:
     questions = OpenRequests(((),))
     for k in range(LOSS_WINDOW_TICKS + 3):
-        questions.ask(k)
-        assert questions.answer([0] if k < 3 else [1]) == []
+        questions.send_requests(k)
+        assert questions.receive_replies([0] if k < 3 else [1]) == []
     assert questions.outstanding == ((2,),), "the last one stays open: all may come a tick late"
-    questions.ask(k + 1)
-    assert questions.answer([3]) == [0]
+    questions.send_requests(k + 1)
+    assert questions.receive_replies([3]) == [0]
 
 
 def test_node_with_cyclic_messages_has_no_outstanding_requests() -> None:
     questions = OpenRequests(((), ()))
     questions.set_constants(answers_once=[0, 1])
-    assert questions.answer([3, 2]) == [1]
+    assert questions.receive_replies([3, 2]) == [1]
 
 
 def test_a_second_frame_of_a_load_cell_is_in_excess() -> None:
     questions = OpenRequests(((),))
-    questions.set({"answered": 0, "group_answered": {0: 2}})
+    questions.set_rows({"answered": 0, "group_answered": {0: 2}})
     assert call_interpreted(close_answered_requests, questions.state_tables, questions.hand_tables)

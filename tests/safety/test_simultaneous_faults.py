@@ -14,42 +14,44 @@ from handctl.safety.action import Action
 from handctl.safety.faults.table import FAULT_TABLE
 from handctl.safety.judge import LatchedFault
 from tests.safety.fault_cases import (
-    CASES,
-    REST,
+    CASE_BY_FAULT,
+    INPUT_AT_REST,
     TickInput,
-    io,
+    event_report,
+    late_motors,
+    measured_tensions,
     merge_inputs,
-    motors,
+    reset_for_input,
     rested_monitor,
-    rows,
-    show,
-    tensions,
+    state_rows,
 )
-from tests.safety.synthetic_monitor import Monitor
+from tests.safety.synthetic_monitor import SyntheticMonitor
 from tests.safety.test_fault_table import check_ticks
 
-ARMED = [
-    id_ for id_ in CASES if CASES[id_].present.rows.get("mode", {...: Mode.ACTIVE})[...] in (4, 5)
+FAULTS_WHILE_ARMED = [
+    id_
+    for id_ in CASE_BY_FAULT
+    if CASE_BY_FAULT[id_].input_with_fault.rows.get("mode", {...: Mode.ACTIVE})[...] in (4, 5)
 ]
-PAIRS = list(pairwise([*ARMED, ARMED[0]])) + [
-    (a, b) for a in ("B02", "T03", "N09b") for b in ARMED if a != b
+FAULT_PAIRS = list(pairwise([*FAULTS_WHILE_ARMED, FAULTS_WHILE_ARMED[0]])) + [
+    (a, b) for a in ("B02", "T03", "N09b") for b in FAULTS_WHILE_ARMED if a != b
 ]
 
 
-def judged(monitor: Monitor, shown: TickInput):
-    return monitor.judge(show(monitor, shown), shown.reports)
+def judge_input(monitor: SyntheticMonitor, shown: TickInput):
+    return monitor.judge(reset_for_input(monitor, shown), shown.reports)
 
 
 def test_every_fault_of_the_active_mode_is_paired() -> None:
-    assert set(CASES) - set(ARMED) == {"B18", "N16"}
+    assert set(CASE_BY_FAULT) - set(FAULTS_WHILE_ARMED) == {"B18", "N16"}
 
 
-@pytest.mark.parametrize(("first", "second"), PAIRS)
+@pytest.mark.parametrize(("first", "second"), FAULT_PAIRS)
 def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_reported(
     first: str, second: str
 ) -> None:
-    a, b = CASES[first], CASES[second]
-    both = merge_inputs(a.present, b.present)
+    a, b = CASE_BY_FAULT[first], CASE_BY_FAULT[second]
+    both = merge_inputs(a.input_with_fault, b.input_with_fault)
     monitor, verdicts = check_ticks(*[both] * max(a.debounce, b.debounce))
     assert verdicts[-1].action >= max(a.action, b.action)
     reported = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
@@ -59,43 +61,47 @@ def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_rep
 
 
 @pytest.mark.parametrize(
-    ("first", "second"), [*PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")]
+    ("first", "second"),
+    [*FAULT_PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")],
 )
 def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str) -> None:
     """The first fault ends before the second begins. The first stays latched, and the second is still reported."""
-    a, b = CASES[first], CASES[second]
-    monitor, first_verdicts = check_ticks(*[a.present] * a.debounce, REST)
-    _, verdicts = check_ticks(*[b.present] * b.debounce, monitor=monitor)
+    a, b = CASE_BY_FAULT[first], CASE_BY_FAULT[second]
+    monitor, first_verdicts = check_ticks(*[a.input_with_fault] * a.debounce, INPUT_AT_REST)
+    _, verdicts = check_ticks(*[b.input_with_fault] * b.debounce, monitor=monitor)
     expected = max(b.action, a.action if a.latched else Action.PASS)
     assert verdicts[-1].action >= expected
     reported = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
     assert second in reported
-    _, (after,) = check_ticks(REST, monitor=monitor)
+    _, (after,) = check_ticks(INPUT_AT_REST, monitor=monitor)
     left = [case.action for case in (a, b) if case.latched]
     assert after.action >= max(left, default=Action.PASS)
-    monitor.clear()
-    _, (calm,) = check_ticks(REST, monitor=monitor)
+    monitor.clear_latched()
+    _, (calm,) = check_ticks(INPUT_AT_REST, monitor=monitor)
     assert calm.action == Action.PASS
     assert monitor.latched == ()
 
 
 def test_the_same_fault_of_two_instances_is_two_faults() -> None:
-    monitor, (one,) = check_ticks(motors(m0=6))
-    _, (two,) = check_ticks(motors(m1=6), monitor=monitor)
+    monitor, (one,) = check_ticks(late_motors(m0=6))
+    _, (two,) = check_ticks(late_motors(m1=6), monitor=monitor)
     assert [f.instance for f in one.findings if f.fault.id == "B02"] == ["m0"]
     assert [f.instance for f in two.findings if f.fault.id == "B02"] == ["m1"]
     assert [mark.instance for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]
 
 
 def test_instances_do_not_share_their_debounce_counts() -> None:
-    left, right = tensions(t0=244.0), tensions(t1=244.0)
+    left, right = measured_tensions(t0=244.0), measured_tensions(t1=244.0)
     _, verdicts = check_ticks(left, right, left, right, left, right)
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
 
 
 def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
     twice = TickInput(
-        reports=(*io("enobufs", "can0", 1).reports, *io("enobufs", "can0", 2).reports)
+        reports=(
+            *event_report("enobufs", "can0", 1).reports,
+            *event_report("enobufs", "can0", 2).reports,
+        )
     )
     _, verdicts = check_ticks(twice)
     assert verdicts[0].action == Action.PASS
@@ -104,12 +110,15 @@ def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
     assert len(verdicts[-1].findings) == 1
 
 
-LOUD = {id_: rows(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
+INPUTS_WITH_MANY_FRAMES = {id_: state_rows(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
 """Inputs with too many frames. There are too many even if another fault of the test is shown by missed ticks."""
-SHOWN = {id_: LOUD.get(id_, CASES[id_].present) for id_ in ARMED}
-several = st.lists(st.sampled_from(ARMED), max_size=4)
-faulty = several.map(lambda ids: merge_inputs(*(SHOWN[i] for i in ids)))
-course_of_faults = st.lists(st.tuples(faulty, several, st.booleans()), max_size=30)
+INPUT_BY_FAULT = {
+    id_: INPUTS_WITH_MANY_FRAMES.get(id_, CASE_BY_FAULT[id_].input_with_fault)
+    for id_ in FAULTS_WHILE_ARMED
+}
+fault_ids = st.lists(st.sampled_from(FAULTS_WHILE_ARMED), max_size=4)
+inputs_with_faults = fault_ids.map(lambda ids: merge_inputs(*(INPUT_BY_FAULT[i] for i in ids)))
+course_of_faults = st.lists(st.tuples(inputs_with_faults, fault_ids, st.booleans()), max_size=30)
 
 
 @given(course_of_faults)
@@ -123,10 +132,10 @@ def test_additional_faults_never_weaken_the_action(
     less, more = rested_monitor(), rested_monitor()
     for shown, extra, cleared in ticks:
         if cleared:
-            less.clear()
-            more.clear()
-        mild = judged(less, shown)
-        wild = judged(more, merge_inputs(shown, *(SHOWN[i] for i in extra)))
+            less.clear_latched()
+            more.clear_latched()
+        mild = judge_input(less, shown)
+        wild = judge_input(more, merge_inputs(shown, *(INPUT_BY_FAULT[i] for i in extra)))
         assert wild.action >= mild.action
         assert set(less.latched) <= set(more.latched)
 
@@ -139,8 +148,8 @@ def test_latches_only_grow_between_clearings(
     for shown, _, cleared in ticks:
         before = () if cleared else monitor.latched
         if cleared:
-            monitor.clear()
-        verdict = judged(monitor, shown)
+            monitor.clear_latched()
+        verdict = judge_input(monitor, shown)
         assert monitor.latched[: len(before)] == before, "in the order in which they came"
         assert len(set(monitor.latched)) == len(monitor.latched)
         actions = {fault.id: fault.action for fault in FAULT_TABLE}

@@ -13,28 +13,32 @@ from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import Mode
 from handctl.safety.faults.node import STILL_PULLING_N
 from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
-from tests.safety.synthetic_monitor import Monitor, T, synthetic_limits
+from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, synthetic_limits
 
 NAN = math.nan
-Values = list[float]
+TensionList = list[float]
 
 
-class Tendons(Monitor):
+class FilteredTendons(SyntheticMonitor):
     """Tendons whose filtered tensions are set by a test."""
 
     def __init__(self, count: int, **rows: Any) -> None:
         super().__init__(synthetic_limits(count), residual_fraction=0.0)
-        self.set(rows)
+        self.set_rows(rows)
 
-    def step(self, tension: Values, wanted: Values, **rows: Any) -> list[tuple[int, int]]:
+    def run_tick(
+        self, tension: TensionList, wanted: TensionList, **rows: Any
+    ) -> list[tuple[int, int]]:
         """Run a tick with tensions and commands.
 
         Return for each tendon the ticks since it was taut, and its ticks of slack.
         """
         self.reported = self.tick(residual={TENSION: tension}, wanted=wanted, **rows)
-        return list(zip(self.get("taut_ago"), self.get("slack_ticks"), strict=True))
+        return list(
+            zip(self.field_values("taut_ago"), self.field_values("slack_ticks"), strict=True)
+        )
 
-    def cut(self, tension: Values, **rows: Any) -> dict[str, float]:
+    def run_tick_after_cut(self, tension: TensionList, **rows: Any) -> dict[str, float]:
         """Run a tick with load-cell readings after the torque was cut. Return the tendons that are still pulled."""
         return self.tick(measured_tension=tension, mode=int(Mode.CUT), **rows).get("N16", {})
 
@@ -55,26 +59,26 @@ class Tendons(Monitor):
     (NAN, 20.0, (3, 4), (4, 0)),      # without a sample a tendon is neither slack nor taut
 ])  # fmt: skip
 def test_slack_detector_updates_its_counts_in_each_tick(cell, goal, before, after):
-    tendons = Tendons(1, taut_ago=before[0], slack_ticks=before[1])
-    assert tendons.step([cell], [goal]) == [after]
+    tendons = FilteredTendons(1, taut_ago=before[0], slack_ticks=before[1])
+    assert tendons.run_tick([cell], [goal]) == [after]
 
 
 def test_tendons_count_separately_and_begin_as_never_taut():
-    tendons = Tendons(3)
-    assert tendons.step([20.0, 0.0, 1.0], [24.0, 24.0, NAN]) == [(0, 0), (-1, 0), (-1, 0)]
-    assert tendons.step([0.0, 20.0, 1.0], [24.0, 24.0, 24.0]) == [(1, 1), (0, 0), (-1, 0)]
+    tendons = FilteredTendons(3)
+    assert tendons.run_tick([20.0, 0.0, 1.0], [24.0, 24.0, NAN]) == [(0, 0), (-1, 0), (-1, 0)]
+    assert tendons.run_tick([0.0, 20.0, 1.0], [24.0, 24.0, 24.0]) == [(1, 1), (0, 0), (-1, 0)]
 
 
 def test_slack_is_reported_by_name_and_in_seconds():
-    tendons = Tendons(3, taut_ago=[0, 8, 1], slack_ticks=[0, 25, 24])
-    tendons.step([20.0, 0.0, 0.0], [20.0] * 3)
-    assert tendons.reported["T02a"] == {"t1": 26 * T}
-    tendons = Tendons(2, taut_ago=9, slack_ticks=[249, 250])
-    tendons.step([0.0] * 2, [20.0] * 2)
-    assert tendons.reported["T02a"] == {"t0": 250 * T, "t1": 251 * T}
-    assert tendons.reported["T02b"] == {"t1": 251 * T}
-    tendons = Tendons(1)
-    tendons.step([0.0], [20.0])
+    tendons = FilteredTendons(3, taut_ago=[0, 8, 1], slack_ticks=[0, 25, 24])
+    tendons.run_tick([20.0, 0.0, 0.0], [20.0] * 3)
+    assert tendons.reported["T02a"] == {"t1": 26 * PERIOD_S}
+    tendons = FilteredTendons(2, taut_ago=9, slack_ticks=[249, 250])
+    tendons.run_tick([0.0] * 2, [20.0] * 2)
+    assert tendons.reported["T02a"] == {"t0": 250 * PERIOD_S, "t1": 251 * PERIOD_S}
+    assert tendons.reported["T02b"] == {"t1": 251 * PERIOD_S}
+    tendons = FilteredTendons(1)
+    tendons.run_tick([0.0], [20.0])
     assert "T02a" not in tendons.reported
 
 
@@ -100,47 +104,55 @@ def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
 
     The other tendon is taut.
     """
-    tendons = Tendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
+    tendons = FilteredTendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
     taut = 20.0 if ago == 0 else 2.2
-    tendons.step([20.0, taut], [24.0, goal], measured_tension=[20.0, cell], speed=[0.05, speed])
-    assert tendons.get("taut_ago")[1] == (ago if goal == goal else -1)
+    tendons.run_tick([20.0, taut], [24.0, goal], measured_tension=[20.0, cell], speed=[0.05, speed])
+    assert tendons.field_values("taut_ago")[1] == (ago if goal == goal else -1)
     assert tendons.reported.get("T01", {}) == ({"t1": speed} if found else {})
 
 
 def test_no_tendon_snaps_before_tension_is_commanded():
-    tendons = Tendons(1)
-    tendons.step([0.0], [24.0], measured_tension=0.0, speed=0.05)
+    tendons = FilteredTendons(1)
+    tendons.run_tick([0.0], [24.0], measured_tension=0.0, speed=0.05)
     assert "T01" not in tendons.reported
 
 
 def test_tension_at_the_cut_is_stored_and_ticks_are_counted():
-    tendons = Tendons(2, taut_ago=0, slack_ticks=[0, 3], cell_value=[31.0, 21.0])
-    tendons.cut([30.0, 20.0])
-    assert (tendons.get("cut_ticks"), tendons.get("cut_from")) == ([0], [30.0, 20.0])
-    tendons.cut([10.0, NAN])
-    assert (tendons.get("cut_ticks"), tendons.get("cut_from")) == ([1], [30.0, 20.0])
-    tendons.cut([10.0, 10.0])
-    assert tendons.get("cut_ticks") == [2]
+    tendons = FilteredTendons(2, taut_ago=0, slack_ticks=[0, 3], cell_value=[31.0, 21.0])
+    tendons.run_tick_after_cut([30.0, 20.0])
+    assert (tendons.field_values("cut_ticks"), tendons.field_values("cut_from")) == (
+        [0],
+        [30.0, 20.0],
+    )
+    tendons.run_tick_after_cut([10.0, NAN])
+    assert (tendons.field_values("cut_ticks"), tendons.field_values("cut_from")) == (
+        [1],
+        [30.0, 20.0],
+    )
+    tendons.run_tick_after_cut([10.0, 10.0])
+    assert tendons.field_values("cut_ticks") == [2]
 
 
 def test_a_missing_sample_at_the_cut_is_replaced_by_the_previous_one():
-    tendons = Tendons(2, cell_value=[31.0, NAN])
-    tendons.cut([NAN, 20.0])
-    assert tendons.get("cut_from") == [31.0, 20.0]
-    tendons.cut([10.0, 10.0])
-    assert tendons.get("cut_from") == [31.0, 20.0]
+    tendons = FilteredTendons(2, cell_value=[31.0, NAN])
+    tendons.run_tick_after_cut([NAN, 20.0])
+    assert tendons.field_values("cut_from") == [31.0, 20.0]
+    tendons.run_tick_after_cut([10.0, 10.0])
+    assert tendons.field_values("cut_from") == [31.0, 20.0]
 
 
 def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading():
-    tendons = Tendons(2)
-    tendons.cut([NAN, 20.0])
-    assert math.isnan(tendons.get("cut_from")[0])
-    tendons.cut([NAN, NAN], cell_value=40.0)
-    assert math.isnan(tendons.get("cut_from")[0]), "what there was before the cut is asked for once"
-    tendons.cut([25.0, 5.0])
-    assert tendons.get("cut_from") == [25.0, 20.0]
-    tendons.cut([24.0, 5.0])
-    assert tendons.get("cut_from") == [25.0, 20.0]
+    tendons = FilteredTendons(2)
+    tendons.run_tick_after_cut([NAN, 20.0])
+    assert math.isnan(tendons.field_values("cut_from")[0])
+    tendons.run_tick_after_cut([NAN, NAN], cell_value=40.0)
+    assert math.isnan(tendons.field_values("cut_from")[0]), (
+        "what there was before the cut is asked for once"
+    )
+    tendons.run_tick_after_cut([25.0, 5.0])
+    assert tendons.field_values("cut_from") == [25.0, 20.0]
+    tendons.run_tick_after_cut([24.0, 5.0])
+    assert tendons.field_values("cut_from") == [25.0, 20.0]
 
 
 @pytest.mark.parametrize(("ticks", "before", "now", "found"), [
@@ -161,10 +173,10 @@ def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, foun
 
     This reading is not below the reference.
     """
-    tendons = Tendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
-    reported = tendons.cut([0.0, now])
+    tendons = FilteredTendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
+    reported = tendons.run_tick_after_cut([0.0, now])
     if math.isnan(before):
-        assert tendons.get("cut_from") == [0.0, 30.0]
+        assert tendons.field_values("cut_from") == [0.0, 30.0]
         assert reported == {"t1": now}, (
             "a reading of 100 ms after the cut is one of a tendon that is pulled"
         )
@@ -177,12 +189,14 @@ def test_the_last_tension_counts_if_the_latest_sample_is_missing():
 
     Earlier readings do not show whether the motor let the tendon go.
     """
-    tendons = Tendons(2)
+    tendons = FilteredTendons(2)
     for k in range(50):
-        tendons.cut([30.0 if k < 40 else NAN, 30.0 if k < 41 else NAN])
-        np.testing.assert_array_equal(tendons.get("cut_bears"), [NAN, NAN if k < 40 else 30.0])
-    assert tendons.cut([NAN, NAN]) == {"t1": 30.0}
-    assert tendons.cut([NAN, 9.0]) == {}
+        tendons.run_tick_after_cut([30.0 if k < 40 else NAN, 30.0 if k < 41 else NAN])
+        np.testing.assert_array_equal(
+            tendons.field_values("cut_bears"), [NAN, NAN if k < 40 else 30.0]
+        )
+    assert tendons.run_tick_after_cut([NAN, NAN]) == {"t1": 30.0}
+    assert tendons.run_tick_after_cut([NAN, 9.0]) == {}
 
 
 def test_thresholds_leave_room_between_slack_and_taut():
