@@ -102,7 +102,7 @@ def measure_vcan(floor: str, ticks: int) -> dict:
         return {"skipped": reason}
     output: list[str] = []
     command = [sys.executable, __file__, "--one", "vcan", floor, str(ticks // 5)]
-    status = uml_guest.run(command, timeout_s=240.0, report_line=output.append)
+    status = uml_guest.run_with_vcan(command, timeout_s=240.0, report_line=output.append)
     return json.loads(output[-1]) if status == 0 else {"skipped": f"status {status}: {output[-1:]}"}
 
 

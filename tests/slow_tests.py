@@ -11,8 +11,8 @@
 A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``. `make test` sets 0, and CI
 sets 3, with a higher value for tests on the real clock. `make nightly` and plain pytest run all
 listed tests. The cost of a test is its processor time, for a test on the real clock its elapsed
-time. In a sample, each test function keeps its first cases up to a total cost of ``FUNCTION_S`` or
-``CLOCK_S``. Each file keeps at least its cheapest test if that costs no more than ``FILE_S``. A
+time. In a sample, each test function keeps its first cases up to a total cost of ``FUNCTION_BUDGET_S`` or
+``REAL_CLOCK_BUDGET_S``. Each file keeps at least its cheapest test if that costs no more than ``FILE_LIMIT_S``. A
 sample therefore still enters nearly every file.
 """
 
@@ -26,25 +26,25 @@ from pathlib import Path
 
 import pytest
 
-SLOW_TESTS = Path(__file__).parent / "slow_tests.txt"
-FUNCTION_S = 0.5
+SLOW_TESTS_FILE = Path(__file__).parent / "slow_tests.txt"
+FUNCTION_BUDGET_S = 0.5
 """Processor time that the cases of one test function may take in `make test` [s]."""
-CLOCK_S = 3.0
+REAL_CLOCK_BUDGET_S = 3.0
 """Elapsed time that the cases of one test function on the real clock may take in `make test` [s]."""
-CHEAP_S = 0.05
+CHEAP_CASE_S = 0.05
 """Cost up to which a case never counts as slow [s]."""
-FILE_S = 15.0
+FILE_LIMIT_S = 15.0
 """Limit of the cost of a file's cheapest test [s]. Above it, a sample leaves out the whole file."""
 
 
-def slow_tests(limit_s: float) -> frozenset[str]:
+def tests_slower_than(limit_s: float) -> frozenset[str]:
     """Return the node identifiers of the listed tests that cost more than a limit [s]."""
     return frozenset(test for test, cost_s in listed_costs().items() if cost_s > limit_s)
 
 
 def listed_costs() -> dict[str, float]:
     """Return the cost of each listed test [s], by its node identifier."""
-    lines = SLOW_TESTS.read_text(encoding="utf-8").splitlines()
+    lines = SLOW_TESTS_FILE.read_text(encoding="utf-8").splitlines()
     rows = [line.partition(" ") for line in lines if not line.startswith("#")]
     return {test: float(cost_s) for cost_s, _, test in rows}
 
@@ -55,7 +55,7 @@ def processor_time() -> float:
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
-class Durations:
+class DurationRecorder:
     """Plugin that appends the processor time and the elapsed time of each test to a file.
 
     Attributes:
@@ -88,7 +88,7 @@ class Durations:
         return result
 
 
-def choose(rows: list[tuple[str, float, float, bool]]) -> dict[str, float]:
+def choose_slow_tests(rows: list[tuple[str, float, float, bool]]) -> dict[str, float]:
     """Choose the slow tests, and return the time of each [s].
 
     Args:
@@ -103,11 +103,14 @@ def choose(rows: list[tuple[str, float, float, bool]]) -> dict[str, float]:
         function = re.sub(r"\[.*", "", test, flags=re.DOTALL)
         files.setdefault(test.partition("::")[0], []).append((cost, test))
         spent[function] = spent.get(function, 0.0) + cost
-        if spent[function] > (CLOCK_S if clock else FUNCTION_S) and cost > CHEAP_S:
+        if (
+            spent[function] > (REAL_CLOCK_BUDGET_S if clock else FUNCTION_BUDGET_S)
+            and cost > CHEAP_CASE_S
+        ):
             slow[test] = cost
     for tests in files.values():
         cost, cheapest = min(tests)
-        if all(test in slow for _, test in tests) and cost <= FILE_S:
+        if all(test in slow for _, test in tests) and cost <= FILE_LIMIT_S:
             del slow[cheapest]
     return slow
 
@@ -120,10 +123,10 @@ def main(path: Path, add: bool) -> None:
         add: True to keep the tests that are listed, because the run was a sample and left them out.
     """
     rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    slow = choose(rows) | (listed_costs() if add else {})
+    slow = choose_slow_tests(rows) | (listed_costs() if add else {})
     head = "# Written by `python -m tests.slow_tests`: seconds, test. `make test` leaves these to longer runs."
     lines = [head, *(f"{slow[test]:.1f} {test}" for test in sorted(slow))]
-    SLOW_TESTS.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    SLOW_TESTS_FILE.write_text("\n".join(lines) + "\n", encoding="utf-8")
     sample_s = sum(
         processor for test, processor, _, clock in rows if test not in slow and not clock
     )

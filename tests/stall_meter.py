@@ -11,9 +11,9 @@ import subprocess
 import sys
 import time
 
-NAP_S = 0.002
+SLEEP_PERIOD_S = 0.002
 """Duration of one sleep of a sleeping process [s]."""
-STALL_S = 0.010
+MIN_STALL_S = 0.010
 """Smallest lateness of a sleeper that counts as a stall [s].
 
 Even a busy core wakes a sleeper within some milliseconds.
@@ -58,20 +58,20 @@ class StallMeter:
             sleeper.communicate()
 
 
-def _sleep(core: int) -> None:
+def _report_stalls(core: int) -> None:
     """Sleep on one core until the parent process has ended. Report the end and the duration of each stall [s]."""
     os.sched_setaffinity(0, {core})
     parent = os.getppid()
     last = time.monotonic()
     print("ready", flush=True)
     while os.getppid() == parent:
-        time.sleep(NAP_S)
+        time.sleep(SLEEP_PERIOD_S)
         now = time.monotonic()
-        if now - last - NAP_S > STALL_S:
-            print(now, now - last - NAP_S, flush=True)
+        if now - last - SLEEP_PERIOD_S > MIN_STALL_S:
+            print(now, now - last - SLEEP_PERIOD_S, flush=True)
         last = now
 
 
 if __name__ == "__main__":
     with contextlib.suppress(BrokenPipeError, KeyboardInterrupt):
-        _sleep(int(sys.argv[1]))
+        _report_stalls(int(sys.argv[1]))

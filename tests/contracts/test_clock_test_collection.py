@@ -7,7 +7,7 @@ import pytest
 
 from tests import conftest
 
-ROOT = Path(__file__).parents[2]
+REPOSITORY = Path(__file__).parents[2]
 TEST_WITH_HIDDEN_MARKER = """import pytest
 CLOCK = getattr(pytest.mark, "realtime")
 @CLOCK
@@ -17,8 +17,12 @@ def test_run() -> None:
 
 
 def test_the_stages_select_what_the_makefile_selects() -> None:
-    selections = re.findall(r'-m "?([^"$]*?)"? \$\(PYTEST_FLAGS\)', (ROOT / "Makefile").read_text())
-    assert {*conftest.ON_CLOCK} == {one for one in selections if not one.startswith("not ")}
+    selections = re.findall(
+        r'-m "?([^"$]*?)"? \$\(PYTEST_FLAGS\)', (REPOSITORY / "Makefile").read_text()
+    )
+    assert {*conftest.REAL_CLOCK_SELECTIONS} == {
+        one for one in selections if not one.startswith("not ")
+    }
 
 
 @pytest.mark.parametrize(
@@ -33,7 +37,9 @@ def test_files_are_distinguished_by_their_markers(
 
 
 def test_all_files_that_the_guests_run_are_collected() -> None:
-    assert all(conftest.has_clock_tests(path) for path in conftest.MARKED_FOLDER.rglob("test_*.py"))
+    assert all(
+        conftest.has_clock_tests(path) for path in conftest.REAL_CLOCK_FOLDER.rglob("test_*.py")
+    )
 
 
 def test_a_test_on_the_real_clock_that_would_be_left_out_is_an_error(

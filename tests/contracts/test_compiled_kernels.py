@@ -31,12 +31,12 @@ from handctl.core.law.stream import begin_segments
 from handctl.core.schema import BlockLayout
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import rebuild_controller
-from tests.contracts.random_hands import TICKS, tick_hashes
+from tests.contracts.random_hands import TICKS_PER_HAND, tick_hashes
 
-ROOT = Path(__file__).parents[2]
-GOLDEN = ROOT / "logs" / "golden"
-LOGS = sorted(path.name for path in GOLDEN.glob("*.mcap"))
-PACKAGE = Path(handctl.__file__).parent
+REPOSITORY = Path(__file__).parents[2]
+GOLDEN_LOGS = REPOSITORY / "logs" / "golden"
+GOLDEN_LOG_NAMES = sorted(path.name for path in GOLDEN_LOGS.glob("*.mcap"))
+PACKAGE_FOLDER = Path(handctl.__file__).parent
 
 
 def hash_of_execution(log: Path) -> str:
@@ -73,18 +73,18 @@ DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
     "name",
     [
         name if name in DAILY_LOGS else pytest.param(name, marks=pytest.mark.nightly)
-        for name in LOGS
+        for name in GOLDEN_LOG_NAMES
     ],
 )
 def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
     script = f"from {__name__} import hash_of_execution, GOLDEN; print(hash_of_execution(GOLDEN / {name!r}))"
     with run_without_compiler("-c", script) as other:
-        mine = hash_of_execution(GOLDEN / name)
+        mine = hash_of_execution(GOLDEN_LOGS / name)
         output, _ = other.communicate(timeout=120)
     assert output.strip() == mine
 
 
-DAILY = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (24, 0)]
+DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (24, 0)]
 """Number of tendons and seed of each random hand that is tested by day.
 
 Drives of (5, 2), (6, 5) and (11, 1) close position loops. Those of (6, 5) are moteus.
@@ -94,7 +94,7 @@ Drives of (5, 2), (6, 5) and (11, 1) close position loops. Those of (6, 5) are m
 @pytest.mark.parametrize(
     "hands",
     [
-        DAILY,
+        DAILY_RANDOM_HANDS,
         pytest.param([(n, s) for n in range(1, 25) for s in (2, 3)], marks=pytest.mark.nightly),
     ],
     ids=len,
@@ -114,7 +114,7 @@ def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
     for hand, one, two in zip(hands, mine, json.loads(output), strict=True):
         apart = [i for i, (a, b) in enumerate(zip(one, two, strict=True)) if a != b]
         assert not apart, f"{hand[0]} tendons, seed {hand[1]}: from tick {apart[0]} on"
-        assert len(set(one)) == TICKS, "all ticks differ"
+        assert len(set(one)) == TICKS_PER_HAND, "all ticks differ"
 
 
 def hash_of_segments() -> str:
@@ -151,31 +151,31 @@ def test_a_prepared_kernel_refuses_other_argument_types() -> None:
     """An array of another type raises. A compilation for it would take a second in the middle of a tick."""
 
     @kernel("vector", "real")
-    def scaled(values: np.ndarray, by: float) -> np.ndarray:
+    def scaled_values(values: np.ndarray, by: float) -> np.ndarray:
         return values * by
 
     compile_kernels()
-    np.testing.assert_array_equal(scaled(np.ones(3), 2.0), np.full(3, 2.0))
-    np.testing.assert_array_equal(scaled(np.ones(6)[::2], 2.0), np.full(3, 2.0))
+    np.testing.assert_array_equal(scaled_values(np.ones(3), 2.0), np.full(3, 2.0))
+    np.testing.assert_array_equal(scaled_values(np.ones(6)[::2], 2.0), np.full(3, 2.0))
     with pytest.raises(TypeError, match="No matching definition"):
-        scaled(np.ones(3, dtype=np.float32), 2.0)
+        scaled_values(np.ones(3, dtype=np.float32), 2.0)
 
 
 def test_only_a_contiguous_array_can_be_borrowed() -> None:
     """An array with gaps is refused, because a kernel would read the elements in the gaps."""
 
     @njit
-    def third(values: np.ndarray) -> float:
+    def third_value(values: np.ndarray) -> float:
         return float(borrowed_array(values, 1, (2,))[1])
 
     values = np.arange(8.0).reshape(2, 4)
-    assert third(values) == 2.0
+    assert third_value(values) == 2.0
     for other in (values[:, ::2], values.T):
         with pytest.raises(TypingError, match="a kernel can borrow a contiguous array only"):
-            third(other)
+            third_value(other)
 
 
-PROBE = """
+PROBE_KERNEL_CODE = """
 from handctl.compiled import kernel, kernel_helper
 from handctl.core.block import STATE, state_tables
 from handctl.core.detectors import losses
@@ -187,7 +187,7 @@ def misses(block, at):
     return losses.misses_every_second(state_tables(block, at), 0)
 """
 """Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
-ASK_SCRIPT = """
+ASK_PROBE_CODE = """
 from handctl import compiled
 from handctl.core import block as s
 from handctl.core.probe import misses
@@ -205,11 +205,11 @@ print(bool(misses(block, layout.places)), len(before), folder is not None)
 
 
 @pytest.fixture
-def copy(tmp_path: Path) -> Path:
-    """Copy the package and add the kernel ``PROBE``, which detects a node that misses every second tick."""
+def package_copy(tmp_path: Path) -> Path:
+    """Copy the package and add the kernel ``PROBE_KERNEL_CODE``, which detects a node that misses every second tick."""
     package = tmp_path / "handctl"
-    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
-    (package / "core" / "probe.py").write_text(PROBE, encoding="utf-8")
+    shutil.copytree(PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
+    (package / "core" / "probe.py").write_text(PROBE_KERNEL_CODE, encoding="utf-8")
     return package
 
 
@@ -220,7 +220,7 @@ def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
     stored.
     """
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(package.parent)}
-    command = [sys.executable, "-c", ASK_SCRIPT]
+    command = [sys.executable, "-c", ASK_PROBE_CODE]
     done = subprocess.run(
         command, env=environment, capture_output=True, text=True, cwd=package.parent, timeout=120
     )
@@ -229,41 +229,45 @@ def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
     return result == "True", int(hits) > 0, stored == "True"
 
 
-def test_a_constant_changed_in_another_file_compiles_again(copy: Path, tmp_path: Path) -> None:
+def test_a_constant_changed_in_another_file_compiles_again(
+    package_copy: Path, tmp_path: Path
+) -> None:
     """The kernel is compiled again if a constant changes in another file.
 
     numba itself checks only the kernel's own file.
     """
     cache = tmp_path / "cache"
-    assert run_copied_kernel(copy, cache) == (True, False, True)
-    assert run_copied_kernel(copy, cache) == (True, True, True), (
+    assert run_copied_kernel(package_copy, cache) == (True, False, True)
+    assert run_copied_kernel(package_copy, cache) == (True, True, True), (
         "positive control: unchanged code is not compiled again"
     )
-    other = copy / "safety" / "faults" / "node.py"
+    other = package_copy / "safety" / "faults" / "node.py"
     text = other.read_text(encoding="utf-8")
     assert "HALF_RATE_MISSES = 7\n" in text
     other.write_text(
         text.replace("HALF_RATE_MISSES = 7\n", "HALF_RATE_MISSES = 8\n"), encoding="utf-8"
     )
-    assert run_copied_kernel(copy, cache) == (False, False, True)
+    assert run_copied_kernel(package_copy, cache) == (False, False, True)
     other.write_text(text, encoding="utf-8")
-    assert run_copied_kernel(copy, cache) == (True, True, True), "the code of both versions is kept"
+    assert run_copied_kernel(package_copy, cache) == (True, True, True), (
+        "the code of both versions is kept"
+    )
 
 
 def test_two_installations_of_one_version_store_their_code_apart(
-    copy: Path, tmp_path: Path
+    package_copy: Path, tmp_path: Path
 ) -> None:
     """If both used one folder, an installation could load the stored code of the other."""
-    cache, other = tmp_path / "cache", tmp_path / "other" / copy.name
-    shutil.copytree(copy, other)
-    for package in (copy, other):
+    cache, other = tmp_path / "cache", tmp_path / "other" / package_copy.name
+    shutil.copytree(package_copy, other)
+    for package in (package_copy, other):
         assert run_copied_kernel(package, cache) == (True, False, True)
     assert len(list((cache / "handctl").glob("kernels-*"))) == 2
 
 
 @pytest.mark.parametrize("kind", ["missing", "a file", "read-only"])
 def test_without_a_writable_cache_each_process_compiles(
-    copy: Path, tmp_path: Path, kind: str
+    package_copy: Path, tmp_path: Path, kind: str
 ) -> None:
     cache = Path("/dev/null/none") if kind == "missing" else tmp_path / "cache"
     if kind != "missing":
@@ -272,7 +276,7 @@ def test_without_a_writable_cache_each_process_compiles(
         (cache / "handctl").write_text("")
     if kind == "read-only":
         cache.chmod(0o555)
-    result, hit, stored = run_copied_kernel(copy, cache)
+    result, hit, stored = run_copied_kernel(package_copy, cache)
     assert (result, hit) == (True, False)
     assert not stored or (kind == "read-only" and os.geteuid() == 0), (
         "root can write into read-only folders"
@@ -291,13 +295,13 @@ class KernelSources:
         self._seen = set[tuple[str, str]]()
         self._trees: dict[str, ast.Module] = {}
 
-    def follow(self, module: str, name: str) -> None:
+    def follow_name(self, module: str, name: str) -> None:
         """Add the module that defines a name, and the modules of all names in its definition."""
         if (module, name) in self._seen:
             return
         self._seen.add((module, name))
         self.modules.add(module)
-        for node in self._tree(module).body:
+        for node in self._syntax_tree(module).body:
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("handctl"):
                 for one in node.names:
                     if (one.asname or one.name) == name:
@@ -305,20 +309,20 @@ class KernelSources:
             elif name in defined_names(node):
                 for used in ast.walk(node):
                     if isinstance(used, ast.Name):
-                        self.follow(module, used.id)
+                        self.follow_name(module, used.id)
 
     def _follow_import(self, module: str, name: str) -> None:
         """Follow an imported name, or all names of an imported module."""
         inner = f"{module}.{name}"
         if inner not in sys.modules:
-            self.follow(module, name)
+            self.follow_name(module, name)
             return
         self.modules.add(inner)
-        for node in self._tree(inner).body:
+        for node in self._syntax_tree(inner).body:
             for one in defined_names(node):
-                self.follow(inner, one)
+                self.follow_name(inner, one)
 
-    def _tree(self, module: str) -> ast.Module:
+    def _syntax_tree(self, module: str) -> ast.Module:
         """Return the syntax tree of a module."""
         if module not in self._trees:
             self._trees[module] = ast.parse(
@@ -355,7 +359,7 @@ def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
     assert len(kernels) > 100
     origins = KernelSources()
     for function in kernels:
-        origins.follow(function.__module__, function.__name__)
+        origins.follow_name(function.__module__, function.__name__)
     assert {
         "handctl.core.schema",
         "handctl.safety.faults.tendon",
@@ -365,4 +369,4 @@ def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
 
 
 def test_every_source_of_kernels_exists() -> None:
-    assert [name for name in KERNEL_SOURCES if not (PACKAGE / name).exists()] == []
+    assert [name for name in KERNEL_SOURCES if not (PACKAGE_FOLDER / name).exists()] == []

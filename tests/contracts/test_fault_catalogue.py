@@ -26,20 +26,24 @@ from handctl.safety.faults.markdown import (
 )
 from handctl.safety.faults.table import FAULT_CATALOGUE, FAULT_TABLE, remedy_for
 
-ROOT = Path(__file__).parents[2]
-SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
-IDS = [f"{letter}{number:02}" for letter, size in SIZES.items() for number in range(1, size + 1)]
+REPOSITORY = Path(__file__).parents[2]
+ROWS_BY_LETTER = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 11}
+CATALOGUE_IDS = [
+    f"{letter}{number:02}"
+    for letter, size in ROWS_BY_LETTER.items()
+    for number in range(1, size + 1)
+]
 """Identifiers of all faults: the 68 rows of the first catalogue, N17 from a trial, and I11 for streams."""
-BY_ID = {entry.id: entry for entry in FAULT_CATALOGUE}
+ENTRY_BY_ID = {entry.id: entry for entry in FAULT_CATALOGUE}
 
-AUTOSAR = {
+AUTOSAR_FAULTS = {
     "repetition": "B05", "loss": "B01 B02 B03", "delay": "B04", "insertion": "B06 B10", "masquerade": "B06 N13 H13",
     "wrong address": "B10 N13", "wrong sequence": "B07", "corruption": "B08 B09", "asymmetric information": "B17",
     "subset of receivers": "B17", "blocked access": "B11 B12",
 }  # fmt: skip
 """Faults of communication that AUTOSAR lists, with faults of this catalogue. Source: FAULTS, section 2.6."""
-KINDS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
-PX4 = {
+PX4_FAILURE_KINDS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
+PX4_FAILURES = {
     "link": ("N02", "N15", "B08", "B06", "N15", "B04", "B03"),
     "joint encoder": ("N02", "N04", "N05", "N06", "N15", "B04", "B03"),
     "spool encoder": ("B02", "N04", "N05", "N06", "N15", "B04", "B03"),
@@ -56,13 +60,13 @@ An entry with - does not apply, and gives the reason.
 
 
 def test_the_catalogue_has_every_row_once_and_in_order() -> None:
-    assert len(IDS) == 70
-    assert [entry.id for entry in FAULT_CATALOGUE] == IDS
+    assert len(CATALOGUE_IDS) == 70
+    assert [entry.id for entry in FAULT_CATALOGUE] == CATALOGUE_IDS
 
 
 def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
     judged = {fault.row for fault in FAULT_TABLE}
-    assert judged <= set(IDS)
+    assert judged <= set(CATALOGUE_IDS)
     elsewhere = {entry.id for entry in FAULT_CATALOGUE if entry.where != CHECKED_BY_FAULT_TABLE}
     assert {
         entry.id for entry in FAULT_CATALOGUE if entry.where == CHECKED_BY_FAULT_TABLE
@@ -86,14 +90,16 @@ def test_every_fault_is_injected_or_has_a_reason() -> None:
         if entry.tested == "campaign":
             assert entry.id in campaign, entry.id
         elif entry.tested != "soak":
-            assert (ROOT / entry.tested).exists(), entry.id
-    assert campaign <= set(IDS)
-    assert UNTESTED_ROWS.keys() | campaign >= set(IDS) - {id_ for id_ in IDS if id_[0] == "I"}
+            assert (REPOSITORY / entry.tested).exists(), entry.id
+    assert campaign <= set(CATALOGUE_IDS)
+    assert UNTESTED_ROWS.keys() | campaign >= set(CATALOGUE_IDS) - {
+        id_ for id_ in CATALOGUE_IDS if id_[0] == "I"
+    }
 
 
 def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
     for row in FAULT_MATRIX:
-        entry = BY_ID[row.id]
+        entry = ENTRY_BY_ID[row.id]
         if row.rows[:1] == ("B11b",):  # second stage of B11, after ten ticks
             assert row.ticks == 11
             continue
@@ -108,7 +114,7 @@ def test_the_campaign_allows_no_more_time_than_the_catalogue() -> None:
             )
 
 
-REQUIRED = """\
+REQUIRED_TICKS = """\
 B01 2 B02 5 B03 102 B04 4 B05 2 B06 2 B07 2 B08 4 B09 2 B10 2 B11 3 B12 1 B13 21 B14 1 B15 3 B16 1 B17 4
 N01 2 N02 4 N04 22 N05 3 N06 200 N07 52 N08 2 N09 22 N10 2 N11 2 N13 2 N14 22 N15 22 N16 21
 T01 3 T02 12 T03 2 T04 200 T05 42 T06 4 T08 4
@@ -118,7 +124,7 @@ H01 1 H02 1 H03 1 H04 1 H05 3 H06 1 H07 1 H08 200 H09 640 H10 1 H13 2 I07 2
 
 
 def test_a_reaction_later_than_required_has_a_reason() -> None:
-    words = REQUIRED.split()
+    words = REQUIRED_TICKS.split()
     required = dict(zip(words[::2], map(int, words[1::2]), strict=True))
     for entry in FAULT_CATALOGUE:
         assert entry.required == required.get(entry.id, 0), entry.id
@@ -129,11 +135,11 @@ def test_a_reaction_later_than_required_has_a_reason() -> None:
 
 
 def test_the_pages_agree_with_the_code() -> None:
-    evidence = (ROOT / "docs" / "evidence" / "faults.md").read_text()
+    evidence = (REPOSITORY / "docs" / "evidence" / "faults.md").read_text()
     assert catalogue_markdown() in evidence
     assert late_rows() in evidence
     assert hardware_checklist() in evidence
-    reference = (ROOT / "docs" / "reference" / "faults.md").read_text()
+    reference = (REPOSITORY / "docs" / "reference" / "faults.md").read_text()
     assert fault_table_markdown() in reference
     assert fault_sections() in reference
 
@@ -149,17 +155,17 @@ def test_every_fault_says_in_one_line_what_to_do_about_it() -> None:
     assert remedy_for("index: 24 N in 3 s") == ""
 
 
-@pytest.mark.parametrize("fault", AUTOSAR)
+@pytest.mark.parametrize("fault", AUTOSAR_FAULTS)
 def test_each_fault_of_the_autosar_list_is_a_fault_of_the_table(fault: str) -> None:
-    assert set(AUTOSAR[fault].split()) <= set(IDS)
+    assert set(AUTOSAR_FAULTS[fault].split()) <= set(CATALOGUE_IDS)
 
 
 def test_each_cell_of_the_px4_table_is_a_fault_or_has_a_reason() -> None:
-    cells = [cell for row in PX4.values() for cell in row]
-    assert len(AUTOSAR) == 11
-    assert len(cells) == 6 * len(KINDS)
+    cells = [cell for row in PX4_FAILURES.values() for cell in row]
+    assert len(AUTOSAR_FAULTS) == 11
+    assert len(cells) == 6 * len(PX4_FAILURE_KINDS)
     for cell in cells:
-        assert cell in IDS or (cell.startswith("-") and len(cell) > 10), cell
+        assert cell in CATALOGUE_IDS or (cell.startswith("-") and len(cell) > 10), cell
 
 
 def test_faults_that_need_hardware_are_listed() -> None:

@@ -8,8 +8,8 @@ from types import ModuleType
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "tools" / "language.py"
-MODULE = '''"""Do a thing; somebody wants it."""
+LANGUAGE_SCRIPT = Path(__file__).parents[2] / "tools" / "language.py"
+EXAMPLE_MODULE = '''"""Do a thing; somebody wants it."""
 import math  # a comment
 told, x = 1, 2
 told, x = x, told
@@ -26,8 +26,8 @@ def measure():
 
 
 @pytest.fixture
-def language() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("language", SCRIPT)
+def language_check() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("language", LANGUAGE_SCRIPT)
     assert spec
     assert spec.loader
     module = importlib.util.module_from_spec(spec)
@@ -37,17 +37,19 @@ def language() -> ModuleType:
 
 
 @pytest.fixture
-def tree(tmp_path: Path) -> Path:
+def source_tree(tmp_path: Path) -> Path:
     (tmp_path / "src").mkdir()
-    (tmp_path / "src" / "one.py").write_text(MODULE)
+    (tmp_path / "src" / "one.py").write_text(EXAMPLE_MODULE)
     (tmp_path / "src" / "two.py").write_text("class Wishes:\n    pass\n")
     (tmp_path / "README.md").write_text("**What happened:** What is so; `what` and ropes.\n")
     return tmp_path
 
 
-def test_the_script_counts_names_docstrings_and_shape(language: ModuleType, tree: Path) -> None:
-    tally = language.count_all(tree)["src"]
-    counted = {count: tally.counts[count] for count in language.QUANTITY_PER_COUNT}
+def test_the_script_counts_names_docstrings_and_shape(
+    language_check: ModuleType, source_tree: Path
+) -> None:
+    tally = language_check.count_all(source_tree)["src"]
+    counted = {count: tally.counts[count] for count in language_check.QUANTITY_PER_COUNT}
     assert counted == {
         "names": 5,  # told twice, most, Wishes twice
         "openers": 1,
@@ -65,29 +67,33 @@ def test_the_script_counts_names_docstrings_and_shape(language: ModuleType, tree
     assert tally.places["openers"] == ["src/one.py:9: begins with 'what'"]
 
 
-def test_quoted_code_of_a_document_is_no_prose(language: ModuleType, tree: Path) -> None:
-    tally = language.count_all(tree)["documents"]
+def test_quoted_code_of_a_document_is_no_prose(
+    language_check: ModuleType, source_tree: Path
+) -> None:
+    tally = language_check.count_all(source_tree)["documents"]
     assert (tally.counts["what"], tally.counts["ropes"], tally.counts["semicolons"]) == (1, 1, 1)
 
 
 def test_a_count_above_its_limit_is_reported_and_limits_are_only_lowered(
-    language: ModuleType, tree: Path
+    language_check: ModuleType, source_tree: Path
 ) -> None:
-    before = language.count_all(tree)
-    limits = language.lowered_limits(before, {})
-    assert list(language.excesses(before, limits)) == []
-    (tree / "src" / "two.py").write_text("class Wishes:\n    told = asked = heard = 1\n")
-    after = language.count_all(tree)
-    (line,) = (line for line in language.excesses(after, limits) if "names" in line)
+    before = language_check.count_all(source_tree)
+    limits = language_check.lowered_limits(before, {})
+    assert list(language_check.excesses(before, limits)) == []
+    (source_tree / "src" / "two.py").write_text("class Wishes:\n    told = asked = heard = 1\n")
+    after = language_check.count_all(source_tree)
+    (line,) = (line for line in language_check.excesses(after, limits) if "names" in line)
     assert line.startswith("src: names ")
-    assert language.lowered_limits(after, limits)["src"]["names"] == limits["src"]["names"]
-    (tree / "src" / "two.py").write_text("")
+    assert language_check.lowered_limits(after, limits)["src"]["names"] == limits["src"]["names"]
+    (source_tree / "src" / "two.py").write_text("")
     assert (
-        language.lowered_limits(language.count_all(tree), limits)["src"]["names"]
+        language_check.lowered_limits(language_check.count_all(source_tree), limits)["src"]["names"]
         < limits["src"]["names"]
     )
 
 
-def test_limits_are_read_as_they_were_written(language: ModuleType, tree: Path) -> None:
-    limits = language.lowered_limits(language.count_all(tree), {})
-    assert tomllib.loads(language.to_toml(limits)) == limits
+def test_limits_are_read_as_they_were_written(
+    language_check: ModuleType, source_tree: Path
+) -> None:
+    limits = language_check.lowered_limits(language_check.count_all(source_tree), {})
+    assert tomllib.loads(language_check.to_toml(limits)) == limits

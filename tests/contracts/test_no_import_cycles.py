@@ -5,24 +5,24 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-Graph = dict[str, set[str]]
+REPOSITORY = Path(__file__).parents[2]
+ImportGraph = dict[str, set[str]]
 
 
-def modules() -> dict[str, Path]:
+def module_files() -> dict[str, Path]:
     """Return every module of handctl and firmware_sim with its file.
 
     A package has the file `__init__.py`, which contains no code.
     """
     files = {}
-    for package in (ROOT / "src" / "handctl", ROOT / "firmware_sim"):
+    for package in (REPOSITORY / "src" / "handctl", REPOSITORY / "firmware_sim"):
         for path in package.rglob("*.py"):
             parts = (package.name, *path.relative_to(package).with_suffix("").parts)
             files[".".join(parts).removesuffix(".__init__")] = path
     return files
 
 
-def imports(source: str, modules_known: set[str]) -> set[str]:
+def imported_modules(source: str, modules_known: set[str]) -> set[str]:
     """Return the known modules that a source text imports, including imports in functions and for types."""
     imported: set[str] = set()
     for node in ast.walk(ast.parse(source)):
@@ -35,7 +35,7 @@ def imports(source: str, modules_known: set[str]) -> set[str]:
     return imported & modules_known
 
 
-def circles(graph: Graph) -> list[set[str]]:
+def import_cycles(graph: ImportGraph) -> list[set[str]]:
     """Return the groups of modules that import each other, directly or through others."""
     reach = {name: set(targets) for name, targets in graph.items()}
     for middle in graph:
@@ -47,18 +47,18 @@ def circles(graph: Graph) -> list[set[str]]:
 
 
 def test_the_search_detects_circles_of_any_length() -> None:
-    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [{"a", "b", "c"}]
-    assert circles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+    assert import_cycles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [{"a", "b", "c"}]
+    assert import_cycles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
     modules_known = {"handctl.a", "handctl.b", "handctl.b.c"}
-    assert imports("from handctl.b import c", modules_known) == {"handctl.b.c"}
-    assert imports("def f():\n    import handctl.a", modules_known) == {"handctl.a"}
+    assert imported_modules("from handctl.b import c", modules_known) == {"handctl.b.c"}
+    assert imported_modules("def f():\n    import handctl.a", modules_known) == {"handctl.a"}
 
 
 @pytest.mark.parametrize("package", ["handctl", "firmware_sim"])
 def test_no_import_circles(package: str) -> None:
-    files = {name: path for name, path in modules().items() if name.split(".")[0] == package}
+    files = {name: path for name, path in module_files().items() if name.split(".")[0] == package}
     graph = {
-        name: imports(path.read_text(encoding="utf-8"), set(files)) - {name}
+        name: imported_modules(path.read_text(encoding="utf-8"), set(files)) - {name}
         for name, path in files.items()
     }
-    assert circles(graph) == []
+    assert import_cycles(graph) == []

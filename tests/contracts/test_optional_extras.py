@@ -16,19 +16,19 @@ from firmware_sim.__main__ import main as firmware_sim
 from handctl.cli.main import VERB_HELP, VERBS_BY_FOLDER, main
 from handctl.extras import EXTRA_BY_MODULE, MissingExtraError, missing_extra, require_extra
 
-ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-HOMES = (
+REPOSITORY = Path(__file__).parents[2]
+PROJECT_TABLE = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+PLACES_OF_EXTRAS = (
     "src/handctl/gym/", "src/handctl/view/", "src/handctl/log/export/", "src/handctl/replay/dataset_episode.py",
     "src/handctl/tune/search/",
 )  # fmt: skip
 """Folders and files of the source that may import optional packages."""
-PARTS = {"pydantic_core"}
+PARTS_OF_DEPENDENCIES = {"pydantic_core"}
 """Packages that are part of a dependency, which pins them to one version."""
-HIDE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRA_BY_MODULE)}))\n"
+HIDE_EXTRAS_CODE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRA_BY_MODULE)}))\n"
 """Python code that hides every optional package from a process."""
 
-COMMANDS = [
+COMMANDS_WITH_EXTRA = [
     ("demo --lockstep", "mujoco", "demo needs mujoco", "sim"),
     ("sim --hand jamia --bus local:x", "mujoco", "sim needs mujoco", "sim"),
     ("identify --hand jamia --lockstep", "mujoco", "identify needs mujoco", "sim"),
@@ -52,7 +52,9 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize(
-    ("words", "package", "need", "extra"), COMMANDS, ids=[row[0] for row in COMMANDS]
+    ("words", "package", "need", "extra"),
+    COMMANDS_WITH_EXTRA,
+    ids=[row[0] for row in COMMANDS_WITH_EXTRA],
 )
 def test_a_missing_extra_is_one_line_that_names_it(
     words: str,
@@ -71,7 +73,10 @@ def test_a_missing_extra_is_one_line_that_names_it(
 
 
 def test_the_simulator_names_its_extra_as_well() -> None:
-    code = f"{HIDE}from firmware_sim.__main__ import main\nsys.exit(main(['--hand', 'jamia', '--bus', 'local:x']))"
+    code = (
+        f"{HIDE_EXTRAS_CODE}from firmware_sim.__main__ import main\n"
+        "sys.exit(main(['--hand', 'jamia', '--bus', 'local:x']))"
+    )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     expected = "firmware_sim: a simulated hand needs mujoco: pip install 'handctl[sim]'\n"
     assert (ran.returncode, ran.stderr) == (2, expected)
@@ -80,7 +85,10 @@ def test_the_simulator_names_its_extra_as_well() -> None:
 
 
 def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
-    code = f"{HIDE}from handctl.session.simulate import SimulatorSettings\nSimulatorSettings('jamia').check()"
+    code = (
+        f"{HIDE_EXTRAS_CODE}from handctl.session.simulate import SimulatorSettings\n"
+        "SimulatorSettings('jamia').check()"
+    )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert ran.stderr.splitlines()[-1].endswith(
         "the simulated hand needs mujoco: pip install 'handctl[sim]'"
@@ -136,7 +144,7 @@ def test_no_verb_s_help_or_module_needs_an_extra() -> None:
         for verb in verbs
     ]
     code = (
-        f"{HIDE}import importlib\nfrom handctl.cli.main import main\n"
+        f"{HIDE_EXTRAS_CODE}import importlib\nfrom handctl.cli.main import main\n"
         f"for name in {list(VERB_HELP)}:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n"
         "        pass\n"
         f"for name in {modules}:\n    importlib.import_module(name)\n"
@@ -145,7 +153,7 @@ def test_no_verb_s_help_or_module_needs_an_extra() -> None:
 
 
 def test_each_extra_installs_what_it_is_named_for() -> None:
-    extras = PROJECT["optional-dependencies"]
+    extras = PROJECT_TABLE["optional-dependencies"]
     distributions = packages_distributions()
     for package, extra in EXTRA_BY_MODULE.items():
         names = {re.split(r"[=<>\[]", line)[0] for line in extras[extra]}
@@ -155,23 +163,23 @@ def test_each_extra_installs_what_it_is_named_for() -> None:
 
 
 def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undeclared() -> None:
-    declared = {re.split(r"[=<>]", line)[0] for line in PROJECT["dependencies"]}
+    declared = {re.split(r"[=<>]", line)[0] for line in PROJECT_TABLE["dependencies"]}
     distributions = packages_distributions()
-    for path in sorted((ROOT / "src").rglob("*.py")):
+    for path in sorted((REPOSITORY / "src").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            for name in imported(node):
-                if name in {*sys.stdlib_module_names, *PARTS, "handctl"}:
+            for name in imported_packages(node):
+                if name in {*sys.stdlib_module_names, *PARTS_OF_DEPENDENCIES, "handctl"}:
                     continue
-                place = str(path.relative_to(ROOT))
+                place = str(path.relative_to(REPOSITORY))
                 if name in EXTRA_BY_MODULE:
-                    assert place.startswith(HOMES), f"{place} imports {name}"
+                    assert place.startswith(PLACES_OF_EXTRAS), f"{place} imports {name}"
                 else:
                     assert declared & set(distributions[name]), (
                         f"{place} imports {name}, which is not a dependency"
                     )
 
 
-def imported(node: ast.AST) -> list[str]:
+def imported_packages(node: ast.AST) -> list[str]:
     """Return the top-level packages that a node of a syntax tree imports."""
     match node:
         case ast.Import(names=aliases):

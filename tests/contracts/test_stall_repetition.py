@@ -12,15 +12,16 @@ pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 REPEATED_TEST = """
 import os, signal, time
 import pytest
-from tests.conftest import SLOWER
+from tests.conftest import TIME_SCALE_PER_REPEAT
 
 TRIES = []
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("stalled", [True, False])
-def test_each_repeat_runs_in_slower_time(stalled, request, slower):
+def test_each_repeat_runs_in_slower_time(stalled, request, repeat_time_scale):
     TRIES.append(stalled)
-    assert slower == pytest.approx(SLOWER ** (TRIES.count(stalled) - 1)), "each try in slower time"
+    expected = TIME_SCALE_PER_REPEAT ** (TRIES.count(stalled) - 1)
+    assert repeat_time_scale == pytest.approx(expected), "each try in slower time"
     repeats = request.config.pluginmanager.get_plugin("repeats")
     if stalled:
         os.kill(repeats.meter.pids[0], signal.SIGSTOP)

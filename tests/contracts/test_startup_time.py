@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-HEAVY = (
+HEAVY_LIBRARIES = (
     "can",
     "control",
     "daqp",
@@ -20,12 +20,21 @@ HEAVY = (
     "rerun",
     "scipy",
 )
-UNUSED = ("fft", "interpolate", "ndimage", "optimize", "signal", "spatial", "special", "stats")
+UNUSED_SCIPY_PACKAGES = (
+    "fft",
+    "interpolate",
+    "ndimage",
+    "optimize",
+    "signal",
+    "spatial",
+    "special",
+    "stats",
+)
 """Packages of scipy that a run does not import if its hand has springs."""
-LIMIT_S = 0.3
-LIMIT_INTERPRETERS = 10
+HELP_LIMIT_S = 0.3
+HELP_LIMIT_INTERPRETERS = 10
 """Limit of the time for a help on a slow or busy machine, in start-up times of an empty Python interpreter."""
-HELP = (
+HELP_CODE = (
     "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
 )
 
@@ -36,7 +45,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def seconds(code: str) -> float:
+def seconds_to_run(code: str) -> float:
     start = time.perf_counter()
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
     return time.perf_counter() - start
@@ -45,14 +54,14 @@ def seconds(code: str) -> float:
 @pytest.mark.realtime
 @pytest.mark.alone
 def test_help_answers_at_once() -> None:
-    pairs = [(seconds("pass"), seconds(HELP)) for _ in range(5)]
+    pairs = [(seconds_to_run("pass"), seconds_to_run(HELP_CODE)) for _ in range(5)]
     bare, full = (min(column) for column in zip(*pairs, strict=True))
-    allowed = max(LIMIT_S, LIMIT_INTERPRETERS * bare)
+    allowed = max(HELP_LIMIT_S, HELP_LIMIT_INTERPRETERS * bare)
     assert full <= allowed, f"handctl --help {full:.2f} s, bare interpreter {bare:.3f} s"
 
 
 def test_help_imports_no_heavy_library() -> None:
-    code = f"{HELP}import sys\nprint('loaded:', *(name for name in {HEAVY} if name in sys.modules))"
+    code = f"{HELP_CODE}import sys\nprint('loaded:', *(name for name in {HEAVY_LIBRARIES} if name in sys.modules))"
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert ran.stdout.startswith("usage: handctl")
     assert ran.stdout.splitlines()[-1] == "loaded:"
@@ -60,7 +69,7 @@ def test_help_imports_no_heavy_library() -> None:
 
 def test_a_run_starts_without_packages_that_it_does_not_use() -> None:
     others = ("control", "matplotlib", "numpy.f2py", "numpy.testing")
-    names = ("filterpy.kalman", *others, *(f"scipy.{part}" for part in UNUSED))
+    names = ("filterpy.kalman", *others, *(f"scipy.{part}" for part in UNUSED_SCIPY_PACKAGES))
     code = (
         "import sys\nfrom handctl.cli.main import main\nmain(['demo', '--lockstep', '--dry-run'])\n"
     )

@@ -13,7 +13,7 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
-from tests.hand.hand_on_wrist import on_wrist
+from tests.hand.hand_on_wrist import mount_on_wrist
 
 RATE_HZ = 400.0
 SIMULATOR_SEEDS = range(20) if NIGHTLY else range(1)
@@ -86,27 +86,27 @@ def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors
 @pytest.mark.parametrize("name", TESTED_HANDS)
 def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
     """The error is more than four times as large if the controller assumes that tendons pass through the axis."""
-    hand = on_wrist(name)
+    hand = mount_on_wrist(name)
     aware = simulate_control_errors(hand, hand, seed)
     assert aware is not None
     assert aware.tracking_deg < TRACKING_LIMITS_DEG[name]
     assert aware.wrist_deg < 1.0
-    blind = simulate_control_errors(on_wrist(name, 0.0), hand, seed)
+    blind = simulate_control_errors(mount_on_wrist(name, 0.0), hand, seed)
     assert blind is None or blind.tracking_deg > 4.0 * aware.tracking_deg
 
 
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
     """If the controller neglects their torque, the tension of bent fingers looks like an object at the wrist."""
-    hand = on_wrist("jamia")
+    hand = mount_on_wrist("jamia")
     aware = simulate_control_errors(hand, hand, 0)
-    blind = simulate_control_errors(on_wrist("jamia", 0.0), hand, 0)
+    blind = simulate_control_errors(mount_on_wrist("jamia", 0.0), hand, 0)
     assert aware is not None
     assert blind is not None
     assert aware.external_N < 0.5 * blind.external_N
 
 
 def test_arms_are_divided_between_a_digit_and_its_carriers() -> None:
-    hand = on_wrist("jamia11")
+    hand = mount_on_wrist("jamia11")
     assert np.array_equal(hand.own_arms + hand.carrier_arms, hand.moment_arms)
     joints = hand.digit_joints["middle"]
     tendons = hand.digit_tendons["middle"]

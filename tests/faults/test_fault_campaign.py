@@ -40,18 +40,19 @@ from handctl.safety.action import Action
 from handctl.safety.faults.tendon import RELAXED_S
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun
-from tests.hand.hand_on_wrist import on_wrist
+from tests.hand.hand_on_wrist import mount_on_wrist
 
 RATE_HZ = 500.0
-SAMPLE = ("N08", "H13")
+SAMPLED_FAULTS = ("N08", "H13")
 
 
 @pytest.fixture(scope="module")
-def report():
+def campaign_report():
     """Return the report of a campaign with some rows on MIT drives, and with one second of a hand without faults."""
     return campaign.run_campaign(
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
-        on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None, row_ids=SAMPLE,
+        on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
+        row_ids=SAMPLED_FAULTS,
     )  # fmt: skip
 
 
@@ -60,7 +61,7 @@ def test_only_existing_load_cells_fail():
 
     It ended with a traceback.
     """
-    for hand in (on_wrist("jamia"), load_hand("orca_like")):
+    for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
         cells = set(hand.sensor_node.tendons)
         found = [*scenarios_of_hand(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
         texts = [text for one in found for text in (one.fault, one.second) if "cell=" in text]
@@ -68,16 +69,18 @@ def test_only_existing_load_cells_fail():
         assert {text.partition("cell=")[2].split()[0] for text in texts} <= cells
 
 
-def test_every_scenario_takes_effect_and_is_answered_in_time(report):
-    wrong = [(result.scenario, result.problem) for result in report.all_results if not result.ok]
+def test_every_scenario_takes_effect_and_is_answered_in_time(campaign_report):
+    wrong = [
+        (result.scenario, result.problem) for result in campaign_report.all_results if not result.ok
+    ]
     assert wrong == []
-    assert {result.id for result in report.all_results} == set(SAMPLE)
-    assert all(result.effects for result in report.all_results)
+    assert {result.id for result in campaign_report.all_results} == set(SAMPLED_FAULTS)
+    assert all(result.effects for result in campaign_report.all_results)
 
 
-def test_the_report_has_its_sections(report):
-    figures = report.plain()
-    assert figures["scenarios"] == len(report.all_results) == 12
+def test_the_report_has_its_sections(campaign_report):
+    figures = campaign_report.plain()
+    assert figures["scenarios"] == len(campaign_report.all_results) == 12
     assert (figures["late"], figures["not_felt"], figures["false_alarms"]) == (0, 0, 0)
     assert 0 < figures["worst_ticks"] <= 6
 

@@ -35,20 +35,23 @@ from handctl.core.types import Mode
 from handctl.safety.judge import LatchedFault
 from handctl.session.plan import default_rate
 
-NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, result: None}
+NO_CALLBACKS = {
+    "on_progress": lambda done: None,
+    "on_failure": lambda arming_simulation, result: None,
+}
 
 
 @pytest.fixture(scope="module")
-def simulation():
+def arming_simulation():
     """Yield the simulation of a hand that is being armed at a low control rate. Each test uses a copy of it."""
-    with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as simulation:
-        advance_to(simulation, ARMING_STAGE)
-        yield simulation
+    with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as arming_simulation:
+        advance_to(arming_simulation, ARMING_STAGE)
+        yield arming_simulation
 
 
 @pytest.fixture
-def arming(simulation):
-    return replace(simulation, recorded=list(simulation.recorded))
+def arming_copy(arming_simulation):
+    return replace(arming_simulation, recorded=list(arming_simulation.recorded))
 
 
 @pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
@@ -69,13 +72,13 @@ def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path)
 
 def test_sequence_violates_no_rule():
     results = run_sequences(
-        hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NOBODY
+        hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NO_CALLBACKS
     )
     assert [(one.scenario, one.problem) for one in results if not one.ok] == []
     assert sum(one.effects for one in results) >= 5
 
 
-def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
+def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
     """The sequence has a drive that runs away.
 
     If the rule does not count this as the reason, its tension breaks the rule.
@@ -85,15 +88,20 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
     for explains in (sequences.RUNAWAY_FAULT, "nobody"):
         monkeypatch.setattr(sequences, "RUNAWAY_FAULT", explains)
         run_in_branches(
-            arming, [sequence], 1, run_sequence, results.append, lambda simulation, result: None
+            arming_copy,
+            [sequence],
+            1,
+            run_sequence,
+            results.append,
+            lambda simulation, result: None,
         )
     assert (results[0].ok, results[1].ok) == (True, False)
     assert results[1].problem.endswith("N in a tendon, at most 140 N expected")
     assert results[0].tension == results[1].tension
 
 
-def test_violated_rule_of_a_tick_is_found(arming):
-    before = arming.state.copy()
+def test_violated_rule_of_a_tick_is_found(arming_copy):
+    before = arming_copy.state.copy()
     before.mode = Mode.RELAX
     before.decide(latched=(LatchedFault("T03", "index_tendon"),))
     after = before.copy()
@@ -112,26 +120,26 @@ def test_violated_rule_of_a_tick_is_found(arming):
     ]
 
 
-def test_violated_rule_at_the_end_is_found(arming):
-    assert violations_at_end(arming) == ["the run does not end: ARMING"]
-    arming.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
-    arming.state = arming.state.copy()
-    arming.state.mode = Mode.DONE
-    assert violations_at_end(arming) == ["torque remains: middle_tendon"]
-    arming.state.decide(failure="REMOVE POWER: not confirmed disabled: middle_motor")
-    assert violations_at_end(arming) == []
+def test_violated_rule_at_the_end_is_found(arming_copy):
+    assert violations_at_end(arming_copy) == ["the run does not end: ARMING"]
+    arming_copy.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
+    arming_copy.state = arming_copy.state.copy()
+    arming_copy.state.mode = Mode.DONE
+    assert violations_at_end(arming_copy) == ["torque remains: middle_tendon"]
+    arming_copy.state.decide(failure="REMOVE POWER: not confirmed disabled: middle_motor")
+    assert violations_at_end(arming_copy) == []
 
 
-def test_a_tick_with_another_result_is_found(arming):
-    start = arming.state
-    first = len(arming.recorded)
+def test_a_tick_with_another_result_is_found(arming_copy):
+    start = arming_copy.state
+    first = len(arming_copy.recorded)
     for _ in range(5):
-        arming.tick()
-    assert violations_on_replay(arming, start, first) == []
+        arming_copy.tick()
+    assert violations_on_replay(arming_copy, start, first) == []
     other = start.copy()
     other.goal_time += 1e-9
-    assert violations_on_replay(arming, other, first) == [
-        f"tick {arming.recorded[first][0].k} does not repeat with the same inputs"
+    assert violations_on_replay(arming_copy, other, first) == [
+        f"tick {arming_copy.recorded[first][0].k} does not repeat with the same inputs"
     ]
 
 
@@ -146,6 +154,6 @@ def test_random_sequences_violate_no_rule(hand, protocol):
     """Each hand runs 334 random sequences of faults with each drive protocol."""
     described = hand_with_protocol(hand, protocol)
     results = run_sequences(
-        described, protocol, default_rate(described), range(334), jobs=2, **NOBODY
+        described, protocol, default_rate(described), range(334), jobs=2, **NO_CALLBACKS
     )
     assert [(one.scenario, one.problem) for one in results if not one.ok] == []

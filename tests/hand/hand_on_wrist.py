@@ -6,14 +6,14 @@ from typing import Any
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, load_hand
 
-ARM_M = 0.005
+WRIST_MOMENT_ARM_M = 0.005
 """Distance at which the digits' tendons pass the axis of the wrist [m].
 
 The wrist's own tendon has a larger distance.
 """
 
 
-def on_wrist(name: str, arm: float = ARM_M) -> Hand:
+def mount_on_wrist(name: str, arm: float = WRIST_MOMENT_ARM_M) -> Hand:
     """Return a packaged hand with all its digits on a wrist of one joint, which a spool pair turns.
 
     Args:

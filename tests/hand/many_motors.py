@@ -17,7 +17,7 @@ def fifteen_motors() -> dict[str, Any]:
     }
     for number, name in enumerate(("little", "outer")):
         for section, ones in parts.items():
-            ones += [_renamed(one, name) for one in raw[section] if "index" in one["name"]]
+            ones += [_renamed_section(one, name) for one in raw[section] if "index" in one["name"]]
         parts["digit"][-1]["mount_position_m"] = [0.0, 0.025, -0.04 - 0.02 * number]
     for node, motor in enumerate(parts["motor"], start=1):
         motor["node_id"] = node
@@ -28,10 +28,13 @@ def fifteen_motors() -> dict[str, Any]:
     return raw | parts | {"name": "fifteen", "sensor_node": node}
 
 
-def _renamed(one: Any, finger: str) -> Any:
+def _renamed_section(one: Any, finger: str) -> Any:
     """Copy a section of a hand file with the name of another finger in place of index."""
     if isinstance(one, dict):
-        return {_renamed(key, finger): _renamed(value, finger) for key, value in one.items()}
+        return {
+            _renamed_section(key, finger): _renamed_section(value, finger)
+            for key, value in one.items()
+        }
     if isinstance(one, list):
-        return [_renamed(value, finger) for value in one]
+        return [_renamed_section(value, finger) for value in one]
     return one.replace("index", finger) if isinstance(one, str) else one

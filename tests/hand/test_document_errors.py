@@ -10,37 +10,37 @@ from handctl.document import Document, validate_content
 from handctl.errors import ConfigError
 
 
-class Move(Document):
+class MoveStep(Document):
     """Step of a plan with a speed."""
 
     kind: Literal["move"]
     speed_deg_s: float = Field(gt=0)
 
 
-class Hold(Document):
+class HoldStep(Document):
     """Step of a plan with a tension and an optional step."""
 
     kind: Literal["hold"]
     tension_N: float
-    spare: Move | None = None
+    spare: MoveStep | None = None
 
 
-class Part(Document):
+class PlanPart(Document):
     """Part of a plan."""
 
     name: str
     size_m: float = 1.0
 
 
-class Plan(Document):
+class PlanDocument(Document):
     """Document with a field of each kind."""
 
     name: str
-    part: tuple[Part, ...] = ()
+    part: tuple[PlanPart, ...] = ()
     made: str = ""
-    step: tuple[Annotated[Move | Hold, Field(discriminator="kind")], ...] = ()
+    step: tuple[Annotated[MoveStep | HoldStep, Field(discriminator="kind")], ...] = ()
     point: dict[str, float] = Field(default_factory=dict)
-    either: Move | float = 1.0
+    either: MoveStep | float = 1.0
 
     @field_validator("name")
     @classmethod
@@ -50,8 +50,8 @@ class Plan(Document):
         return name
 
 
-MOVE = {"kind": "move", "speed_deg_s": 1.0}
-LINES: dict[str, tuple[dict[str, Any], str]] = {
+MOVE_CONTENT = {"kind": "move", "speed_deg_s": 1.0}
+LINE_BY_MISTAKE: dict[str, tuple[dict[str, Any], str]] = {
     "missing": ({}, "name: missing; expected this key"),
     "missing below": ({"name": "a", "step": [{"kind": "move"}]}, "step[0].speed_deg_s: missing; expected this key"),
     "unknown": ({"name": "a", "nome": 1}, "nome: unknown key; expected name?"),
@@ -59,14 +59,14 @@ LINES: dict[str, tuple[dict[str, Any], str]] = {
     "unknown, like none": ({"name": "a", "xyzzy": 1}, "xyzzy: unknown key; expected one of the documented keys"),
     "unknown and missing": ({"nme": "a"}, "nme: unknown key; expected name?"),
     "unknown below": (
-        {"name": "a", "step": [MOVE, MOVE | {"speed": 3}]},
+        {"name": "a", "step": [MOVE_CONTENT, MOVE_CONTENT | {"speed": 3}]},
         "step[1].speed: unknown key; expected speed_deg_s?",
     ),
     "wrong": ({"name": 3}, "name: 3; expected a valid string"),
     "a table": ({"name": {"a": 1}}, "name: a table; expected a valid string"),
     "a list": ({"name": [1, 2]}, "name: [1, 2]; expected a valid string"),
     "too small": (
-        {"name": "a", "step": [MOVE | {"speed_deg_s": -1.5}]},
+        {"name": "a", "step": [MOVE_CONTENT | {"speed_deg_s": -1.5}]},
         "step[0].speed_deg_s: -1.5; expected greater than 0",
     ),
     "refused by its model": ({"name": "none"}, 'name: "none"; expected a better name'),
@@ -90,22 +90,22 @@ LINES: dict[str, tuple[dict[str, Any], str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("content", "line"), LINES.values(), ids=LINES.keys())
+@pytest.mark.parametrize(("content", "line"), LINE_BY_MISTAKE.values(), ids=LINE_BY_MISTAKE.keys())
 def test_a_mistake_is_a_line(content: dict[str, Any], line: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        validate_content(content, Plan, "plan.toml")
+        validate_content(content, PlanDocument, "plan.toml")
     assert str(caught.value) == f"plan.toml: {line}"
 
 
 def test_document_without_a_table_is_refused() -> None:
     with pytest.raises(ConfigError) as caught:
-        validate_content([], Plan, "plan.toml")  # type: ignore[arg-type]
+        validate_content([], PlanDocument, "plan.toml")  # type: ignore[arg-type]
     assert str(caught.value).startswith("plan.toml: []; expected ")
 
 
 def test_a_date_of_toml_is_taken_as_it_is_written() -> None:
     made = datetime.datetime(2026, 1, 2, 3, 4, 5, tzinfo=datetime.UTC)
     assert (
-        validate_content({"name": "a", "made": made}, Plan, "plan.toml").made
+        validate_content({"name": "a", "made": made}, PlanDocument, "plan.toml").made
         == "2026-01-02 03:04:05+00:00"
     )

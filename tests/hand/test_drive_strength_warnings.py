@@ -12,7 +12,7 @@ from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 from handctl.hand.strength import STRENGTH_MARGIN, largest_force, runaway_tension, strength_warnings
 
 
-def with_ratings(
+def hand_with_ratings(
     hand: Hand,
     *,
     rated: float | None = None,
@@ -67,12 +67,12 @@ def test_the_bound_is_exact(name):
         most = largest_force(strength)
         assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(most))
         for factor, warned in ((0.999, False), (1.001, True)):
-            other = with_ratings(hand, peak=factor * most * spool, strength=strength)
+            other = hand_with_ratings(hand, peak=factor * most * spool, strength=strength)
             assert any("torque_peak_N_m" in line for line in strength_warnings(other)) == warned
 
 
 def test_a_drive_limit_too_high_is_reported_with_the_right_one():
-    hand = with_ratings(load_hand("jamia"), strength=470.0)
+    hand = hand_with_ratings(load_hand("jamia"), strength=470.0)
     (line,) = [line for line in strength_warnings(hand) if "drive_limit_N" in line]
     assert line.startswith(
         "index_tendon, middle_tendon and 2 more: drive_limit_N (160 N at the tendon) makes 320 N"
@@ -85,8 +85,8 @@ def test_joints_without_rating_are_reported_and_weak_ones_by_name():
     hand = load_hand("jamia")
     assert any("joint_rated_torque_N_m is missing" in line for line in strength_warnings(hand))
     strong, weak = (
-        with_ratings(hand, rated=2.26),
-        with_ratings(hand, rated=2.24),
+        hand_with_ratings(hand, rated=2.26),
+        hand_with_ratings(hand, rated=2.24),
     )  # 500 N at 3 mm, times 1.5, make 2.25 N m
     assert not any(
         "joint_rated" in line or "its rating" in line for line in strength_warnings(strong)

@@ -13,12 +13,14 @@ from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import hand_content, hand_from_content, packaged_hands
 from tests.conftest import NIGHTLY
 
-CONTENT = {name: hand_content(name) for name in packaged_hands()}
-SIGNED = re.compile(r"gravity|mount_|joint_m(in|ax)_deg|moment_arm|zero_rad|coupling|direction")
-OPTIONAL = {"coupling"}
+CONTENT_BY_HAND = {name: hand_content(name) for name in packaged_hands()}
+SIGNED_KEYS = re.compile(
+    r"gravity|mount_|joint_m(in|ax)_deg|moment_arm|zero_rad|coupling|direction"
+)
+OPTIONAL_KEYS = {"coupling"}
 
 
-def leaves(node, path=()):
+def content_leaves(node, path=()):
     """Yield the path and the value of everything in a hand's content that is not a table or a list."""
     entries = (
         node.items()
@@ -31,16 +33,16 @@ def leaves(node, path=()):
         yield path, node
         return
     for key, value in entries:
-        yield from leaves(value, (*path, key))
+        yield from content_leaves(value, (*path, key))
 
 
-def tables(node, path=()):
+def content_tables(node, path=()):
     """Yield the path and the content of each table whose keys the schema defines."""
     if isinstance(node, dict):
         yield path, node
     for key, value in node.items() if isinstance(node, dict) else enumerate(node):
         if isinstance(value, dict | list) and key != "moment_arm_m":
-            yield from tables(value, (*path, key))
+            yield from content_tables(value, (*path, key))
 
 
 def is_number(value):
@@ -69,7 +71,7 @@ def key_path_text(content, path):
     return text
 
 
-FLAT = tuple(name for name in packaged_hands() if name != "orca_like")
+HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "orca_like")
 """Packaged hands with planar digits on the palm.
 
 ``orca_like`` has the same keys, and in addition axes and inertias of spatial chains.
@@ -82,10 +84,15 @@ def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
     return cases if NIGHTLY else list(by_key.values())
 
 
-NUMBERS = [
-    pytest.param(CONTENT[name], path, value, id=f"{name}-{key_path_text(CONTENT[name], path)}")
-    for name in FLAT
-    for path, value in leaves(CONTENT[name])
+NUMBER_CASES = [
+    pytest.param(
+        CONTENT_BY_HAND[name],
+        path,
+        value,
+        id=f"{name}-{key_path_text(CONTENT_BY_HAND[name], path)}",
+    )
+    for name in HANDS_WITH_PLANAR_DIGITS
+    for path, value in content_leaves(CONTENT_BY_HAND[name])
     if is_number(value)
     and path != ("schema",)
     and not (len(path) > 1 and isinstance(path[1], int) and path[1] in (1, 2))
@@ -94,10 +101,10 @@ NUMBERS = [
 
 The entries of middle and ring finger are left out, because they repeat others.
 """
-SAMPLE = one_per_key(NUMBERS)
+SAMPLED_NUMBER_CASES = one_per_key(NUMBER_CASES)
 
 
-@pytest.mark.parametrize(("content", "path", "value"), SAMPLE)
+@pytest.mark.parametrize(("content", "path", "value"), SAMPLED_NUMBER_CASES)
 def test_invalid_number_in_a_hand_file_is_refused(refusal, content, path, value):
     wrong = [
         (math.nan, "nan"),
@@ -107,14 +114,14 @@ def test_invalid_number_in_a_hand_file_is_refused(refusal, content, path, value)
         ("12", '"12"'),
         ([1.0], "[1.0]"),
     ]
-    if value != 0 and not SIGNED.search(str(path)):
+    if value != 0 and not SIGNED_KEYS.search(str(path)):
         wrong.append((-value, str(-value)))
     for bad, shown in wrong:
         line = refusal(with_value(content, path, bad))
         assert line.startswith(f"my/hand.toml: {key_path_text(content, path)}: {shown};")
 
 
-@pytest.mark.parametrize(("content", "path", "value"), SAMPLE)
+@pytest.mark.parametrize(("content", "path", "value"), SAMPLED_NUMBER_CASES)
 def test_no_number_may_be_absurdly_large(refusal, content, path, value):
     for absurd in (1e9, 10**400):
         assert f"my/hand.toml: {key_path_text(content, path)}: " in refusal(
@@ -122,20 +129,20 @@ def test_no_number_may_be_absurdly_large(refusal, content, path, value):
         )
 
 
-@pytest.mark.parametrize("name", FLAT)
+@pytest.mark.parametrize("name", HANDS_WITH_PLANAR_DIGITS)
 def test_a_missing_key_is_refused(refusal, name):
-    for path, table in tables(CONTENT[name]):
+    for path, table in content_tables(CONTENT_BY_HAND[name]):
         for key in table:
             if key in ("schema", "sensor_node") or "mesh" in key:  # these keys are optional
                 continue
-            content = with_value(CONTENT[name], (*path, key), None)
+            content = with_value(CONTENT_BY_HAND[name], (*path, key), None)
             node = content
             for part in path:
                 node = node[part]
             del node[key]
             line = refusal(content)
             place = key_path_text(content, path)
-            if key in OPTIONAL:
+            if key in OPTIONAL_KEYS:
                 assert "index_tendon" in line or f"{place}.{key}: its tendons" in line
             else:
                 assert line.startswith(
@@ -145,9 +152,9 @@ def test_a_missing_key_is_refused(refusal, name):
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_an_unknown_key_is_refused(refusal, name):
-    for path, _ in tables(CONTENT[name]):
-        line = refusal(with_value(CONTENT[name], (*path, "colour"), 1.0))
-        place = key_path_text(CONTENT[name], path)
+    for path, _ in content_tables(CONTENT_BY_HAND[name]):
+        line = refusal(with_value(CONTENT_BY_HAND[name], (*path, "colour"), 1.0))
+        place = key_path_text(CONTENT_BY_HAND[name], path)
         assert line.startswith(
             f"my/hand.toml: {place}{'.' if place else ''}colour: unknown key; expected one of "
         )
@@ -155,11 +162,11 @@ def test_an_unknown_key_is_refused(refusal, name):
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_a_misspelt_key_is_reported_with_the_right_one(refusal, name):
-    for path, table in tables(CONTENT[name]):
+    for path, table in content_tables(CONTENT_BY_HAND[name]):
         for key in table:
             if key == "schema" and path == ():
                 continue
-            content = with_value(CONTENT[name], (*path, key + "s"), table[key])
+            content = with_value(CONTENT_BY_HAND[name], (*path, key + "s"), table[key])
             node = content
             for part in path:
                 node = node[part]
@@ -170,8 +177,8 @@ def test_a_misspelt_key_is_reported_with_the_right_one(refusal, name):
 
 def test_random_change_is_read_or_refused_in_one_line():
     """Any wrong value, of any type and in any place of the content, raises ConfigError."""
-    content = CONTENT["jamia"]
-    for path, _ in [*leaves(content), *tables(content)]:
+    content = CONTENT_BY_HAND["jamia"]
+    for path, _ in [*content_leaves(content), *content_tables(content)]:
         if len(path) > 1 and path[1] in (1, 2):
             continue
         for odd in ("", "x\ny", 0, -1, 1.5, False, [], {}, [[]], [{}], {"name": 3}, [None], 2**70):

@@ -21,7 +21,7 @@ from handctl.hand.load import (
     validate_content,
 )
 
-IDENTITIES = {
+IDENTITY_BY_HAND = {
     "jamia": "dfe326d335b4750c9691d04677693432890e51d12d456e868647810bddb4c49c",
     "jamia11": "879de7b39ebe29ed6f7c866c9bb0d4f94a6f97beb1d86836c60a6ca0b420694a",
     "jamia_bench": "1363c530f1eb4516b007634ba69ed61610e9ce4537fb2d76b345e61737af9f44",
@@ -30,13 +30,13 @@ IDENTITIES = {
 
 Calibrations and logs refer to these identities.
 """
-LINES = 120
+MAX_LINES = 120
 """Largest number of lines of a packaged hand file."""
-LONG = {"orca_like": 175}
+MAX_LINES_BY_HAND = {"orca_like": 175}
 """Largest number of lines of larger packaged hand files. ``orca_like`` has 17 joints and three kinds of digits."""
 
 
-def jamia() -> dict[str, Any]:
+def jamia_content() -> dict[str, Any]:
     """Return the content of jamia.toml as it is packaged, with its defaults and templates."""
     return read_toml(hand_path("jamia"))
 
@@ -49,16 +49,16 @@ def hand_of_content(content: dict[str, Any]) -> Hand:
     return hand
 
 
-@pytest.mark.parametrize("name", IDENTITIES)
+@pytest.mark.parametrize("name", IDENTITY_BY_HAND)
 def test_the_packaged_hands_keep_their_identity(name: str) -> None:
-    assert load_hand(name).identity == IDENTITIES[name]
+    assert load_hand(name).identity == IDENTITY_BY_HAND[name]
 
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_a_packaged_file_is_short(name: str) -> None:
-    assert len((PACKAGED_HANDS_FOLDER / f"{name}.toml").read_text("utf-8").splitlines()) < LONG.get(
-        name, LINES
-    )
+    assert len(
+        (PACKAGED_HANDS_FOLDER / f"{name}.toml").read_text("utf-8").splitlines()
+    ) < MAX_LINES_BY_HAND.get(name, MAX_LINES)
 
 
 @pytest.mark.parametrize("name", packaged_hands())
@@ -73,7 +73,7 @@ def test_the_resolved_hand_is_a_file_of_schema_1_for_controller_and_simulator(
 
 
 def test_a_section_replaces_its_template_and_the_template_the_default() -> None:
-    content = jamia()
+    content = jamia_content()
     content["default"]["digit"]["link_radius_m"] = 0.006
     content["digit_template"]["finger"]["link_radius_m"] = 0.005
     content["digit"][1]["link_radius_m"] = 0.003
@@ -86,7 +86,7 @@ def test_a_section_replaces_its_template_and_the_template_the_default() -> None:
 
 
 def test_tables_are_merged_key_by_key() -> None:
-    content = jamia()
+    content = jamia_content()
     content["digit"][0]["tendon"] = {"tendon": {"knee_N": 150.0, "moment_arm_m": {"j3": 0.002}}}
     first, second, *_ = hand_of_content(content).tendon
     assert first.moment_arm_m == {"index_j1": 0.003, "index_j2": 0.003, "index_j3": 0.002}
@@ -94,7 +94,7 @@ def test_tables_are_merged_key_by_key() -> None:
 
 
 def test_tendons_and_motors_have_templates_too() -> None:
-    content = jamia()
+    content = jamia_content()
     content["tendon_template"] = {"thin": {"rated_breaking_force_N": 300.0}}
     content["motor_template"] = {"slow": {"velocity_range_rad_s": 30.0}}
     content["digit_template"]["finger"]["tendon"]["tendon"]["template"] = "thin"
@@ -105,17 +105,17 @@ def test_tendons_and_motors_have_templates_too() -> None:
 
 
 def test_tendons_and_motors_may_have_their_own_sections() -> None:
-    content = jamia()
+    content = jamia_content()
     thumb = content["digit"][3]
     del thumb["tendon"], thumb["motor"]
     arms = {"thumb_j1": 0.003, "thumb_j2": 0.003}
     content["tendon"] = [{"name": "thumb_tendon", "motor": "thumb_motor", "moment_arm_m": arms}]
     content["motor"] = [{"name": "thumb_motor", "node_id": 4}]
-    assert hand_of_content(content).identity == IDENTITIES["jamia"]
+    assert hand_of_content(content).identity == IDENTITY_BY_HAND["jamia"]
 
 
 def test_one_number_holds_for_every_link() -> None:
-    content = jamia()
+    content = jamia_content()
     content["digit"][0]["joint_max_deg"] = 90
     assert [digit.joint_max_deg for digit in hand_of_content(content).digit[::3]] == [
         (90.0, 90.0, 90.0),
@@ -136,7 +136,7 @@ def test_no_two_sections_share_a_list() -> None:
 
 
 def test_resolving_templates_does_not_change_its_argument() -> None:
-    content = jamia()
+    content = jamia_content()
     before = copy.deepcopy(content)
     resolve_templates(content)
     assert content == before
@@ -148,7 +148,7 @@ def test_resolved_content_is_resolved_already() -> None:
 
 
 def test_a_deeply_nested_table_is_reported_without_a_crash() -> None:
-    content = jamia()
+    content = jamia_content()
     deep: dict[str, Any] = {}
     for _ in range(5000):
         deep = {"a": deep}

@@ -19,23 +19,31 @@ from handctl.hand.link_frames import link_transforms
 from handctl.hand.load import load_hand
 from handctl.hand.tree import HandTree
 from handctl.log.topics.transforms import link_frames, link_quaternions, multiply_quaternions
-from tests.hand.random_chains import SEEDS, random_hand, random_tree
-from tests.hand.test_dynamics import TOLERANCE, agree, pinocchio_by_hand, states, whole_hand
+from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, random_hand, random_tree
+from tests.hand.test_dynamics import (
+    RELATIVE_TOLERANCE,
+    arrays_agree,
+    inverse_dynamics_of_hand,
+    pinocchio_by_hand,
+    random_motions,
+)
 
 
-@pytest.fixture(params=SEEDS)
-def chains(request: pytest.FixtureRequest) -> tuple[Hand, tuple[DigitModel, ...]]:
+@pytest.fixture(params=RANDOM_CHAIN_SEEDS)
+def random_hand_and_digits(request: pytest.FixtureRequest) -> tuple[Hand, tuple[DigitModel, ...]]:
     """Return a random hand and its digits. A test with this fixture runs once for each random hand."""
     hand = random_hand(request.param)
     return hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names)
 
 
 def test_random_hands_have_all_counts_of_links():
-    assert {len(random_hand(seed).digit[0].joints) for seed in SEEDS} == set(range(1, 9))
+    assert {len(random_hand(seed).digit[0].joints) for seed in RANDOM_CHAIN_SEEDS} == set(
+        range(1, 9)
+    )
 
 
-def test_dynamics_and_kinematics_equal_those_of_pinocchio(chains, rng):
-    hand, digits = chains
+def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits, rng):
+    hand, digits = random_hand_and_digits
     for digit in digits:
         model = pinocchio_by_hand(digit, hand.mount.gravity_m_s2)
         tip = model.addFrame(
@@ -48,16 +56,16 @@ def test_dynamics_and_kinematics_equal_those_of_pinocchio(chains, rng):
         )
         data = model.createData()
         world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        for q, dq, ddq in states(rng, digit.joint_count, 50):
+        for q, dq, ddq in random_motions(rng, digit.joint_count, 50):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
-            assert agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
+            assert arrays_agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
             standing = pinocchio.computeGeneralizedGravity(model, data, q)
             assert np.allclose(
-                dynamics.gravity_torque(digit, q), standing, rtol=0, atol=TOLERANCE * 1e-3
+                dynamics.gravity_torque(digit, q), standing, rtol=0, atol=RELATIVE_TOLERANCE * 1e-3
             )
             upper = np.triu(pinocchio.crba(model, data, q))
-            assert agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
-            assert agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
+            assert arrays_agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
+            assert arrays_agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
             pinocchio.framesForwardKinematics(model, data, q)
             pose = forward_kinematics(digit, q)
             assert np.allclose(pose.position, data.oMf[tip].translation, atol=1e-13)
@@ -85,35 +93,38 @@ def inverse_by_mujoco(model, q, dq, ddq):
     return np.array(data.qfrc_inverse), full
 
 
-def test_exports_and_the_simulator_s_own_model_are_the_same_hand(chains, rng, tmp_path):
+def test_exports_and_the_simulator_s_own_model_are_the_same_hand(
+    random_hand_and_digits, rng, tmp_path
+):
     """The MJCF export has the dynamics of the hand. So has the model that the simulator makes by separate code."""
-    hand, digits = chains
+    hand, digits = random_hand_and_digits
     path = tmp_path / "random.toml"
     path.write_text(hand.to_toml())
     for text in (mjcf_text(hand), model_text(simulated_hand(str(path)), load_scene(None))):
         model = mujoco.MjModel.from_xml_string(text)
         assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
-        for q, dq, ddq in states(rng, model.nv, 10):
+        for q, dq, ddq in random_motions(rng, model.nv, 10):
             theirs, full = inverse_by_mujoco(model, q, dq, ddq)
-            assert agree(whole_hand(digits, q, dq, ddq), theirs)
+            assert arrays_agree(inverse_dynamics_of_hand(digits, q, dq, ddq), theirs)
             for digit in digits:
                 own = digit.joints
-                assert agree(dynamics.mass_matrix(digit, q[own]), full[own, own])
+                assert arrays_agree(dynamics.mass_matrix(digit, q[own]), full[own, own])
 
 
-def test_the_urdf_describes_the_same_hand(chains, rng):
-    hand, digits = chains
+def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
+    hand, digits = random_hand_and_digits
     model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(hand.mount.gravity_m_s2)
     order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
     data = model.createData()
-    for q, dq, ddq in states(rng, len(hand.joints), 10):
+    for q, dq, ddq in random_motions(rng, len(hand.joints), 10):
         theirs = [np.zeros(model.nv) for _ in range(3)]
         for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
             vector[order] = mine
         armature = np.concatenate([digit.armature for digit in digits]) * ddq
-        assert agree(
-            whole_hand(digits, q, dq, ddq) - armature, pinocchio.rnea(model, data, *theirs)[order]
+        assert arrays_agree(
+            inverse_dynamics_of_hand(digits, q, dq, ddq) - armature,
+            pinocchio.rnea(model, data, *theirs)[order],
         )
         pinocchio.framesForwardKinematics(model, data, theirs[0])
         for digit in digits:
@@ -126,12 +137,12 @@ def test_the_urdf_describes_the_same_hand(chains, rng):
                 assert np.allclose(turned, place.rotation, atol=1e-12)
 
 
-def test_transforms_of_the_log_are_those_of_the_model(chains, rng):
+def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
     """The transforms of the log are made from the text of the hand file alone.
 
     Composed, they are those of the model.
     """
-    hand, digits = chains
+    hand, digits = random_hand_and_digits
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
     place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
     for link in link_frames(hand.to_toml()):
@@ -151,8 +162,8 @@ def test_transforms_of_the_log_are_those_of_the_model(chains, rng):
             assert np.isclose(abs(np.dot(turn, transform.quaternion_xyzw)), 1.0, atol=1e-12)
 
 
-def test_jacobians_and_levers_are_derivatives(chains, rng):
-    _, digits = chains
+def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
+    _, digits = random_hand_and_digits
     h = 1e-6
     for digit in digits:
         steps = h * np.eye(digit.joint_count)
@@ -173,8 +184,8 @@ def test_jacobians_and_levers_are_derivatives(chains, rng):
             assert np.allclose(lever, normal @ middle, atol=1e-14)
 
 
-@pytest.fixture(params=[*SEEDS, "orca_like"])
-def tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
+@pytest.fixture(params=[*RANDOM_CHAIN_SEEDS, "orca_like"])
+def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
     """Return a hand whose digits are a tree.
 
     A test with this fixture runs once for each random tree and for the packaged one.
@@ -187,42 +198,43 @@ def tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
 
 def test_random_trees_have_digits_on_digits_on_digits():
     carried = [
-        sum(digit.mount_on is not None for digit in random_tree(seed).digit) for seed in SEEDS
+        sum(digit.mount_on is not None for digit in random_tree(seed).digit)
+        for seed in RANDOM_CHAIN_SEEDS
     ]
     assert max(carried) >= 3
     on_a_carried_one = [
         digit.mount_on is not None and hand.digit_named(digit.mount_on).mount_on is not None
-        for hand in map(random_tree, SEEDS)
+        for hand in map(random_tree, RANDOM_CHAIN_SEEDS)
         for digit in hand.digit
     ]
     assert any(on_a_carried_one)
 
 
-def test_a_tree_is_the_same_in_both_mujoco_models(tree, rng, tmp_path):
-    hand, whole = tree
+def test_a_tree_is_the_same_in_both_mujoco_models(random_hand_tree, rng, tmp_path):
+    hand, whole = random_hand_tree
     path = tmp_path / "tree.toml"
     path.write_text(hand.to_toml())
     for text in (mjcf_text(hand), model_text(simulated_hand(str(path)), load_scene(None))):
         model = mujoco.MjModel.from_xml_string(text)
         assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
-        for q, dq, ddq in states(rng, model.nv, 10):
+        for q, dq, ddq in random_motions(rng, model.nv, 10):
             theirs, full = inverse_by_mujoco(model, q, dq, ddq)
-            assert agree(whole.inverse_dynamics(q, dq, ddq), theirs)
-            assert agree(whole.mass_matrix(q), full)
+            assert arrays_agree(whole.inverse_dynamics(q, dq, ddq), theirs)
+            assert arrays_agree(whole.mass_matrix(q), full)
 
 
-def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(tree, rng):
-    hand, whole = tree
+def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
+    hand, whole = random_hand_tree
     model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(hand.mount.gravity_m_s2)
     order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
     data = model.createData()
-    for q, dq, ddq in states(rng, len(hand.joints), 10):
+    for q, dq, ddq in random_motions(rng, len(hand.joints), 10):
         theirs = [np.zeros(model.nv) for _ in range(3)]
         for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
             vector[order] = mine
         armature = whole.table[rigid_body.ARMATURE_ROW] * ddq
-        assert agree(
+        assert arrays_agree(
             whole.inverse_dynamics(q, dq, ddq) - armature,
             pinocchio.rnea(model, data, *theirs)[order],
         )
@@ -235,8 +247,8 @@ def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(tree, rng):
             assert np.allclose(points_of_digit[-1], place.translation, atol=1e-12)
 
 
-def test_logged_transforms_of_a_tree_equal_the_model(tree, rng):
-    hand, whole = tree
+def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
+    hand, whole = random_hand_tree
     q = rng.uniform(-2.0, 2.0, len(hand.joints))
     place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
     for link in link_frames(hand.to_toml()):
@@ -253,9 +265,9 @@ def test_logged_transforms_of_a_tree_equal_the_model(tree, rng):
         assert np.allclose(place[f"{digit.name}_tip"][0], points_of_digit[-1], atol=1e-12)
 
 
-def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(tree, rng):
+def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
     """The weight of a digit alone equals that of the digit in the tree, while all digits that carry it are at zero."""
-    hand, whole = tree
+    hand, whole = random_hand_tree
     for digit in whole.digits:
         if digit.name in hand.carrier_digits:
             continue
@@ -270,11 +282,11 @@ def test_each_number_of_a_table_matters(rng):
     """If a number of the middle link changes by a thousandth, the torque leaves the tolerance of these tests."""
     hand = random_hand(3, 3)
     digit = DigitModel.of(hand, "d0")
-    q, dq, ddq = next(iter(states(rng, 3, 1)))
+    q, dq, ddq = next(iter(random_motions(rng, 3, 1)))
     right = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
     for row in range(rigid_body.LENGTH_ROW):
         table = digit.table.copy()
         table[row, 1] *= 1.001
         wrong = rigid_body.rigid_body_torques(table, digit.parent, digit.gravity, q, dq, ddq)
         unused = table[row, 1] == 0.0
-        assert unused != (not agree(wrong, right)), row
+        assert unused != (not arrays_agree(wrong, right)), row

@@ -14,9 +14,9 @@ from handctl.hand.description import Hand
 from handctl.hand.file.convert import convert_to_schema_2
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands, parse_toml
 from tests.contracts.random_hands import random_hand
-from tests.hand.test_hand_file_templates import IDENTITIES
+from tests.hand.test_hand_file_templates import IDENTITY_BY_HAND
 
-OLD = Path(__file__).with_name("jamia_schema_1.toml")
+SCHEMA_1_FILE = Path(__file__).with_name("jamia_schema_1.toml")
 """File of the packaged jamia from before schema 2, with a comment at every number."""
 
 
@@ -28,13 +28,13 @@ def hand_after_conversion(text: str) -> Hand:
 
 
 def test_an_old_file_still_loads() -> None:
-    assert load_hand(OLD).identity == IDENTITIES["jamia"]
+    assert load_hand(SCHEMA_1_FILE).identity == IDENTITY_BY_HAND["jamia"]
 
 
 def test_an_old_file_shrinks_and_keeps_its_comments() -> None:
-    old = OLD.read_text("utf-8")
+    old = SCHEMA_1_FILE.read_text("utf-8")
     new = convert_to_schema_2(old, "old")
-    assert hand_after_conversion(old).identity == IDENTITIES["jamia"]
+    assert hand_after_conversion(old).identity == IDENTITY_BY_HAND["jamia"]
     assert len(new.splitlines()) < 120 < 230 < len(old.splitlines())
     for comment in re.findall(r"# *(.*)", old):
         assert comment.strip() in new, comment
@@ -57,7 +57,7 @@ def test_a_random_hand_is_the_same_hand(seed: int) -> None:
 
 
 def test_differing_comments_of_one_value_are_joined() -> None:
-    old = OLD.read_text("utf-8")
+    old = SCHEMA_1_FILE.read_text("utf-8")
     place = old.index("knee_N = 200.0", old.index('name = "middle_tendon"'))
     old = old[:place] + "knee_N = 200.0  # measured in May" + old[place + len("knee_N = 200.0") :]
     assert re.search(
@@ -71,13 +71,13 @@ def test_config_convert_writes_schema_2(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["config", "convert", str(OLD), "--output", "new.toml"]) == 0
+    assert main(["config", "convert", str(SCHEMA_1_FILE), "--output", "new.toml"]) == 0
     assert "234, the same hand dfe326d335b4750c" in capsys.readouterr().out
     assert main(["config", "check", "--hand", "new.toml"]) == 0
     assert main(["config", "convert", "new.toml", "--output", "newer.toml"]) == 2
     assert (
         "new.toml: schema: schema 2 already; expected a file of schema 1" in capsys.readouterr().err
     )
-    assert main(["config", "convert", str(OLD), "--output", "new.toml"]) == 2, (
+    assert main(["config", "convert", str(SCHEMA_1_FILE), "--output", "new.toml"]) == 2, (
         "an existing file is not replaced"
     )

@@ -11,9 +11,11 @@ from textwrap import dedent, indent
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "how-to" / "adding-a-fault.md").read_text(encoding="utf-8")
-TRIED = """
+REPOSITORY = Path(__file__).parents[2]
+ADDING_A_FAULT_PAGE = (REPOSITORY / "docs" / "how-to" / "adding-a-fault.md").read_text(
+    encoding="utf-8"
+)
+TRY_FAULT_CODE = """
 import json
 from handctl.controller.tick import _fault_event
 from handctl.safety.faults.markdown import catalogue_markdown, fault_table_markdown
@@ -32,7 +34,7 @@ print(json.dumps({
 
 def add_fault_of_page(package: Path) -> None:
     """Add the fault that the how-to page uses as its example to a copy of the package."""
-    declaration, detector = re.findall(r"```python\n(.*?) *```", PAGE, re.DOTALL)
+    declaration, detector = re.findall(r"```python\n(.*?) *```", ADDING_A_FAULT_PAGE, re.DOTALL)
     kind = package / "safety" / "faults" / "tendon.py"
     with kind.open("a", encoding="utf-8") as file:
         file.write("\n" + dedent(" " * 4 + declaration.lstrip()))
@@ -54,15 +56,17 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(
     tmp_path: Path, interpreted: str
 ) -> None:
     package = tmp_path / "handctl"
-    shutil.copytree(ROOT / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        REPOSITORY / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__")
+    )
     add_fault_of_page(package)
-    path = os.pathsep.join(map(str, (tmp_path, ROOT)))
+    path = os.pathsep.join(map(str, (tmp_path, REPOSITORY)))
     more = {
         "PYTHONPATH": path,
         "NUMBA_DISABLE_JIT": interpreted,
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
     }
-    words = [sys.executable, "-W", "ignore", "-c", TRIED]
+    words = [sys.executable, "-W", "ignore", "-c", TRY_FAULT_CODE]
     done = subprocess.run(
         words, env=os.environ | more, cwd=tmp_path, capture_output=True, text=True, timeout=300
     )

@@ -21,14 +21,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-TIMED_OUT, NO_STATUS, NO_VCAN = 124, 125, 126
+TIMED_OUT_STATUS, NO_EXIT_STATUS, NO_VCAN_STATUS = 124, 125, 126
 """Exit statuses of a run that took too long, that ended without a status, and that had no vcan."""
-PACKAGES = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod"}
+PACKAGE_BY_PROGRAM = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod"}
 SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-MODULES = Path("/usr/lib/uml/modules")
+KERNEL_MODULES = Path("/usr/lib/uml/modules")
 MEMORY_BYTES = 2 << 30
-_guests = itertools.count()
-INTERFACES = """\
+_guest_numbers = itertools.count()
+MAKE_INTERFACES_SCRIPT = """\
 set -e
 for name in vcan0 vcan1; do
     ip link add dev $name type vcan
@@ -43,22 +43,25 @@ def vcan_access() -> tuple[str, str]:
     """Return how this machine gets vcan: "native", "uml", or "" with the reason why it has none."""
     if shutil.which("unshare") is not None:
         trial = subprocess.run(
-            [*_namespace(), "bash", "-c", INTERFACES], capture_output=True, check=False, env=_env()
+            [*_namespace_command(), "bash", "-c", MAKE_INTERFACES_SCRIPT],
+            capture_output=True,
+            check=False,
+            env=_environment(),
         )
         if trial.returncode == 0:
             return "native", ""
-    for program, package in PACKAGES.items():
-        if shutil.which(program, path=_env()["PATH"]) is None:
+    for program, package in PACKAGE_BY_PROGRAM.items():
+        if shutil.which(program, path=_environment()["PATH"]) is None:
             return (
                 "",
                 f"the kernel has no vcan, and {program} (Debian package {package}) is not installed",
             )
-    if not _modules().is_dir():
-        return "", f"linux.uml is there, but not its modules in {_modules()}"
+    if not _modules_folder().is_dir():
+        return "", f"linux.uml is there, but not its modules in {_modules_folder()}"
     return "uml", ""
 
 
-def run(
+def run_with_vcan(
     command: Sequence[str],
     extra_env: Mapping[str, str] | None = None,
     timeout_s: float = 300.0,
@@ -77,65 +80,69 @@ def run(
     kind, reason = vcan_access()
     if not kind:
         report_line(f"no vcan: {reason}")
-        return NO_VCAN
+        return NO_VCAN_STATUS
     job = Path(tempfile.mkdtemp(prefix="handctl-vcan-"))
     try:
-        environment = {**_env(), "PYTHONDONTWRITEBYTECODE": "1", **(extra_env or {})}
+        environment = {**_environment(), "PYTHONDONTWRITEBYTECODE": "1", **(extra_env or {})}
         if kind == "native":
-            (job / "run").write_text(_job(command, environment))
-            return _native(job, timeout_s, report_line)
+            (job / "run").write_text(_job_script(command, environment))
+            return _run_natively(job, timeout_s, report_line)
         environment |= {"TMPDIR": "/dev/shm", "HANDCTL_RUN_DIR": "/dev/shm/handctl"}
-        (job / "run").write_text(_job(command, environment))
-        return _guest(job, timeout_s, report_line)
+        (job / "run").write_text(_job_script(command, environment))
+        return _run_in_guest(job, timeout_s, report_line)
     finally:
         shutil.rmtree(job)
 
 
-def _job(command: Sequence[str], environment: Mapping[str, str]) -> str:
+def _job_script(command: Sequence[str], environment: Mapping[str, str]) -> str:
     names = (
         name for name in environment if name.isidentifier() and name not in {"PWD", "SHLVL", "_"}
     )
     exports = "".join(f"export {name}={shlex.quote(environment[name])}\n" for name in names)
-    return f"{INTERFACES}{exports}cd {shlex.quote(os.getcwd())}\nexec {shlex.join(command)}\n"
+    return f"{MAKE_INTERFACES_SCRIPT}{exports}cd {shlex.quote(os.getcwd())}\nexec {shlex.join(command)}\n"
 
 
-def _env() -> dict[str, str]:
+def _environment() -> dict[str, str]:
     """Return the environment of this process. Its PATH contains the system programs, even for an ordinary user."""
     return {**os.environ, "PATH": f"{os.environ.get('PATH', '')}:{SYSTEM_PATH}"}
 
 
-def _namespace() -> list[str]:
+def _namespace_command() -> list[str]:
     return ["unshare", "--net"] if os.geteuid() == 0 else ["unshare", "--net", "--map-root-user"]
 
 
 @functools.cache
-def _modules() -> Path:
+def _modules_folder() -> Path:
     version = subprocess.run(
-        ["linux.uml", "--version"], capture_output=True, text=True, check=True, env=_env()
+        ["linux.uml", "--version"], capture_output=True, text=True, check=True, env=_environment()
     )
-    return MODULES / version.stdout.strip()
+    return KERNEL_MODULES / version.stdout.strip()
 
 
-def _native(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
-    process = _start([*_namespace(), "bash", str(job / "run")], _env())
+def _run_natively(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
+    process = _start_process([*_namespace_command(), "bash", str(job / "run")], _environment())
     try:
-        for line in _lines(process, time.monotonic() + timeout_s):
+        for line in _read_lines(process, time.monotonic() + timeout_s):
             report_line(line)
         status = process.wait(timeout=10)
         return status if status >= 0 else 128 - status  # as a shell reports a signal
     except TimeoutError:
-        return TIMED_OUT
+        return TIMED_OUT_STATUS
     finally:
         _kill_group(process)
 
 
-def _guest(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
+def _run_in_guest(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
     with _on_one_core():
-        process = _start(_guest_command(job), {**_env(), "TMPDIR": _memory_folder()})
+        process = _start_process(
+            _guest_command(job), {**_environment(), "TMPDIR": _memory_folder()}
+        )
     try:
-        other_lines = _report_job(_lines(process, time.monotonic() + timeout_s), job, report_line)
+        other_lines = _report_job(
+            _read_lines(process, time.monotonic() + timeout_s), job, report_line
+        )
     except TimeoutError:
-        return TIMED_OUT
+        return TIMED_OUT_STATUS
     finally:
         _kill_group(process)
     try:
@@ -143,7 +150,7 @@ def _guest(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> i
     except FileNotFoundError:
         for line in other_lines:
             report_line(f"guest: {line}")
-        return NO_STATUS
+        return NO_EXIT_STATUS
 
 
 @contextlib.contextmanager
@@ -155,7 +162,7 @@ def _on_one_core() -> Iterator[None]:
     instead of 100 us.
     """
     cores = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, {cores[next(_guests) % len(cores)]})
+    os.sched_setaffinity(0, {cores[next(_guest_numbers) % len(cores)]})
     try:
         yield
     finally:
@@ -183,7 +190,7 @@ def _guest_command(job: Path) -> list[str]:
             "quiet",
             "loglevel=3",
         ),
-        *(f"uml_dir={job}/", f"job={job}", f"moddir={_modules()}"),
+        *(f"uml_dir={job}/", f"job={job}", f"moddir={_modules_folder()}"),
     ]
 
 
@@ -216,7 +223,7 @@ def _memory_folder() -> str:
     )
 
 
-def _start(command: list[str], environment: dict[str, str]) -> "subprocess.Popen[bytes]":
+def _start_process(command: list[str], environment: dict[str, str]) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(
         command,
         env=environment,
@@ -234,7 +241,7 @@ def _kill_group(process: "subprocess.Popen[bytes]") -> None:
     process.wait()
 
 
-def _lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterator[str]:
+def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterator[str]:
     assert process.stdout is not None
     pipe, rest = process.stdout.fileno(), b""
     while True:
@@ -278,7 +285,7 @@ def main() -> int:
     )
     parser.add_argument("command", nargs="+")
     arguments = parser.parse_args()
-    return run(
+    return run_with_vcan(
         arguments.command,
         timeout_s=arguments.timeout,
         report_line=lambda line: print(line, flush=True),
