@@ -263,8 +263,8 @@ def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
     beside = {"mit": True, "cia402": False}
     for protocol, seen in beside.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
-        result = scan_bus(BenchBus(bench.rig.world), listen=hear)
-        bench.rig.close()
+        result = scan_bus(BenchBus(bench.simulated_hand.world), listen=hear)
+        bench.simulated_hand.close()
         assert len([node for node in result.found if node.protocol == protocol]) == 4
         sensors = [node for node in result.found if node.protocol == "sensor"]
         assert [node.node_id for node in sensors] == ([0x1A0] if seen else [])

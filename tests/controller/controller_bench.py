@@ -180,7 +180,7 @@ class ControllerBench:
     peer: ToyHand
     to_host: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
     to_nodes: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
-    history: list[tuple[State, TickIn, TickOut]] = field(default_factory=list)
+    tick_history: list[tuple[State, TickIn, TickOut]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.state, self.k, self.frames_on_bus = self.controller.initial(), 0, list[Frame]()

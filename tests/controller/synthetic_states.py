@@ -256,7 +256,7 @@ def estimate_under_tension(
 def slack_hand_estimate(model: HandModel) -> SyntheticEstimate:
     """Return the estimate of a hand whose tendons are all slack."""
     return estimate_under_tension(model, 0.0)._replace(
-        slack_hand_estimate=np.ones(model.tendon_count, dtype=bool)
+        slack=np.ones(model.tendon_count, dtype=bool)
     )
 
 

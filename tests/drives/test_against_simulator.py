@@ -47,7 +47,7 @@ class PackagedHandBench:
             self.states = [
                 d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)
             ]
-        outgoing = [self.sensors.sync(self.k)]
+        outgoing = [self.sensors.begin_tick_with_sync(self.k)]
         for i, drive in enumerate(self.drives):
             self.states[i], frames = drive.advance(
                 self.states[i], self.k * PERIOD_NS, target, torque

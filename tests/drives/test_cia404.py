@@ -172,7 +172,7 @@ class AmplifierBench:
                 self.states[i] = amplifier.receive(self.states[i], frame)
         self.k += 1
 
-    def until(self, phase: DrivePhase, ticks: int = 400) -> None:
+    def run_until_phase(self, phase: DrivePhase, ticks: int = 400) -> None:
         """Run ticks until all amplifiers are in a phase, or fail."""
         for _ in range(ticks):
             self.tick()

@@ -13,7 +13,7 @@ RANDOM_CHAIN_SEEDS = range(20)
 def random_tree(seed: int) -> Hand:
     """Return a hand of five random digits of 1 to 3 links. Each is mounted on the palm or on an earlier digit."""
     rng = np.random.default_rng(seed + 100)
-    return random_hand(seed, *rng.integers(1, 4, 5).tolist(), chance=rng)
+    return random_hand(seed, *rng.integers(1, 4, 5).tolist(), rng=rng)
 
 
 def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None) -> Hand:

@@ -48,7 +48,7 @@ class MotorWithTendon(SyntheticMonitor):
         )
         self.set_rows({"residual": 0.0, **rows})
 
-    def step(
+    def run_tick(
         self, tension: float, force: float, speed: float = 0.0, asked: float | None = None
     ) -> None:
         """Run one tick with a measured tension, a reported motor force, a speed, and a commanded force."""
