@@ -5,7 +5,6 @@ stop, and its rotor winds an elastic tendon against the stop. A test can lose, c
 frames in both directions.
 """
 
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -148,11 +147,6 @@ def _pack_channels(base: int, counter: int, values: list[int]) -> list[Frame]:
         bits = counter | sum(value << (4 + 12 * i) for i, value in enumerate(part))
         frames.append(Frame(base + group, bits.to_bytes((4 + 12 * len(part) + 7) // 8, "little")))
     return frames
-
-
-def register(value: float) -> bytes:
-    """Return the bytes of a register's float value in the order in which they are sent on the bus."""
-    return struct.pack("<f", value)
 
 
 def uncommissioned_controller(model: HandModel, program: Program, arm: bool = True) -> Controller:

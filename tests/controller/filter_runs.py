@@ -67,7 +67,7 @@ class FilterState(NamedTuple):
         )
 
     @staticmethod
-    def initial(n: int) -> "FilterState":
+    def before_first_reading(n: int) -> "FilterState":
         """Return the state that the filter of N tendons has before the first reading of a sensor."""
         return FilterState.in_regime(
             np.zeros(STATE_COUNT * n), TendonRegime.SLACK, stopped=True
@@ -162,10 +162,12 @@ def run_filter_tick(
     return filter_state_of(controller_state), estimate_of(controller_state)
 
 
-def state_at_rest(model: HandModel, tension: float, closed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states (N, 7) and motor forces (N,) of a hand that rests with all joints at ``closed`` [rad]."""
+def state_at_rest(
+    model: HandModel, tension: float, joint_angle: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states (N, 7) and motor forces (N,) of a hand that rests with all joints at ``joint_angle`` [rad]."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
-    x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), closed)
+    x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), joint_angle)
     x[:, X] = x[:, S] + tension / model.space.stiffness
     return x, np.full(model.tendon_count, tension)
 

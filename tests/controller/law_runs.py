@@ -51,7 +51,7 @@ class LawState(NamedTuple):
     friction_state: np.ndarray | None = None
 
     @staticmethod
-    def initial(n: int) -> "LawState":
+    def before_first_command(n: int) -> "LawState":
         """Return the state of the control law of N tendons before its first command."""
         return LawState.idle_at_tensions(np.zeros(n))
 
@@ -95,15 +95,15 @@ def run_law_tick(
     goals: tuple[DigitGoal, ...],
     t: float,
     temperature_limit_N: np.ndarray | None = None,
-    held: np.ndarray | None = None,
+    held_limit_N: np.ndarray | None = None,
 ) -> tuple[LawState, LawCommand]:
     """Run one tick of the control law for all digits of a hand.
 
     Args:
         model: the hand. law: state of the control law after the last tick. estimate: of the hand at t. goals: one per
             digit. t: time [s].
-        most: (N,) limit of the tension by the temperature of each drive [N]. held: (N,) limit of the tension while
-            safety holds the hand [N].
+        temperature_limit_N: (N,) limit of the tension by the temperature of each drive [N].
+        held_limit_N: (N,) limit of the tension while safety holds the hand [N].
     """
     state = state_with_estimate(model, estimate)
     for name in ("setpoint", "integral", "force", "planned", "rate"):
@@ -115,10 +115,10 @@ def run_law_tick(
         state.view("friction_state")[...] = law.friction_state
     if temperature_limit_N is not None:
         state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
-    if held is not None:
-        state.view("limit_held")[...] = held
+    if held_limit_N is not None:
+        state.view("limit_held")[...] = held_limit_N
         state.set_whole(s.HOLDING, 1)
-    run_control_law(model, state, goals, t, Action.PASS if held is None else Action.HOLD)
+    run_control_law(model, state, goals, t, Action.PASS if held_limit_N is None else Action.HOLD)
     return law_state_of(state), command_of(state)
 
 
@@ -157,27 +157,29 @@ def tension_limits_of(model: HandModel, state: State) -> np.ndarray:
 
 @kernel("block", "layout", "constants", "layout", "matrix")
 def _required_tensions(
-    block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces, way: np.ndarray
+    block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces, motion: np.ndarray
 ) -> int:
     x, c = state_tables(block, at), constant_tables(of, of_at)
-    reference.write_required_torque(x, c, way)
+    reference.write_required_torque(x, c, motion)
     return reference.write_required_tensions(x, c)
 
 
 def required_tensions_of(
-    model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray
+    model: HandModel, goals: tuple[DigitGoal, ...], motion: np.ndarray
 ) -> np.ndarray:
-    """Return the tensions (N,) [N] whose torques at the joints of the moving digits make a motion ``way`` (3, J)."""
+    """Return the tensions (N,) [N] whose torques at the joints of the moving digits make a motion ``motion`` (3, J)."""
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
-    undecided = _required_tensions(state.block, state.layout.places, *stage_constants(model), way)
+    undecided = _required_tensions(
+        state.block, state.layout.places, *stage_constants(model), motion
+    )
     allocate_bounded_tensions(
-        model, state.layout, controller_of(model).constants, state.block, undecided, way
+        model, state.layout, controller_of(model).constants, state.block, undecided, motion
     )
     return state.view("load")
 
 
-def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
+def joint_motion_at(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
     """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
     run_control_law(model, state, goals, t, Action.PASS)

@@ -235,20 +235,20 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
     )
 
 
-def balanced_state(model: HandModel, closed: float) -> np.ndarray:
-    """Return filter states (N, 7) that balance springs and weight, with all coordinates at ``closed`` [rad]."""
+def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
+    """Return filter states (N, 7) that balance springs and weight, with all coordinates at ``joint_angle`` [rad]."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
-        x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], closed)
+        x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], joint_angle)
     x[:, X] = x[:, S] + load_statics(model, x, np.zeros(len(x))).resistance / model.space.stiffness
     return x
 
 
 def estimate_under_tension(
-    model: HandModel, tension: float | np.ndarray, closed: float = 0.0
+    model: HandModel, tension: float | np.ndarray, joint_angle: float = 0.0
 ) -> SyntheticEstimate:
     """Return the estimate of a hand at rest whose tendons have given tensions."""
-    return exact_estimate(model, balanced_state(model, closed))._replace(
+    return exact_estimate(model, balanced_state(model, joint_angle))._replace(
         tension=np.full(model.tendon_count, 1.0) * tension
     )
 

@@ -78,7 +78,7 @@ def two_n_hand() -> Hand:
 
 
 @cache
-def model() -> HandModel:
+def antagonist_model() -> HandModel:
     """Return the model of the hand at the control rate of these tests."""
     return HandModel.of(n_plus_1_hand(), Gains(), RATE_HZ)
 
@@ -229,18 +229,20 @@ def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
         assert touched == {"index", "middle", "thumb"}
         assert height["hold"] == pytest.approx(0.0, abs=2e-3), "the table has sunk, the grasp holds"
         assert height["open"] < -0.05, "the antagonists open the digits"
-        closes = model().redundancy.side > 0.0
+        closes = antagonist_model().redundancy.side > 0.0
         np.testing.assert_allclose(tension["hold"][closes], 40.0, atol=3.0)
         np.testing.assert_allclose(
-            tension["hold"][~closes], model().redundancy.balance[~closes], atol=2.0
+            tension["hold"][~closes], antagonist_model().redundancy.balance[~closes], atol=2.0
         )
 
 
 def test_the_balance_makes_no_torque_and_is_at_the_floor_or_above() -> None:
-    for digit in model().digits:
-        balance = model().redundancy.balance[digit.tendons]
+    for digit in antagonist_model().digits:
+        balance = antagonist_model().redundancy.balance[digit.tendons]
         np.testing.assert_allclose(digit.moment_arms.T @ balance, 0.0, atol=1e-4)
-        assert balance.min() == pytest.approx(model().floor[digit.tendons].min(), rel=1e-3)
+        assert balance.min() == pytest.approx(
+            antagonist_model().floor[digit.tendons].min(), rel=1e-3
+        )
 
 
 def test_springs_of_no_stiffness_are_no_springs() -> None:

@@ -59,7 +59,7 @@ def tensions_without_fault(model: HandModel) -> TensionByPull:
 
 def run_commissioning(
     model: HandModel,
-    cells: TensionByPull,
+    tension_by_pull: TensionByPull,
     noise: float = 0.2,
     lost_fraction: float = 0.0,
     slack_tendon: int = -9,
@@ -79,7 +79,9 @@ def run_commissioning(
         walked += step * rng.normal(size=n) if cell_drift_N else 0.0
         i = progress.step - 1
         pulled = any(goal.kind != GoalKind.LIMP for goal in progress.goals)
-        tension = cells(i if pulled else -1) + BIAS_N + walked + noise * rng.normal(size=n)
+        tension = (
+            tension_by_pull(i if pulled else -1) + BIAS_N + walked + noise * rng.normal(size=n)
+        )
         travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
         measured = empty_readings(model)._replace(travel=travel, tension=shown)
@@ -125,8 +127,8 @@ def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
 
 def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
     last = model.tendon_count - 1
-    cells = tensions_without_fault(model)
-    progress = run_commissioning(model, lambda i: cells(i) * (i != last))
+    tension_by_pull = tensions_without_fault(model)
+    progress = run_commissioning(model, lambda i: tension_by_pull(i) * (i != last))
     assert progress.failure.startswith(model.hand.tendon_names[last])
     assert "answers" in progress.failure
 
@@ -137,13 +139,13 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
     Tendons touch, or a cell has two channels.
     """
 
-    def cells(i: int) -> np.ndarray:
+    def tension_by_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i)
         if i == 1:
             tension[0] = 0.5 * PULL_N
         return tension
 
-    progress = run_commissioning(model, cells)
+    progress = run_commissioning(model, tension_by_pull)
     assert progress.failure.startswith(model.hand.tendon_names[1])
     assert "another load cell" in progress.failure
 
@@ -180,11 +182,11 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
     """
     drifted = [0.0]
 
-    def cells(i: int) -> np.ndarray:
+    def tension_by_pull(i: int) -> np.ndarray:
         drifted[0] += 0.1 * jamia.period
         return tensions_without_fault(jamia)(i) + drifted[0]
 
-    progress = run_commissioning(jamia, cells, noise=0.0)
+    progress = run_commissioning(jamia, tension_by_pull, noise=0.0)
     assert not progress.failure
     tare = (
         calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand)
@@ -197,12 +199,12 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
 
 
 def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandModel) -> None:
-    def cells(i: int) -> np.ndarray:
+    def tension_by_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(fifteen_motor_model)(i)
         tension[2] += 0.6 * PULL_N * (i == 9)
         return tension
 
-    progress = run_commissioning(fifteen_motor_model, cells, cell_drift_N=1.0)
+    progress = run_commissioning(fifteen_motor_model, tension_by_pull, cell_drift_N=1.0)
     assert progress.failure.startswith(fifteen_motor_model.hand.tendon_names[9])
     assert "another load cell" in progress.failure
 
@@ -214,13 +216,13 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
     """
     held = np.zeros(jamia.tendon_count)
 
-    def cells(i: int) -> np.ndarray:
+    def tension_by_pull(i: int) -> np.ndarray:
         held[:] = np.maximum(
             held - 2.0 * jamia.period, PULL_N * (np.arange(jamia.tendon_count) == i)
         )
         return held.copy()
 
-    progress = run_commissioning(jamia, cells)
+    progress = run_commissioning(jamia, tension_by_pull)
     assert not progress.failure
     found = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tendon
     assert max(row.crosstalk_N for row in found.values()) < 0.5
@@ -229,12 +231,12 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
     """The tension of a relaxing tendon cannot fall by more than the last pull has left in it."""
 
-    def cells(i: int) -> np.ndarray:
+    def tension_by_pull(i: int) -> np.ndarray:
         return tensions_without_fault(jamia)(i) - 0.5 * PULL_N * (i == 2) * (
             np.arange(jamia.tendon_count) == 0
         )
 
-    progress = run_commissioning(jamia, cells)
+    progress = run_commissioning(jamia, tension_by_pull)
     assert progress.failure.startswith(jamia.hand.tendon_names[2])
     assert "another load cell" in progress.failure
 
@@ -296,14 +298,16 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
 ) -> None:
     """The message names the load cell that is nearest to an end of its range, even if another cell reads more."""
 
-    def cells(i: int) -> np.ndarray:
+    def tension_by_pull(i: int) -> np.ndarray:
         tension = tensions_without_fault(model)(i) - BIAS_N
         tension[0] += tare
         tension[1] += 3.95
         return tension
 
     progress = (
-        run_commissioning(model, cells, noise=0.0) if refused else program_after_tare(model, cells)
+        run_commissioning(model, tension_by_pull, noise=0.0)
+        if refused
+        else program_after_tare(model, tension_by_pull)
     )
     assert progress.failure == (
         f"{model.hand.tendon_names[0]}: load cell reads {tare:.1f} N without tension, which can be tared from -4 to 6 N"
@@ -312,11 +316,11 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     )
 
 
-def program_after_tare(model: HandModel, cells: TensionByPull) -> ProgramProgress:
+def program_after_tare(model: HandModel, tension_by_pull: TensionByPull) -> ProgramProgress:
     """Return the progress of the commissioning program just after its tare."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:
-        measured = empty_readings(model)._replace(tension=cells(-1) + BIAS_N)
+        measured = empty_readings(model)._replace(tension=tension_by_pull(-1) + BIAS_N)
         progress, _ = program.advance(
             model, progress, slack_hand_estimate(model), measured, k * model.period
         )

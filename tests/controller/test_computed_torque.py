@@ -110,7 +110,11 @@ def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel)
     x = balanced_state(model, 0.8)
     estimate = exact_estimate(model, x)
     law, moved = run_law_tick(
-        model, LawState.initial(len(x)), estimate, moving_goals(model, 0.2, 0.8, 1.0), 2.0
+        model,
+        LawState.before_first_command(len(x)),
+        estimate,
+        moving_goals(model, 0.2, 0.8, 1.0),
+        2.0,
     )
     np.testing.assert_allclose(
         law.setpoint, estimate.tension, err_msg="ready to hold what is there"
@@ -129,7 +133,11 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
     x = balanced_state(model, 0.8)
     estimate = exact_estimate(model, x)
     law, command = run_law_tick(
-        model, LawState.initial(len(x)), estimate, (DigitGoal(),) * len(model.digits), 0.0
+        model,
+        LawState.before_first_command(len(x)),
+        estimate,
+        (DigitGoal(),) * len(model.digits),
+        0.0,
     )
     assert not command.torque.any()
     after, _ = run_law_tick(
@@ -140,7 +148,7 @@ def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: H
 
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
     """Regression: the integral part of the tension loop must not grow without limit while a load cell is silent."""
-    law = LawState.initial(model.tendon_count)
+    law = LawState.before_first_command(model.tendon_count)
     silent = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))
     for k in range(300):
         law, command = run_law_tick(
@@ -151,7 +159,7 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
 
 
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
-    law = LawState.initial(model.tendon_count)
+    law = LawState.before_first_command(model.tendon_count)
     slack = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
         slack=np.ones(model.tendon_count, dtype=bool)
     )
@@ -185,7 +193,7 @@ def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandMo
 
 def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
     law, estimate = (
-        LawState.initial(model.tendon_count),
+        LawState.before_first_command(model.tendon_count),
         exact_estimate(model, balanced_state(model, 0.5)),
     )
     for k in range(3000):
@@ -213,7 +221,7 @@ class ClosedLoopPlant:
 
     def __init__(self, model: HandModel, x: np.ndarray, held: bool) -> None:
         self.model, self.tendon_states, self.digits_fixed = model, x.copy(), held
-        self.law = LawState.initial(model.tendon_count)
+        self.law = LawState.before_first_command(model.tendon_count)
 
     def tick(self, goals: tuple[DigitGoal, ...], k: int) -> None:
         model, space = self.model, self.model.space
@@ -262,7 +270,7 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
         goals = holding_goals(
             model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), rate=1e6
         )
-        law, command = run_law_tick(model, LawState.initial(n), estimate, goals, 0.0)
+        law, command = run_law_tick(model, LawState.before_first_command(n), estimate, goals, 0.0)
         asked, v, taken = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
         for _ in range(steps):
             friction = space.coulomb * np.tanh(v / 2.5e-3)
@@ -308,7 +316,7 @@ def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
 def test_arguments_are_not_changed(model: HandModel) -> None:
     estimate, state = (
         exact_estimate(model, balanced_state(model, 0.5)),
-        LawState.initial(model.tendon_count),
+        LawState.before_first_command(model.tendon_count),
     )
     before = [getattr(estimate, name).copy() for name in SyntheticEstimate._fields]
     first = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
@@ -322,7 +330,9 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
 @pytest.mark.parametrize("kind", [GoalKind.MOTION, GoalKind.TENSION])
 def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: GoalKind) -> None:
     estimate = exact_estimate(jamia, balanced_state(jamia, 0.5))
-    _, command = run_law_tick(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
+    _, command = run_law_tick(
+        jamia, LawState.before_first_command(4), estimate, (DigitGoal(kind),) * 4, 0.0
+    )
     assert not command.torque.any()
     state = state_with_estimate(jamia, estimate)
     run_control_law(jamia, state, holding_goals(jamia, 30.0, rate=1e6), 0.0, Action.PASS)
@@ -346,7 +356,9 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     bare = replace(model, gains=gains, inverse=lambda digit, *way: (0.0,) * digit.joint_count)
     x = balanced_state(model, 0.5)
     goals = moving_goals(model, 0.2, 0.8, 0.4)
-    _, command = run_law_tick(bare, LawState.initial(len(x)), exact_estimate(model, x), goals, 0.13)
+    _, command = run_law_tick(
+        bare, LawState.before_first_command(len(x)), exact_estimate(model, x), goals, 0.13
+    )
     np.testing.assert_allclose(command.tension, model.floor)
     q, dq = command.q, command.dq
     excursion, rate = model.hand.moment_arms @ q - x[:, S], model.hand.moment_arms @ dq - x[:, V]
@@ -368,7 +380,7 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
     estimate, goals, law = (
         exact_estimate(model, x),
         moving_goals(model, 0.2, 0.8, 0.4),
-        LawState.initial(model.tendon_count),
+        LawState.before_first_command(model.tendon_count),
     )
     law, first = run_law_tick(model, law, estimate, goals, 0.2)
     assert not law.rate.any(), "nothing was planned before"
@@ -383,7 +395,7 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
 def test_planned_friction_reverses_only_when_the_tendon_does(model: HandModel) -> None:
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1
-    estimate, law = exact_estimate(model, x), LawState.initial(model.tendon_count)
+    estimate, law = exact_estimate(model, x), LawState.before_first_command(model.tendon_count)
     for t, goals in (
         (0.2, moving_goals(model, 0.2, 0.8, 0.4)),
         (0.1, moving_goals(model, 0.5, 0.0, 0.4)),

@@ -235,7 +235,7 @@ def test_no_frame_contains_nan(active_bench: ControllerBench, bad: float) -> Non
 
 
 KNOWN_IDENTIFIERS = [0x011, 0x012, 0x013, 0x014, 0x1A0, 0x1B0]
-frames = st.builds(
+random_frames = st.builds(
     Frame,
     can_id=st.sampled_from(KNOWN_IDENTIFIERS) | st.integers(0, 0x7FF) | st.integers(0, 2**32 - 1),
     data=st.binary(max_size=8) | st.binary(max_size=64),
@@ -245,7 +245,7 @@ frames = st.builds(
 )
 
 
-@given(burst=st.lists(st.lists(frames, max_size=12), min_size=1, max_size=6))
+@given(burst=st.lists(st.lists(random_frames, max_size=12), min_size=1, max_size=6))
 def test_no_frame_can_stop_the_tick(
     active_bench: ControllerBench, burst: list[list[Frame]]
 ) -> None:

@@ -66,7 +66,11 @@ def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     n = model.tendon_count
     travel, cell = np.linspace(-3e-3, 2e-3, n), np.zeros(n)
     state, estimate = run_unplanned_filter_tick(
-        model, FilterState.initial(n), readings_of(model, travel, cell), cell, no_contact(model)
+        model,
+        FilterState.before_first_reading(n),
+        readings_of(model, travel, cell),
+        cell,
+        no_contact(model),
     )
     assert not state.started, "not by itself"
     for unknown in (estimate.innovation, estimate.nis):
@@ -95,7 +99,7 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
     A drive reports its position only after its registers were read.
     """
     n = model.tendon_count
-    cell, state = np.full(n, 5.0), FilterState.initial(n)
+    cell, state = np.full(n, 5.0), FilterState.before_first_reading(n)
     for _ in range(20):
         state, _ = run_unplanned_filter_tick(
             model,

@@ -177,12 +177,12 @@ SPARSE_MEASUREMENTS: dict[str, MissingMeasurements] = {
 
 
 @pytest.mark.parametrize("regime", [TendonRegime.FREE, TendonRegime.HELD])
-@pytest.mark.parametrize("what", SPARSE_MEASUREMENTS)
+@pytest.mark.parametrize("missing_pattern", SPARSE_MEASUREMENTS)
 def test_consistent_with_its_own_model_though_measurements_are_missing(
-    frictionless_model: HandModel, regime: TendonRegime, what: str
+    frictionless_model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
     """The filter's error has the size that its covariance predicts, within the uncertainty of the sample."""
-    missing = SPARSE_MEASUREMENTS[what]
+    missing = SPARSE_MEASUREMENTS[missing_pattern]
     course = monte_carlo(
         frictionless_model,
         regime,
@@ -285,9 +285,9 @@ MISSING_SAMPLES: dict[str, MissingMeasurements] = {
 
 
 @pytest.mark.parametrize("regime", TendonRegime)
-@pytest.mark.parametrize("what", MISSING_SAMPLES)
+@pytest.mark.parametrize("missing_pattern", MISSING_SAMPLES)
 def test_the_covariance_is_that_of_a_plain_joseph_update(
-    model: HandModel, regime: TendonRegime, what: str
+    model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
     """The filter agrees with numpy for as long as it updates the covariances.
 
@@ -301,7 +301,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     blocks = [own[regime] for own in model.filter.blocks]
     P, compared = np.array([block.P for block in blocks]), 0
     for k in range(40):
-        missing = np.broadcast_to(MISSING_SAMPLES[what](k, rng), (2, n))
+        missing = np.broadcast_to(MISSING_SAMPLES[missing_pattern](k, rng), (2, n))
         z = np.where(missing, np.nan, (x[:, X], force))
         read = noiseless_readings(model, x, z[1])._replace(travel=z[0])
         before = state
@@ -319,7 +319,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
             continue
         assert_same_covariance(state.covariance, P)
         compared += 1
-    assert compared == 0 if slack and what == "a load cell" else compared >= 3
+    assert compared == 0 if slack and missing_pattern == "a load cell" else compared >= 3
 
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])

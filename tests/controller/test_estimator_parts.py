@@ -181,7 +181,7 @@ def test_an_estimate_has_every_column_before_the_first_reading(model: HandModel)
     n, j = model.tendon_count, len(model.hand.joints)
     no = (False,) * len(model.digits)
     _, estimate = run_unplanned_filter_tick(
-        model, FilterState.initial(n), empty_readings(model), np.zeros(n), no
+        model, FilterState.before_first_reading(n), empty_readings(model), np.zeros(n), no
     )
     shapes = {
         name: np.shape(value)

@@ -141,12 +141,12 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
     """
     calls, real = list[LawCall](), Controller._compute_torques
 
-    def command(self: Controller, state: State, action: Action, ticks: int) -> None:
+    def record_call(self: Controller, state: State, action: Action, ticks: int) -> None:
         before = state.copy()
         real(self, state, action, ticks)
         calls.append((self, before, state.copy(), action, ticks))
 
-    monkeypatch.setattr(Controller, "_compute_torques", command)
+    monkeypatch.setattr(Controller, "_compute_torques", record_call)
     return calls
 
 

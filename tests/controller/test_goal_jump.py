@@ -51,24 +51,26 @@ def target_motion_of(state: State) -> np.ndarray:
 def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
     arms, armed = arms_of(jamia), hand_with_equal_readings(jamia, np.nan, 1)
 
-    def goals(angle: float, ticks: int, state: State = armed) -> State:
+    def state_after_goals(angle: float, ticks: int, state: State = armed) -> State:
         for _ in range(ticks):
             state = targets_after_command(jamia, state, angle)
         return state
 
-    begun = goals(0.2, 1)
+    begun = state_after_goals(0.2, 1)
     assert filtered_goal_of(begun) == pytest.approx(arms * 0.2), "the first goal is taken as it is"
     seconds = 0.1
-    after = goals(0.4, round(seconds / jamia.period), begun)
+    after = state_after_goals(0.4, round(seconds / jamia.period), begun)
     assert filtered_goal_of(after) == pytest.approx(arms * (0.4 - 0.2 * np.exp(-1.0)), rel=0.02)
-    assert filtered_goal_of(goals(0.4, 1000, after)) == pytest.approx(arms * 0.4, rel=1e-6)
-    slow = goals(0.4 + 1e-5, 1, goals(0.4, 1000, after))
+    assert filtered_goal_of(state_after_goals(0.4, 1000, after)) == pytest.approx(
+        arms * 0.4, rel=1e-6
+    )
+    slow = state_after_goals(0.4 + 1e-5, 1, state_after_goals(0.4, 1000, after))
     assert filtered_goal_of(slow) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), (
         "what goes slowly is followed at once"
     )
     limp = targets_after_command(jamia, after, np.nan)
     assert np.isnan(filtered_goal_of(limp)).all()
-    assert filtered_goal_of(goals(0.1, 1, limp)) == pytest.approx(arms * 0.1), (
+    assert filtered_goal_of(state_after_goals(0.1, 1, limp)) == pytest.approx(arms * 0.1), (
         "after a hold it begins anew"
     )
 

@@ -9,12 +9,14 @@ from handctl.controller.setup import make_drives, make_sensors
 from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 
-FEEDBACK = "torque_feedback = true\n"
+TORQUE_FEEDBACK_OPTION = "torque_feedback = true\n"
 
 
 @pytest.mark.parametrize("protocol", sorted(OPTIONS_TEXT_BY_PROTOCOL))
 def test_the_flood_limit_grows_with_the_number_of_motors(protocol: str, tmp_path: Path) -> None:
-    hand = load_hand(str(hand_file(tmp_path, [protocol], FEEDBACK * (protocol == "odrive"))))
+    hand = load_hand(
+        str(hand_file(tmp_path, [protocol], TORQUE_FEEDBACK_OPTION * (protocol == "odrive")))
+    )
     drives, node = make_drives(hand), make_sensors(hand)
     assert max_frames_per_tick(drives, node) == 64
     many = drives * 10

@@ -100,7 +100,7 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
         ),
     ]
 
-    def cost(
+    def lqr_cost(
         F: np.ndarray, G: np.ndarray, K: np.ndarray, weight: tuple[float, float, float]
     ) -> float:
         closed = F - G @ K
@@ -115,9 +115,9 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
         return float(np.trace(scale @ total @ scale))
 
     for which, (F, G, K) in enumerate(control_loops(model, gains, 1.0 / rate_hz)[:2]):
-        best = cost(F, G, K, weights[which])
+        best = lqr_cost(F, G, K, weights[which])
         for change in ((1.02, 1.0), (0.98, 1.0), (1.0, 1.02), (1.0, 0.98)):
-            assert cost(F, G, K * np.array(change), weights[which]) > best
+            assert lqr_cost(F, G, K * np.array(change), weights[which]) > best
 
 
 def test_each_weight_changes_the_gain_of_its_name(jamia: HandModel) -> None:

@@ -52,10 +52,10 @@ class PostureTick(NamedTuple):
     """
 
     phase: str
-    real: np.ndarray
+    true_angles: np.ndarray
     q: np.ndarray
     sigma: np.ndarray
-    free: np.ndarray
+    free_angles: np.ndarray
     force: np.ndarray
 
 
@@ -91,7 +91,7 @@ def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureT
                 break
 
 
-def rms(values: np.ndarray) -> float:
+def root_mean_square(values: np.ndarray) -> float:
     return float(np.degrees(np.sqrt(np.mean(values**2))))
 
 
@@ -107,26 +107,26 @@ def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: i
     """
     seen = list(run_grasp(packaged_task("jamia"), task, scene, seed))
     held = [one for one in seen if one.phase in HELD_PHASES]
-    assert np.mean([np.abs(one.q - one.real) <= 2.0 * one.sigma for one in held]) >= 0.95
+    assert np.mean([np.abs(one.q - one.true_angles) <= 2.0 * one.sigma for one in held]) >= 0.95
     hold = [one for one in seen if one.phase == "hold"]
     assert len(hold) > 1000
-    error = rms(np.array([one.q - one.real for one in hold]))
-    assumed = rms(np.array([one.free - one.real for one in hold]))
+    error = root_mean_square(np.array([one.q - one.true_angles for one in hold]))
+    assumed = root_mean_square(np.array([one.free_angles - one.true_angles for one in hold]))
     assert error < 0.7 * assumed, f"{error:.1f} deg, free digit {assumed:.1f} deg"
     free = [one for one in seen if one.phase in FREE_PHASES]
-    assert rms(np.array([one.sigma for one in free])) < 1.0
-    assert rms(np.array([one.q - one.real for one in free])) < 0.5
+    assert root_mean_square(np.array([one.sigma for one in free])) < 1.0
+    assert root_mean_square(np.array([one.q - one.true_angles for one in free])) < 0.5
 
 
 @pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_joint_encoders_measure_the_angles_of_a_held_digit(tmp_path: Path, seed: int) -> None:
     seen = list(run_grasp(hand_file_with_encoders(tmp_path), "grasp.toml", "cylinder", seed))
     hold = [one for one in seen if one.phase == "hold"]
-    error = np.array([one.q - one.real for one in hold])
-    assert rms(error) < 0.2
-    assert rms(np.array([one.sigma for one in hold])) < 0.2
+    error = np.array([one.q - one.true_angles for one in hold])
+    assert root_mean_square(error) < 0.2
+    assert root_mean_square(np.array([one.sigma for one in hold])) < 0.2
     moving = [one for one in seen if one.phase in ("close", "release", "open")]
-    within = np.mean([np.abs(one.q - one.real) <= 2.0 * one.sigma for one in moving + hold])
+    within = np.mean([np.abs(one.q - one.true_angles) <= 2.0 * one.sigma for one in moving + hold])
     assert within >= 0.9
 
 
@@ -169,7 +169,7 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
     nothing = np.zeros(len(model.digits))
 
-    def after(touched: np.ndarray, seconds: float) -> JointAngles:
+    def angles_after(touched: np.ndarray, seconds: float) -> JointAngles:
         for k in range(round(seconds / model.period)):
             angles = angles_of_tick(model, state, estimate, touched, k)
         return angles
@@ -183,11 +183,11 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
         np.testing.assert_array_equal(first.sigma, of.joint[h.RANGE_SIGMA], "nothing is known yet")
     sizes = []
     for force in (0.0, 3.0, 10.0):
-        sizes.append(float(after(nothing + force, 0.5).sigma.mean()))
+        sizes.append(float(angles_after(nothing + force, 0.5).sigma.mean()))
     if free:
         assert sizes == sorted(sizes)
         assert sizes[-1] > 2.0 * sizes[0]
-    angles = after(nothing, 3.0)
+    angles = angles_after(nothing, 3.0)
     assert float(angles.sigma.mean()) == pytest.approx(sizes[0], rel=0.1)
 
 
@@ -212,7 +212,12 @@ def state_after_fusion(
     """Return a state after joint encoders were fused. Columns (C, J) and spread (J, N) give the prior covariance."""
     after = state.copy()
     _fuse_encoders(
-        after.block, after.layout.places, *controller_of(model)._constants, columns, spread, t_ns
+        after.block,
+        after.layout.places,
+        *controller_of(model)._constants,
+        columns,
+        spread,
+        t_ns,
     )
     return after
 

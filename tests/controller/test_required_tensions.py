@@ -9,7 +9,7 @@ from handctl.core.law.allocation import tensions_for_torque
 from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.model import HandModel
 from tests.controller.digit_goals import moving_goals
-from tests.controller.law_runs import required_tensions_of, way_of
+from tests.controller.law_runs import joint_motion_at, required_tensions_of
 
 
 def motion_goals(
@@ -26,8 +26,8 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
     """This holds if all digits have the same duration, and if their durations differ."""
     model: HandModel = request.getfixturevalue(hand)
     first, later = (motion_goals(model, since, durations) for since in (0.0, 2.0))
-    way = way_of(model, first, 0.1)
-    np.testing.assert_allclose(way_of(model, later, 2.1), way, rtol=1e-9)
+    way = joint_motion_at(model, first, 0.1)
+    np.testing.assert_allclose(joint_motion_at(model, later, 2.1), way, rtol=1e-9)
     assert (np.ptp(way[1]) > 1e-3) == (len(set(durations)) > 1)
     assert way[1].min() > 0.0
 
@@ -73,7 +73,7 @@ def test_the_load_of_each_digit_is_limited_separately(
 def test_resting_digits_load_no_moving_digit(jamia11: HandModel) -> None:
     goals = motion_goals(jamia11, 0.0, (0.5,) * 4)
     alone = (goals[0], *(replace(goal, kind=GoalKind.LIMP, trajectory=None) for goal in goals[1:]))
-    way = way_of(jamia11, goals, 0.2)
+    way = joint_motion_at(jamia11, goals, 0.2)
     own = jamia11.digit_tendons[0]
     both = [required_tensions_of(jamia11, one, way)[own] for one in (goals, alone)]
     np.testing.assert_allclose(both[0], both[1], rtol=1e-9)

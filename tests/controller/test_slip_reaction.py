@@ -63,7 +63,7 @@ class GraspRun:
         return self.resting_estimate._replace(travel=travel)
 
     @property
-    def tension(self) -> float:
+    def commanded_tension(self) -> float:
         assert self.goals[0].tension is not None
         return float(self.goals[0].tension[0])
 
@@ -84,7 +84,7 @@ def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None
     held.tick(held.resting_estimate, 1.0)
     for step in range(1, 8):
         held.tick(held.estimate_after_winding(-3 * step * SLIP_EXCURSION_M), 0.5)
-    assert held.tension == pytest.approx(26.0)
+    assert held.commanded_tension == pytest.approx(26.0)
     assert [("no more" in event.text) for event in held.events] == [False, False, True]
 
 
@@ -93,7 +93,7 @@ def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -
     held.tick(held.resting_estimate, 1.0)
     held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.5)
     assert [event.level for event in held.events] == ["warn"]
-    assert held.tension == TENSION_N
+    assert held.commanded_tension == TENSION_N
 
 
 def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
@@ -115,9 +115,9 @@ def test_a_stiff_grip_pulls_back_what_is_pulled_out(model: HandModel) -> None:
     held = GraspRun(model, limit=np.nan, stiffness=5e3)
     held.tick(held.resting_estimate, 1.0)
     held.tick(held.estimate_after_winding(-0.2e-3), 0.01)
-    assert held.tension == pytest.approx(TENSION_N + 1.0, abs=0.01)
+    assert held.commanded_tension == pytest.approx(TENSION_N + 1.0, abs=0.01)
     held.tick(held.estimate_after_winding(0.2e-3), 0.01)
-    assert held.tension == pytest.approx(TENSION_N - 1.0, abs=0.01)
+    assert held.commanded_tension == pytest.approx(TENSION_N - 1.0, abs=0.01)
 
 
 PULLED_CYLINDER_SCENE = """name = "pull"

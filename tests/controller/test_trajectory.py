@@ -59,11 +59,11 @@ def test_no_admissible_bump_has_less_jerk() -> None:
     acceleration = np.array([move.at(one)[2][0] for one in t])
     bump = np.gradient(np.gradient(t**3 * (1 - t) ** 3, t), t)
 
-    def effort(a: np.ndarray) -> float:
+    def squared_jerk(a: np.ndarray) -> float:
         return float(np.trapezoid(np.gradient(a, t)[100:-100] ** 2, t[100:-100]))
 
     for size in (-0.5, 0.5):
-        assert effort(acceleration + size * bump) > effort(acceleration)
+        assert squared_jerk(acceleration + size * bump) > squared_jerk(acceleration)
 
 
 @pytest.mark.parametrize(("distance", "speed"), [(1.0, 2.0), (-0.5, 0.1), (0.0, 1.0)])

@@ -152,7 +152,7 @@ class AmplifierBench:
         self.answers: list[Frame] = []
 
     @property
-    def nodes(self) -> list[Any]:
+    def simulated_amplifiers(self) -> list[Any]:
         """Return the simulated amplifiers."""
         return self.simulated_hand.world.sensor_nodes
 
@@ -198,7 +198,7 @@ def make_bench(folder: Any, **changed: Any) -> AmplifierBench:
 
 def test_the_set_up_reads_each_object_back_and_starts_the_amplifier(bench: AmplifierBench) -> None:
     bench.run_until_phase(DrivePhase.READY)
-    for node in bench.nodes:
+    for node in bench.simulated_amplifiers:
         objects = node.objects
         assert node.nmt == 0x05
         assert (objects[0x1800, 1], objects[0x1800, 2]) == (0x180 + node.node_id, 1)
@@ -300,7 +300,7 @@ def test_a_restart_needs_the_set_up_again_and_not_while_torque_may_act(
     bench: AmplifierBench,
 ) -> None:
     bench.run_until_phase(DrivePhase.READY)
-    bench.nodes[0].restart()
+    bench.simulated_amplifiers[0].restart()
     bench.tick(DriveTarget.ENABLE)
     bench.tick(DriveTarget.ENABLE)
     assert [state.phase for state in bench.states] == [DrivePhase.SILENT, DrivePhase.READY]

@@ -33,7 +33,7 @@ def test_damiao_motor_library_controls_the_simulated_motor() -> None:
 
 @pytest.mark.parametrize("bench", [["odrive", "--ids", "0,1"]], indirect=True, ids=["odrive"])
 @pytest.mark.usefixtures("bench")
-def test_odrive_can() -> None:
+def test_odrive_can_controls_the_simulated_drive() -> None:
     foreign_clients.use_odrive_can(can.Bus(interface="local", channel=LOCAL_BUS_NAME))
 
 

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.realtime
 LOCAL_BUS_NAME = "lerobot"
 
 
-def test_lerobot_robstride(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lerobot_controls_simulated_robstride_motors(monkeypatch: pytest.MonkeyPatch) -> None:
     from tests.drives.lerobot_client import use_lerobot_robstride
 
     with run_simulated_drives(f"local:{LOCAL_BUS_NAME}", "robstride_mit", "--ids", "1,2"):

@@ -115,7 +115,7 @@ class Ads131m04Chip:
     writable_registers: frozenset[int] = frozenset((MODE_REGISTER, CLOCK_REGISTER, GAIN_REGISTER))
     """Registers that take the values that are written to them."""
 
-    def transfer(self, out: bytes) -> bytes:
+    def transfer_frame(self, out: bytes) -> bytes:
         """Take one frame of 18 bytes and return another, as in a transfer by SPI."""
         status = (self.registers[MODE_REGISTER] & RESET_FLAG) | 0x0100 | self.new_channels
         words = [self.answer if self.answer is not None else status]
@@ -167,7 +167,7 @@ class FirmwareBench:
         )
 
     def _transfer(self, context: int, chip: int, out: Any, into: Any) -> None:
-        for i, byte in enumerate(self.chips[chip].transfer(bytes(out[:18]))):
+        for i, byte in enumerate(self.chips[chip].transfer_frame(bytes(out[:18]))):
             into[i] = byte
 
     def _send(self, context: int, can_id: int, data: Any, length: int) -> None:

@@ -40,7 +40,7 @@ ENABLED_STATE = DriveState(
         (-0.4, "7fff7ff000000400"),
     ],
 )
-def test_golden_commands(torque: float, payload: str) -> None:
+def test_commands_have_the_bytes_of_the_manual(torque: float, payload: str) -> None:
     assert COMMAND_TABLE.pack(torque) == bytes.fromhex(payload)
 
 
@@ -209,7 +209,7 @@ def test_any_frame_is_survived_in_any_state(
     assert not acting or (target == DriveTarget.ENABLE and after.phase == DrivePhase.ENABLED)
 
 
-def test_every_identifier_and_length() -> None:
+def test_frames_of_every_identifier_and_length_are_survived() -> None:
     drive, state = mit_drive_of(), mit_drive_of().initial()
     for can_id in range(2048):
         for length in range(65):

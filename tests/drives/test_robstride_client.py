@@ -17,7 +17,7 @@ LOCAL_BUS_NAME = "robstride"
 WAIT_TIMEOUT_S = 20.0
 
 
-def test_robstride() -> None:
+def test_robstride_package_sets_up_the_simulated_motor() -> None:
     with (
         run_simulated_drives(f"local:{LOCAL_BUS_NAME}", "robstride", "--ids", "5"),
         can.Bus(interface="local", channel=LOCAL_BUS_NAME) as bus,

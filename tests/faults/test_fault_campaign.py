@@ -92,12 +92,12 @@ def test_fault_free_run_alone_continues_its_seeds():
     """
     seeds = []
 
-    def seen(hand, rate, seconds, seed):
+    def record_run(hand, rate, seconds, seed):
         seeds.append((round(rate), seconds, seed))
         return []
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "run_fault_free", seen)
+        patch.setattr(campaign, "run_fault_free", record_run)
         report = campaign.run_campaign(
             "jamia", ["mit"], lambda hand: RATE_HZ, jobs=1, quick=False, fault_free_s=30.0,
             fault_free_only=True, seed=76,
@@ -115,7 +115,7 @@ def alarms_of_run(phase, *texts):
     out = SimpleNamespace(mode=Mode.ACTIVE, phase=phase, events=events)
 
     @contextlib.contextmanager
-    def started(hand, rate_hz, seed, perturb):
+    def simulate_one_phase(hand, rate_hz, seed, perturb):
         simulation = SimulatedRun(
             None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure="")
         )
@@ -129,7 +129,7 @@ def alarms_of_run(phase, *texts):
         yield simulation
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "homed_run", started)
+        patch.setattr(campaign, "homed_run", simulate_one_phase)
         return campaign.run_fault_free(hand_with_protocol("jamia", "mit"), 1.0, 9.0, seed=5)
 
 

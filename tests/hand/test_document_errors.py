@@ -44,7 +44,7 @@ class PlanDocument(Document):
 
     @field_validator("name")
     @classmethod
-    def _named(cls, name: str) -> str:
+    def _check_name(cls, name: str) -> str:
         if name == "none":
             raise ValueError("a better name")
         return name

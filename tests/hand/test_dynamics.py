@@ -12,7 +12,7 @@ from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 
 SAMPLE_COUNT = 1000
-GRAVITIES = [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (9.81, 0.0, 0.0), (3.1, -7.7, 5.2)]
+GRAVITIES_M_S2 = [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (9.81, 0.0, 0.0), (3.1, -7.7, 5.2)]
 RELATIVE_TOLERANCE = 1e-9
 
 
@@ -61,7 +61,7 @@ def joint_rotation(digit: DigitModel, i: int) -> np.ndarray:
     return rotation if i else digit.mount_rotation.T @ rotation
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES)
+@pytest.mark.parametrize("gravity", GRAVITIES_M_S2)
 def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity):
     for digit in digits:
         digit = digit.with_gravity(gravity)
@@ -79,7 +79,7 @@ def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity):
             assert arrays_agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES)
+@pytest.mark.parametrize("gravity", GRAVITIES_M_S2)
 def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
     model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(gravity)
@@ -99,7 +99,7 @@ def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
         )
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES)
+@pytest.mark.parametrize("gravity", GRAVITIES_M_S2)
 def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
     model = mujoco.MjModel.from_xml_string(urdf_text(hand))
     assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)

@@ -145,21 +145,23 @@ def event_report(kind: str, where: str = "can0", number: int = 1) -> TickInput:
     return TickInput(reports=((kind, where, float(number)),))
 
 
-def merge_inputs(*shown: TickInput) -> TickInput:
+def merge_inputs(*tick_input: TickInput) -> TickInput:
     """Combine several inputs into one input of the same tick."""
     cells: dict[str, dict[object, float]] = {}
-    for one in shown:
+    for one in tick_input:
         for name, values in one.rows.items():
             larger = min if name.endswith("_ns") and name != "late_ns" else max
             mine = cells.setdefault(name, {})
             for index, value in values.items():
                 mine[index] = larger(mine[index], value) if index in mine else value
-    return TickInput(cells, tuple(dict.fromkeys(report for one in shown for report in one.reports)))
+    return TickInput(
+        cells, tuple(dict.fromkeys(report for one in tick_input for report in one.reports))
+    )
 
 
-def without_torque(shown: TickInput) -> TickInput:
+def without_torque(tick_input: TickInput) -> TickInput:
     """Return an input with the mode of a hand that is ready to be armed."""
-    return TickInput({**shown.rows, "mode": {...: int(Mode.READY)}}, shown.reports)
+    return TickInput({**tick_input.rows, "mode": {...: int(Mode.READY)}}, tick_input.reports)
 
 
 def slack_tendon(before: int, tendon: int = 3) -> TickInput:
@@ -355,7 +357,7 @@ def rested_monitor() -> SyntheticMonitor:
     return SyntheticMonitor(EIGHT_TENDON_LIMITS, residual_fraction=0.0, coulomb=0.0, stiffness=1e5)
 
 
-def reset_for_input(monitor: SyntheticMonitor, shown: TickInput) -> StateRows:
+def reset_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateRows:
     """Reset a monitor to a hand at rest, and return the rows of an input that are to be set for one tick."""
     monitor.reset_to_rest()
-    return dict(shown.rows)
+    return dict(tick_input.rows)

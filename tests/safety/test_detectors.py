@@ -28,13 +28,13 @@ from tests.safety.fault_cases import (
 def test_causes_of_a_drive_s_error() -> None:
     assert len(ROW_OF_CAUSE) == len(DriveFaultCause)
     assert PHASE_FAULT == DrivePhase.FAULT
-    shown = merge_inputs(
+    tick_input = merge_inputs(
         drive_error(0, DriveFaultCause.OTHER, 9),
         drive_error(1, DriveFaultCause.HOT, 11),
         drive_error(2, DriveFaultCause.LOST, 12),
     )
-    assert rested_monitor().tick(shown.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
-    assert "N11" not in rested_monitor().tick(without_torque(shown).rows)
+    assert rested_monitor().tick(tick_input.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
+    assert "N11" not in rested_monitor().tick(without_torque(tick_input).rows)
     rows = {
         cause: DETECTOR_ROWS[row][0].id
         for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)

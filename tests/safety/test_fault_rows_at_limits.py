@@ -26,10 +26,10 @@ NAN = math.nan
 INPUT_WITHOUT_TENSIONS = measured_tensions(**dict.fromkeys(EIGHT_TENDON_LIMITS.tendons, NAN))
 
 
-def findings_of(id_: str, shown: TickInput) -> list[tuple[str, float]]:
+def findings_of(id_: str, tick_input: TickInput) -> list[tuple[str, float]]:
     """Return the findings of one fault in a tick with the given input, as pairs of part and value."""
     monitor = rested_monitor()
-    return list(monitor.tick(reset_for_input(monitor, shown)).get(id_, {}).items())
+    return list(monitor.tick(reset_for_input(monitor, tick_input)).get(id_, {}).items())
 
 
 def test_a_latched_fault_remains_in_a_tick_without_symptoms() -> None:

@@ -46,7 +46,8 @@ def check_ticks(
     """Judge several ticks one after the other, and return the monitor and the verdicts."""
     monitor = monitor or rested_monitor()
     return monitor, [
-        monitor.judge(reset_for_input(monitor, shown), shown.reports) for shown in ticks
+        monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
+        for tick_input in ticks
     ]
 
 
@@ -58,8 +59,8 @@ def check_fault_alone(
     Return the monitor, the action of one fault in each tick, and the findings of this fault.
     """
     monitor, actions, reported = monitor or rested_monitor(), [], []
-    for shown in ticks:
-        verdict = monitor.judge(reset_for_input(monitor, shown), shown.reports)
+    for tick_input in ticks:
+        verdict = monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
         found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
         present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
         present += [one.ticks for one in verdict.reported_faults if one.id == id_]
@@ -102,8 +103,8 @@ def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
 
 @pytest.mark.parametrize("id_", OTHER_SIGNS_BY_FAULT)
 def test_every_sign_of_a_fault_is_detected(id_: str) -> None:
-    for shown in OTHER_SIGNS_BY_FAULT[id_]:
-        _, actions, _ = check_fault_alone(id_, *[shown] * CASE_BY_FAULT[id_].debounce)
+    for tick_input in OTHER_SIGNS_BY_FAULT[id_]:
+        _, actions, _ = check_fault_alone(id_, *[tick_input] * CASE_BY_FAULT[id_].debounce)
         assert actions[-1] == CASE_BY_FAULT[id_].action
 
 
@@ -250,12 +251,12 @@ def trace_fault(id_: str) -> list[tuple[Action, int]]:
     """
     case, monitor, seen = CASE_BY_FAULT[id_], rested_monitor(), []
     kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_}
-    for shown in [
+    for tick_input in [
         case.input_below_limit,
         *[case.input_with_fault] * (case.debounce + 1),
         INPUT_AT_REST,
     ]:
-        rows, before = reset_for_input(monitor, shown), monitor.view("fault_ticks").copy()
+        rows, before = reset_for_input(monitor, tick_input), monitor.view("fault_ticks").copy()
         monitor.tick(rows)
         monitor.set_rows({"fault_ticks": before})
         monitor.found_values[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = (
@@ -264,7 +265,7 @@ def trace_fault(id_: str) -> list[tuple[Action, int]]:
         demanded = call_interpreted(
             compiled_judge.debounce_faults, monitor.state_tables, monitor.found_values
         )
-        reports = shown.reports if judgement.FAULT_BY_ID[id_].reports else ()
+        reports = tick_input.reports if judgement.FAULT_BY_ID[id_].reports else ()
         verdict = monitor.conclude(demanded, reports)
         seen.append((verdict.action, len(verdict.findings)))
     return seen
@@ -274,7 +275,7 @@ def trace_fault(id_: str) -> list[tuple[Action, int]]:
 def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """Return a function that replaces the declaration of a fault by a changed one."""
 
-    def declare(other: Fault) -> None:
+    def declare_fault(other: Fault) -> None:
         found = tuple(
             (other if fault.id == other.id else fault, kind) for fault, kind in DETECTOR_ROWS
         )
@@ -290,7 +291,7 @@ def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
         monkeypatch.setattr(compiled_judge, "DEBOUNCE_TICKS", debounce)
         monkeypatch.setattr(compiled_judge, "ACTION_NUMBERS", actions)
 
-    return declare
+    return declare_fault
 
 
 @pytest.mark.parametrize("id_", CASE_BY_FAULT)

@@ -32,8 +32,8 @@ def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() 
 
     An intact load cell may read this for a moment too.
     """
-    shown = merge_inputs(measured_tensions(t1=-3.0), state_rows(saturated={1: 1}))
-    assert SyntheticMonitor(RAIL_LIMITS).tick(shown.rows)["T06"] == {"t1": -3.0}
-    assert "T06" not in SyntheticMonitor(RAIL_LIMITS).tick(without_torque(shown).rows)
+    tick_input = merge_inputs(measured_tensions(t1=-3.0), state_rows(saturated={1: 1}))
+    assert SyntheticMonitor(RAIL_LIMITS).tick(tick_input.rows)["T06"] == {"t1": -3.0}
+    assert "T06" not in SyntheticMonitor(RAIL_LIMITS).tick(without_torque(tick_input).rows)
     high = merge_inputs(measured_tensions(t0=250.0, t1=244.0), state_rows(saturated={1: 1}))
     assert SyntheticMonitor(RAIL_LIMITS).tick(high.rows)["T06"] == {"t0": 250.0, "t1": 244.0}

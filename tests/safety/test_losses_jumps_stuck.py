@@ -126,16 +126,16 @@ def test_missing_every_second_tick_is_detected(pattern, half):
 
 
 def test_the_count_of_unknown_frames_decays_in_a_second():
-    def after(unknown: float, strange: int = 0, rate: float = 100.0) -> float:
+    def unknown_count_after(unknown: float, strange: int = 0, rate: float = 100.0) -> float:
         window = LossWindows(period=1.0 / rate)
         window.run_tick_without_replies(strange=strange, unknown=unknown)
         return float(window.view("unknown").item())
 
-    assert after(0.0, 3) == 3.0
-    assert after(3.0, 2) == pytest.approx(3.0 * 0.99 + 2.0)
-    assert after(1.02e-3) > 0.0
-    assert after(1.01e-3) == 0.0
-    assert after(2e-3, rate=2.0) == 0.0, "a thousandth is forgotten"
+    assert unknown_count_after(0.0, 3) == 3.0
+    assert unknown_count_after(3.0, 2) == pytest.approx(3.0 * 0.99 + 2.0)
+    assert unknown_count_after(1.02e-3) > 0.0
+    assert unknown_count_after(1.01e-3) == 0.0
+    assert unknown_count_after(2e-3, rate=2.0) == 0.0, "a thousandth is forgotten"
 
 
 def refusal_counter(rate: float) -> Any:
@@ -147,7 +147,7 @@ def refusal_counter(rate: float) -> Any:
     state = State(window.layout, window.block, Decisions((), None))  # type: ignore[arg-type]
     controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / rate))
 
-    def step(refused: int, k: int) -> tuple[int, ...]:
+    def count_refusals(refused: int, k: int) -> tuple[int, ...]:
         window.set_rows({"k": k})
         Controller._count_refusals(
             controller, state, (TickEvent("warn", "request", "", ""),) * refused
@@ -156,15 +156,15 @@ def refusal_counter(rate: float) -> Any:
         assert int(window.view("refused").item()) == len(lately)
         return lately
 
-    return step
+    return count_refusals
 
 
 def test_refused_goals_are_those_of_the_last_second():
-    step = refusal_counter(100.0)
-    assert step(2, 10) == (10, 10)
-    assert step(1, 109) == (10, 10, 109)
-    assert step(0, 110) == (109,)
-    assert step(0, 209) == ()
+    count_refusals = refusal_counter(100.0)
+    assert count_refusals(2, 10) == (10, 10)
+    assert count_refusals(1, 109) == (10, 10, 109)
+    assert count_refusals(0, 110) == (109,)
+    assert count_refusals(0, 209) == ()
 
 
 def test_lost_and_malformed_replies_are_counted_separately():

@@ -230,17 +230,17 @@ def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
     The limit of 15 deg applies to unfiltered readings.
     """
 
-    def slipped(deg):
+    def findings_after_slip(deg):
         monitor, _ = run_ticks(100, excursion=0.0, read=True)
         assert not np.isnan(monitor.view("slip_from")).any()
         return run_ticks(1500, monitor, excursion=[-0.02 * np.radians(deg), 0.0], read=True)[1]
 
-    assert "N06a" not in slipped(2.9)
-    reported = slipped(3.1)
+    assert "N06a" not in findings_after_slip(2.9)
+    reported = findings_after_slip(3.1)
     assert reported["N06a"] == {"a": pytest.approx(3.1, abs=0.02)}
     assert "T08" not in reported
-    assert "T08" not in slipped(14.9)
-    assert slipped(-15.1)["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
+    assert "T08" not in findings_after_slip(14.9)
+    assert findings_after_slip(-15.1)["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
 
 
 def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
@@ -448,7 +448,7 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
     It comes in the first tick after the gap or, if its reply is late by a tick, in the second.
     """
 
-    def course(missed):
+    def run_over_gap(missed):
         monitor, at, speed, noisy = run_ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
         for k in range(20):
             at, speed = (at + 0.25, 0.14) if k == 10 + late else (at + 0.05, speed)
@@ -456,10 +456,10 @@ def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
             noisy |= "N07" in monitor.tick(rows, missed=missed if k == 10 else 0)
         return noisy, monitor.view("residual")[BALANCE]
 
-    noisy, balance = course(4)
+    noisy, balance = run_over_gap(4)
     assert not noisy
     assert np.abs(balance).max() < 0.05
-    noisy, balance = course(0)
+    noisy, balance = run_over_gap(0)
     assert noisy, "positive control"
     assert np.abs(balance).max() > 0.5
 
@@ -488,18 +488,18 @@ def test_positions_are_checked_separately():
 
 
 def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
-    def begun() -> SyntheticMonitor:
+    def monitor_at_zero() -> SyntheticMonitor:
         monitor = make_monitor()
         screen_positions(monitor, [0.0, 0.0], [0.0, 0.0])
         return monitor
 
     motor, joint = [0.29, 0.61], [0.91, 1.19]
-    assert screen_positions(begun(), motor, joint) == (motor, joint)
-    monitor = begun()
+    assert screen_positions(monitor_at_zero(), motor, joint) == (motor, joint)
+    monitor = monitor_at_zero()
     jumped, twisted = screen_positions(monitor, motor, joint, 2)
     assert jumped == [0.0, 0.61], "three times 0.1 and 0.2"
     assert twisted == [0.91, 0.0], "three times 0.3 and 0.4"
-    monitor = begun()
+    monitor = monitor_at_zero()
     screen_positions(monitor, motor, None, 2)
     assert monitor.field_values("joint_gap") == [3.0, 3.0]
 

@@ -135,7 +135,7 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
 ) -> None:
     """Interpreted code is called with excursions whose angles are within four bits of the limit."""
 
-    def counted(apart: float) -> tuple[float, float]:
+    def slip_and_count(apart: float) -> tuple[float, float]:
         monitor.set_rows(resting_tick(**JOINTS_READ | {"tension": 0.0, "excursion": -apart}))
         monitor.set_rows(
             {
@@ -150,6 +150,6 @@ def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
         return abs(monitor.field_values("slip")[0]), monitor.field_values("derailed")[0]
 
     apart = DERAILED_DEG / DEG_PER_RAD * 0.02
-    around = [counted(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
+    around = [slip_and_count(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
     assert min(angle for angle, _ in around) <= DERAILED_DEG < max(angle for angle, _ in around)
     assert all(count == float(angle > DERAILED_DEG) for angle, count in around)

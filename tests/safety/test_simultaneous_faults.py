@@ -38,8 +38,8 @@ FAULT_PAIRS = list(pairwise([*FAULTS_WHILE_ARMED, FAULTS_WHILE_ARMED[0]])) + [
 ]
 
 
-def judge_input(monitor: SyntheticMonitor, shown: TickInput):
-    return monitor.judge(reset_for_input(monitor, shown), shown.reports)
+def judge_input(monitor: SyntheticMonitor, tick_input: TickInput):
+    return monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
 
 
 def test_every_fault_of_the_active_mode_is_paired() -> None:
@@ -130,12 +130,12 @@ def test_additional_faults_never_weaken_the_action(
     Its action is never weaker.
     """
     less, more = rested_monitor(), rested_monitor()
-    for shown, extra, cleared in ticks:
+    for tick_input, extra, cleared in ticks:
         if cleared:
             less.clear_latched()
             more.clear_latched()
-        mild = judge_input(less, shown)
-        wild = judge_input(more, merge_inputs(shown, *(INPUT_BY_FAULT[i] for i in extra)))
+        mild = judge_input(less, tick_input)
+        wild = judge_input(more, merge_inputs(tick_input, *(INPUT_BY_FAULT[i] for i in extra)))
         assert wild.action >= mild.action
         assert set(less.latched) <= set(more.latched)
 
@@ -145,11 +145,11 @@ def test_latches_only_grow_between_clearings(
     ticks: list[tuple[TickInput, list[str], bool]],
 ) -> None:
     monitor, reported = rested_monitor(), list[tuple[str, str]]()
-    for shown, _, cleared in ticks:
+    for tick_input, _, cleared in ticks:
         before = () if cleared else monitor.latched
         if cleared:
             monitor.clear_latched()
-        verdict = judge_input(monitor, shown)
+        verdict = judge_input(monitor, tick_input)
         assert monitor.latched[: len(before)] == before, "in the order in which they came"
         assert len(set(monitor.latched)) == len(monitor.latched)
         actions = {fault.id: fault.action for fault in FAULT_TABLE}

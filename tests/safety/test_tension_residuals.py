@@ -202,19 +202,19 @@ def test_unknown_frames_are_forgotten_after_a_second():
 def test_a_tendon_that_was_never_taut_is_not_slack():
     monitor = SyntheticMonitor(synthetic_limits(2), residual_fraction=0.0)
 
-    def step(tension, wanted):
+    def slack_faults(tension, wanted):
         return monitor.tick(residual={TENSION: tension}, wanted=wanted).get("T02a", {})
 
     for _ in range(100):
-        assert step([0.0, 5.0], [5.0, 5.0]) == {}
+        assert slack_faults([0.0, 5.0], [5.0, 5.0]) == {}
     for _ in range(30):
-        found = step([0.0, 0.0], [5.0, 5.0])
+        found = slack_faults([0.0, 0.0], [5.0, 5.0])
     assert found == {"t1": 30 * PERIOD_S}
-    assert step([0.0, 0.0], [5.0, np.nan]) == {}, "a limp tendon may hang"
+    assert slack_faults([0.0, 0.0], [5.0, np.nan]) == {}, "a limp tendon may hang"
 
 
 def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
-    def after(ticks, cell=0.5, speed=0.05):
+    def snap_faults_after(ticks, cell=0.5, speed=0.05):
         monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
         monitor.tick(wanted=24.0)
         for _ in range(ticks):
@@ -223,10 +223,10 @@ def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
             )
         return found.get("T01", {})
 
-    assert after(1) == {"t0": 0.05}
-    assert after(1, speed=0.01) == {}, "its spool does not run"
-    assert after(1, cell=12.0) == {}, "it bears something"
-    assert after(61) == {}, "taking up a tendon that has long been slack"
+    assert snap_faults_after(1) == {"t0": 0.05}
+    assert snap_faults_after(1, speed=0.01) == {}, "its spool does not run"
+    assert snap_faults_after(1, cell=12.0) == {}, "it bears something"
+    assert snap_faults_after(61) == {}, "taking up a tendon that has long been slack"
 
 
 def test_a_tendon_still_pulled_after_the_cut_is_detected():
