@@ -140,10 +140,10 @@ def command_of(state: State) -> LawCommand:
 
 @kernel("block", "layout", "constants", "layout")
 def _tension_limits(
-    block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> np.ndarray:
     return computed_torque.present_tension_limits(
-        state_tables(block, at), constant_tables(of, of_at)
+        state_tables(block, at), constant_tables(constants, constants_at)
     )
 
 
@@ -157,9 +157,13 @@ def tension_limits_of(model: HandModel, state: State) -> np.ndarray:
 
 @kernel("block", "layout", "constants", "layout", "matrix")
 def _required_tensions(
-    block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces, motion: np.ndarray
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
+    motion: np.ndarray,
 ) -> int:
-    x, c = state_tables(block, at), constant_tables(of, of_at)
+    x, c = state_tables(block, at), constant_tables(constants, constants_at)
     reference.write_required_torque(x, c, motion)
     return reference.write_required_tensions(x, c)
 

@@ -157,9 +157,9 @@ class LoadStatics(NamedTuple):
 
 @kernel("block", "layout", "constants", "layout")
 def _load_forces(
-    block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> np.ndarray:
-    return kalman._load_forces(state_tables(block, at), constant_tables(of, of_at))
+    return kalman._load_forces(state_tables(block, at), constant_tables(constants, constants_at))
 
 
 def load_statics(
@@ -185,11 +185,11 @@ def load_statics(
 
 @kernel("constants", "layout", "vector", "count")
 def _winding_efficiency(
-    of: BlockArray, of_at: TablePlaces, q: np.ndarray, tendons: int
+    constants: BlockArray, constants_at: TablePlaces, q: np.ndarray, tendons: int
 ) -> np.ndarray:
     result = np.empty(tendons)
     for n in range(tendons):
-        result[n] = winding_efficiency(constant_tables(of, of_at), n, q)
+        result[n] = winding_efficiency(constant_tables(constants, constants_at), n, q)
     return result
 
 

@@ -98,18 +98,18 @@ def begin_run(
     peer: SimulatedHand,
     program: Program,
     calibration: Calibration | None,
-    first: int,
+    first_tick: int,
     hand: Hand | None = None,
 ) -> tuple[SimulatedRun, Iterator[None]]:
-    """Begin a run of a program at tick ``first``. The simulated hand may have run before."""
+    """Begin a run of a program at tick ``first_tick``. The simulated hand may have run before."""
     controller = make_controller(
         hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
     )
     run = SimulatedRun.of(controller, peer)
-    run.k = first
+    run.k = first_tick
     run.record = False
-    run.state.set_whole(s.K, first - 1)
-    return run, (None for _ in run.ticks(first / RATE_HZ + 120.0))
+    run.state.set_whole(s.K, first_tick - 1)
+    return run, (None for _ in run.ticks(first_tick / RATE_HZ + 120.0))
 
 
 def events_of(run: SimulatedRun) -> tuple[TickEvent, ...]:

@@ -12,7 +12,7 @@ from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
-COMMUNICATION_LOST = 0xD
+COMMUNICATION_LOST_STATE = 0xD
 CLEAR_REQUEST = '{"do": "clear"}'
 
 
@@ -21,7 +21,7 @@ def hand_after_crash() -> ControllerBench:
     """Return a bench whose hand was armed when its previous controller died."""
     run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     for motor in run.peer.motors:
-        motor.state_nibble = COMMUNICATION_LOST
+        motor.state_nibble = COMMUNICATION_LOST_STATE
     return run
 
 
@@ -33,7 +33,7 @@ def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(
     assert "communication lost" in hand_after_crash.state.failure
     assert "--clear" in hand_after_crash.state.failure
     assert [motor.state_nibble for motor in hand_after_crash.peer.motors] == [
-        COMMUNICATION_LOST
+        COMMUNICATION_LOST_STATE
     ] * 4
 
 
@@ -56,10 +56,10 @@ def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: Contr
     hand_after_crash.tick(CLEAR_REQUEST)
     hand_after_crash.run_until_mode(Mode.ACTIVE)
     hand_after_crash.run(0.5)
-    hand_after_crash.peer.motors[1].state_nibble = COMMUNICATION_LOST
+    hand_after_crash.peer.motors[1].state_nibble = COMMUNICATION_LOST_STATE
     hand_after_crash.run_until_mode(Mode.DONE)
     assert "N08" in hand_after_crash.state.failure
-    assert hand_after_crash.peer.motors[1].state_nibble == COMMUNICATION_LOST
+    assert hand_after_crash.peer.motors[1].state_nibble == COMMUNICATION_LOST_STATE
 
 
 def test_a_drive_that_does_not_clear_is_refused_in_time(hand_after_crash: ControllerBench) -> None:

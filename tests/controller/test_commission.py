@@ -46,7 +46,7 @@ def jamia11() -> HandModel:
     return HandModel.of(load_hand("jamia11"), Gains(), 50.0)
 
 
-BIAS_N, JUST_TAUT_M = 0.7, 1.2e-3
+CELL_BIAS_N, TAUT_TRAVEL_M = 0.7, 1.2e-3
 NOISE_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
 TensionByPull = Callable[[int], np.ndarray]
@@ -80,9 +80,9 @@ def run_commissioning(
         i = progress.step - 1
         pulled = any(goal.kind != GoalKind.LIMP for goal in progress.goals)
         tension = (
-            tension_by_pull(i if pulled else -1) + BIAS_N + walked + noise * rng.normal(size=n)
+            tension_by_pull(i if pulled else -1) + CELL_BIAS_N + walked + noise * rng.normal(size=n)
         )
-        travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
+        travel = np.full(n, TAUT_TRAVEL_M) + (tension - CELL_BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
         measured = empty_readings(model)._replace(travel=travel, tension=shown)
         if rng.random() < lost_fraction:
@@ -110,8 +110,8 @@ def test_tares_and_zeros_are_found(model: HandModel, lost_fraction: float) -> No
     progress = run_commissioning(model, tensions_without_fault(model), lost_fraction=lost_fraction)
     assert not progress.failure
     found = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
-    np.testing.assert_allclose(found.tare(model.hand), BIAS_N, atol=0.15)
-    np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, JUST_TAUT_M, atol=5e-6)
+    np.testing.assert_allclose(found.tare(model.hand), CELL_BIAS_N, atol=0.15)
+    np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, TAUT_TRAVEL_M, atol=5e-6)
     for row in found.tendon.values():
         assert row.answer_N == pytest.approx(PULL_N, abs=0.25)
         assert row.crosstalk_N < 0.3, "noise is no crosstalk"
@@ -190,7 +190,7 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
     assert not progress.failure
     tare = (
         calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand)
-        - BIAS_N
+        - CELL_BIAS_N
     )
     assert np.diff(tare) == pytest.approx(np.full(3, np.diff(tare).mean()), abs=0.01), (
         "each a pull later than the last"
@@ -299,7 +299,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     """The message names the load cell that is nearest to an end of its range, even if another cell reads more."""
 
     def tension_by_pull(i: int) -> np.ndarray:
-        tension = tensions_without_fault(model)(i) - BIAS_N
+        tension = tensions_without_fault(model)(i) - CELL_BIAS_N
         tension[0] += tare
         tension[1] += 3.95
         return tension
@@ -320,7 +320,7 @@ def program_after_tare(model: HandModel, tension_by_pull: TensionByPull) -> Prog
     """Return the progress of the commissioning program just after its tare."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:
-        measured = empty_readings(model)._replace(tension=tension_by_pull(-1) + BIAS_N)
+        measured = empty_readings(model)._replace(tension=tension_by_pull(-1) + CELL_BIAS_N)
         progress, _ = program.advance(
             model, progress, slack_hand_estimate(model), measured, k * model.period
         )

@@ -89,7 +89,7 @@ class FilterRun(NamedTuple):
     regimes: set[tuple[int, ...]]
 
 
-def monte_carlo(
+def run_monte_carlo(
     model: HandModel,
     regime: TendonRegime,
     ticks: int,
@@ -154,7 +154,7 @@ def monte_carlo(
 def test_estimator_is_consistent_with_its_own_model(
     frictionless_model: HandModel, regime: TendonRegime
 ) -> None:
-    course = monte_carlo(frictionless_model, regime, 2500, seed=5)
+    course = run_monte_carlo(frictionless_model, regime, 2500, seed=5)
     assert course.regimes == {(int(regime),) * frictionless_model.tendon_count}, (
         "the run stayed in its regime"
     )
@@ -183,7 +183,7 @@ def test_consistent_with_its_own_model_though_measurements_are_missing(
 ) -> None:
     """The filter's error has the size that its covariance predicts, within the uncertainty of the sample."""
     missing = SPARSE_MEASUREMENTS[missing_pattern]
-    course = monte_carlo(
+    course = run_monte_carlo(
         frictionless_model,
         regime,
         2500,

@@ -88,14 +88,16 @@ def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
     assert not np.isnan(estimate.innovation[1:]).any()
 
 
-def slack_state(hand: HeldHand, error: float, loose: float, seconds: float) -> SyntheticEstimate:
+def slack_state(
+    hand: HeldHand, error: float, slack_length_m: float, seconds: float
+) -> SyntheticEstimate:
     """Return the estimate of slack tendons.
 
     The load cell of tendon 0 reads ``error`` [N] where there is no tension.
     """
     model = hand.model
     x = np.zeros((model.tendon_count, STATE_COUNT))
-    hand.travel = np.full(model.tendon_count, -loose)
+    hand.travel = np.full(model.tendon_count, -slack_length_m)
     x[:, X] = hand.travel
     known = (True,) * model.tendon_count
     hand.state = FilterState.in_regime(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(

@@ -107,13 +107,17 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
 def _judge_innovations(
     block: BlockArray,
     at: TablePlaces,
-    of: BlockArray,
-    of_at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
     innovation: np.ndarray,
     information: np.ndarray,
 ) -> None:
     kalman._judge_consistency(
-        state_tables(block, at), constant_tables(of, of_at), innovation, information, True
+        state_tables(block, at),
+        constant_tables(constants, constants_at),
+        innovation,
+        information,
+        True,
     )
 
 

@@ -15,8 +15,8 @@ from tests.controller.law_runs import LawState, run_law_tick
 from tests.controller.plant_run import CONTROL_RATE_HZ, run_on_plant
 from tests.controller.synthetic_states import estimate_under_tension, uncompiled_function
 
-MOVE_S = 0.3
-TURN_S = 0.05
+MOVE_DURATION_S = 0.3
+TIME_AROUND_REVERSAL_S = 0.05
 
 
 def tensions_at_speeds(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
@@ -70,7 +70,8 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
 ) -> None:
     angles = (40.0, 15.0, 45.0, 10.0, 35.0, 12.0)
     moves = [
-        {"kind": "move", "angle_deg": {"index": a, "ring": a}, "duration_s": MOVE_S} for a in angles
+        {"kind": "move", "angle_deg": {"index": a, "ring": a}, "duration_s": MOVE_DURATION_S}
+        for a in angles
     ]
     task = TaskProgram(
         validate_content({"schema": 1, "name": "turns", "phase": moves}, Task, "test")
@@ -84,9 +85,13 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
         for table in (run.true_tension, run.estimated_tension, run.measured_tension)
     )
     ticks = [
-        k for k, t in enumerate(run.time_s) if any(0.0 <= t - start < TURN_S for start in starts)
+        k
+        for k, t in enumerate(run.time_s)
+        if any(0.0 <= t - start < TIME_AROUND_REVERSAL_S for start in starts)
     ]
-    assert len(ticks) == pytest.approx(len(starts) * TURN_S * CONTROL_RATE_HZ, abs=len(starts))
+    assert len(ticks) == pytest.approx(
+        len(starts) * TIME_AROUND_REVERSAL_S * CONTROL_RATE_HZ, abs=len(starts)
+    )
     mine, raw = (np.sqrt(((table - real)[ticks] ** 2).mean()) for table in (estimate, cell))
     assert mine < raw
     assert np.abs(estimate - real)[ticks].max() < 2.5, "[N]"

@@ -31,14 +31,14 @@ def test_motors_that_reply_in_alternate_ticks_are_armed(hand_bench: ControllerBe
     """Some drives reply only in every fourth tick. The filter starts when each drive has been read once."""
     motors = range(0x11, 0x15)
 
-    def in_turn(frame: Frame) -> bool:
+    def replies_in_this_tick(frame: Frame) -> bool:
         return (
             frame.can_id not in motors
             or frame.can_id == motors[hand_bench.k % 4]
             or frame.data[2] in (READ_REGISTER, WRITE_REGISTER)
         )
 
-    hand_bench.to_host = lambda frames: [frame for frame in frames if in_turn(frame)]
+    hand_bench.to_host = lambda frames: [frame for frame in frames if replies_in_this_tick(frame)]
     hand_bench.run_until_mode(Mode.READY)
     assert hand_bench.state.failure == ""
     hand_bench.to_host = lambda frames: frames

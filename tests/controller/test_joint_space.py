@@ -19,7 +19,7 @@ from handctl.programs.task_checks import check_task_for_hand
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.plant_run import model_of
 
-SETTLED_DEG = 2.0
+SETTLED_ERROR_DEG = 2.0
 
 
 def task_of_phases(*phases: dict[str, Any]) -> Task:
@@ -66,7 +66,7 @@ def test_a_move_of_one_joint_leaves_the_others() -> None:
         "thumb_j2": 10.0,
         "ring_j1": 0.0,
     }
-    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_DEG)
+    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_ERROR_DEG)
 
 
 def test_a_trajectory_can_name_single_joints() -> None:
@@ -96,7 +96,7 @@ def test_a_trajectory_can_name_single_joints() -> None:
         "thumb_j1": 20.0,
         "thumb_j2": 20.0,
     }
-    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_DEG)
+    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_ERROR_DEG)
 
 
 def test_a_joint_of_a_one_tendon_digit_stands_for_all() -> None:

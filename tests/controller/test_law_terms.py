@@ -24,7 +24,7 @@ from tests.controller.synthetic_states import (
     stage_constants,
 )
 
-EVALUATED_S = 0.25
+EVALUATION_TIME_S = 0.25
 """Time in a motion of one second at which the control law is evaluated [s]. The motion still accelerates then."""
 
 
@@ -33,7 +33,9 @@ def motor_force_of(
 ) -> np.ndarray:
     """Return the motor force (N,) [N] that the control law commands for an estimate and goals."""
     state = LawState.idle_at_tensions(estimate.tension)
-    return run_law_tick(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
+    return (
+        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+    )
 
 
 @pytest.fixture
@@ -72,7 +74,7 @@ def test_the_planned_acceleration_is_fed_forward(
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
     for digit, tendons, goal in zip(model.digits, model.digit_tendons, motion_goals, strict=True):
-        acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(EVALUATED_S)[2]
+        acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(EVALUATION_TIME_S)[2]
     found = motor_force_of(model, estimate, motion_goals) - motor_force_of(
         other, estimate, motion_goals
     )
@@ -133,7 +135,7 @@ def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
         LawState.idle_at_tensions(estimate.tension),
         estimate,
         holding_goals(model, 20.0),
-        EVALUATED_S,
+        EVALUATION_TIME_S,
     )[1]
     joints = len(model.hand.joints)
     assert [np.isnan(goal).tolist() for goal in (command.q, command.dq)] == [[True] * joints] * 2
@@ -147,14 +149,18 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
         model.motion,
     )
     state = LawState.idle_at_tensions(estimate.tension)
-    before = run_law_tick(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
+    before = (
+        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+    )
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
         ("speed", 1e-3, -design.tension_speed),
         ("tension", 0.4, -design.tension * integral),
     ):
         off = estimate._replace(**{name: getattr(estimate, name) + size})
-        after = run_law_tick(model, state, off, goals, EVALUATED_S)[1].torque / model.space.spool
+        after = (
+            run_law_tick(model, state, off, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+        )
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, err_msg=name)
 
 
@@ -172,7 +178,7 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     speed, acceleration = np.zeros((2, model.tendon_count))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, ways, strict=True):
         speed[tendons], acceleration[tendons] = (
-            one.at(EVALUATED_S - since)[1:] @ digit.reduced_moment_arms.T
+            one.at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
         )
     needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
     needed += (model.motion.tension_speed + space.motor_damping) * speed
@@ -195,8 +201,8 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     taut_estimate = slack_estimate._replace(slack=np.zeros(model.tendon_count, dtype=bool))
     state = LawState.idle_at_tensions(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
-    loose = run_law_tick(model, state, slack_estimate, goals, EVALUATED_S)[1].torque
-    taut = run_law_tick(model, state, taut_estimate, goals, EVALUATED_S)[1].torque
+    loose = run_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[1].torque
+    taut = run_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[1].torque
     np.testing.assert_allclose((loose - taut) / model.space.spool, model.space.coulomb, rtol=0.02)
 
 
@@ -204,10 +210,14 @@ def test_the_goal_tension_of_a_motion_stays_within_its_limit(
     model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
     free = run_law_tick(
-        model, LawState.idle_at_tensions(estimate.tension), estimate, motion_goals, EVALUATED_S
+        model,
+        LawState.idle_at_tensions(estimate.tension),
+        estimate,
+        motion_goals,
+        EVALUATION_TIME_S,
     )[1].tension
     state, most = LawState.idle_at_tensions(estimate.tension), np.maximum(0.5 * free, model.floor)
-    held = run_law_tick(model, state, estimate, motion_goals, EVALUATED_S, most)[1].tension
+    held = run_law_tick(model, state, estimate, motion_goals, EVALUATION_TIME_S, most)[1].tension
     np.testing.assert_allclose(held, most)
 
 
@@ -218,7 +228,7 @@ def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -
         LawState.idle_at_tensions(estimate.tension),
         estimate,
         (DigitGoal(),) * len(model.digits),
-        EVALUATED_S,
+        EVALUATION_TIME_S,
     )[1]
     assert not command.joint_torque.any()
     assert np.isnan(command.tension).all()
@@ -227,7 +237,7 @@ def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -
 def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: SyntheticEstimate) -> None:
     goals = (*moving_goals(model, 0.4, 0.6, 1.0)[:2], *holding_goals(model, 12.0)[2:])
     law, command = run_law_tick(
-        model, LawState.idle_at_tensions(estimate.tension), estimate, goals, EVALUATED_S
+        model, LawState.idle_at_tensions(estimate.tension), estimate, goals, EVALUATION_TIME_S
     )
     tendons, joints = model.digit_tendons[1].stop, model.digits[1].joints.stop
     for angles in (command.q, command.dq):

@@ -14,10 +14,10 @@ from tests.controller.digit_goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_law_tick
 from tests.controller.synthetic_states import estimate_under_tension
 
-HIGH_N = 60.0
+HIGH_TENSION_N = 60.0
 
 
-AT_ONCE = 1e6
+IMMEDIATE_RATE_N_PER_S = 1e6
 """Rate of a set-point that is so fast that it reaches its goal in one tick [N/s]."""
 
 
@@ -36,7 +36,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
         jamia,
         idle_law_state(jamia),
         estimate_under_tension(jamia, 0.0),
-        holding_goals(jamia, HIGH_N, AT_ONCE),
+        holding_goals(jamia, HIGH_TENSION_N, IMMEDIATE_RATE_N_PER_S),
         0.0,
         most,
         kept,
@@ -53,11 +53,11 @@ def test_without_a_limit_the_goal_is_not_changed(jamia: HandModel) -> None:
         jamia,
         idle_law_state(jamia),
         estimate_under_tension(jamia, 0.0),
-        holding_goals(jamia, HIGH_N, AT_ONCE),
+        holding_goals(jamia, HIGH_TENSION_N, IMMEDIATE_RATE_N_PER_S),
         0.0,
     )
-    np.testing.assert_allclose(command.tension, HIGH_N)
-    assert (command.torque / jamia.space.spool > HIGH_N).all()
+    np.testing.assert_allclose(command.tension, HIGH_TENSION_N)
+    assert (command.torque / jamia.space.spool > HIGH_TENSION_N).all()
     assert law.held is None
 
 
@@ -90,7 +90,11 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
 
 @pytest.mark.parametrize("held", [True, False])
 def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
-    asked = holding_goals(jamia, 20.0, AT_ONCE) if held else moving_goals(jamia, 0.0, 1.2, 0.2)
+    asked = (
+        holding_goals(jamia, 20.0, IMMEDIATE_RATE_N_PER_S)
+        if held
+        else moving_goals(jamia, 0.0, 1.2, 0.2)
+    )
     plain = run_law_tick(
         jamia, idle_law_state(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0
     )[1]
@@ -106,7 +110,7 @@ def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
 
 
 def test_limp_digits_have_no_trim(jamia: HandModel) -> None:
-    goals = (*holding_goals(jamia, 20.0, AT_ONCE)[:3], DigitGoal(GoalKind.LIMP))
+    goals = (*holding_goals(jamia, 20.0, IMMEDIATE_RATE_N_PER_S)[:3], DigitGoal(GoalKind.LIMP))
     trimmed = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
     _, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), goals, 0.0)
     assert command.torque[3] == 0.0

@@ -19,9 +19,9 @@ from handctl.programs.task import Task
 from handctl.session.simulate import SimulatorSettings
 from tests.conftest import NIGHTLY
 
-RATES_HZ = (250.0, 300.0, 333.0, 400.0, 450.0, 500.0, 640.0, 1000.0)
+CONTROL_RATES_HZ = (250.0, 300.0, 333.0, 400.0, 450.0, 500.0, 640.0, 1000.0)
 SIMULATOR_SEEDS = range(20 if NIGHTLY else 1)
-HANDS_AND_RATES = [(hand, rate) for hand in ("jamia", "jamia11") for rate in RATES_HZ]
+HANDS_AND_RATES = [(hand, rate) for hand in ("jamia", "jamia11") for rate in CONTROL_RATES_HZ]
 SAMPLED_HANDS_AND_RATES = [("jamia", 300.0), ("jamia", 640.0), ("jamia11", 450.0)]
 TO_AND_FRO_TASK = {
     "schema": 1,

@@ -36,9 +36,9 @@ class ControlErrors(NamedTuple):
         external_N: mean unexplained tension of the wrist's tendon [N].
     """
 
-    tracking_deg: float
-    wrist_deg: float
-    external_N: float
+    tracking_error_deg: float
+    wrist_error_deg: float
+    unexplained_tension_N: float
 
 
 def waving_task(hand: Hand) -> Task:
@@ -89,10 +89,10 @@ def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
     hand = mount_on_wrist(name)
     aware = simulate_control_errors(hand, hand, seed)
     assert aware is not None
-    assert aware.tracking_deg < TRACKING_LIMITS_DEG[name]
-    assert aware.wrist_deg < 1.0
+    assert aware.tracking_error_deg < TRACKING_LIMITS_DEG[name]
+    assert aware.wrist_error_deg < 1.0
     blind = simulate_control_errors(mount_on_wrist(name, 0.0), hand, seed)
-    assert blind is None or blind.tracking_deg > 4.0 * aware.tracking_deg
+    assert blind is None or blind.tracking_error_deg > 4.0 * aware.tracking_error_deg
 
 
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
@@ -102,7 +102,7 @@ def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
     blind = simulate_control_errors(mount_on_wrist("jamia", 0.0), hand, 0)
     assert aware is not None
     assert blind is not None
-    assert aware.external_N < 0.5 * blind.external_N
+    assert aware.unexplained_tension_N < 0.5 * blind.unexplained_tension_N
 
 
 def test_arms_are_divided_between_a_digit_and_its_carriers() -> None:

@@ -174,13 +174,15 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
             angles = angles_of_tick(model, state, estimate, touched, k)
         return angles
 
-    of = constant_tables_of(model)
-    free = bool(of.run_int[h.HAS_NULL_SPACE])
+    constants = constant_tables_of(model)
+    free = bool(constants.run_int[h.HAS_NULL_SPACE])
     first = angles_of_tick(model, state, estimate, nothing, 1)
     if free:
         span = np.concatenate([digit.joint_max - digit.joint_min for digit in model.digits])
-        np.testing.assert_array_equal(of.joint[h.RANGE_SIGMA], span / np.sqrt(12.0))
-        np.testing.assert_array_equal(first.sigma, of.joint[h.RANGE_SIGMA], "nothing is known yet")
+        np.testing.assert_array_equal(constants.joint[h.RANGE_SIGMA], span / np.sqrt(12.0))
+        np.testing.assert_array_equal(
+            first.sigma, constants.joint[h.RANGE_SIGMA], "nothing is known yet"
+        )
     sizes = []
     for force in (0.0, 3.0, 10.0):
         sizes.append(float(angles_after(nothing + force, 0.5).sigma.mean()))
@@ -195,14 +197,14 @@ def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel)
 def _fuse_encoders(
     block: BlockArray,
     at: TablePlaces,
-    of: BlockArray,
-    of_at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
     columns: np.ndarray,
     spread: np.ndarray,
     t_ns: int,
 ) -> None:
     posture._fuse_encoders(
-        state_tables(block, at), constant_tables(of, of_at), columns, spread, t_ns
+        state_tables(block, at), constant_tables(constants, constants_at), columns, spread, t_ns
     )
 
 
@@ -261,7 +263,11 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
     The result is that of the matrix form, although some frames are too old.
     """
     model = HandModel.of(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
-    rng, of, state = np.random.default_rng(seed), constant_tables_of(model), active_state(model)
+    rng, constants, state = (
+        np.random.default_rng(seed),
+        constant_tables_of(model),
+        active_state(model),
+    )
     joints, now = len(model.hand.joints), 10**9
     columns, spread = (
         0.2 * rng.normal(size=(12, joints)),
@@ -278,13 +284,15 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
     state.view("group_ns")[...] = heard
     after = state_after_fusion(model, state, columns, spread, now)
 
-    age = (now - heard[of.joint_int[h.JOINT_GROUP]]) * 1e-9
-    read = np.flatnonzero(of.joint_int[h.IS_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S))
+    age = (now - heard[constants.joint_int[h.JOINT_GROUP]]) * 1e-9
+    read = np.flatnonzero(
+        constants.joint_int[h.IS_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S)
+    )
     moved = state.view("dq") * age
     digit = np.repeat(np.arange(len(model.digits)), [one.joint_count for one in model.digits])
     P = (columns.T @ columns + spread @ spread.T) * (digit[:, None] == digit)
     R = np.diag(
-        of.joint[h.ENCODER_VARIANCE, read] + (posture.RATE_ERROR_FRACTION * moved[read]) ** 2
+        constants.joint[h.ENCODER_VARIANCE, read] + (posture.RATE_ERROR_FRACTION * moved[read]) ** 2
     )
     H = np.eye(joints)[read]
     gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T

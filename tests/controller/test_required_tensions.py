@@ -26,16 +26,16 @@ def test_a_motion_depends_on_the_time_since_its_start_only(
     """This holds if all digits have the same duration, and if their durations differ."""
     model: HandModel = request.getfixturevalue(hand)
     first, later = (motion_goals(model, since, durations) for since in (0.0, 2.0))
-    way = joint_motion_at(model, first, 0.1)
-    np.testing.assert_allclose(joint_motion_at(model, later, 2.1), way, rtol=1e-9)
-    assert (np.ptp(way[1]) > 1e-3) == (len(set(durations)) > 1)
-    assert way[1].min() > 0.0
+    motion = joint_motion_at(model, first, 0.1)
+    np.testing.assert_allclose(joint_motion_at(model, later, 2.1), motion, rtol=1e-9)
+    assert (np.ptp(motion[1]) > 1e-3) == (len(set(durations)) > 1)
+    assert motion[1].min() > 0.0
 
 
-def required_tensions_by_digit(model: HandModel, way: np.ndarray) -> np.ndarray:
+def required_tensions_by_digit(model: HandModel, motion: np.ndarray) -> np.ndarray:
     """Compute the tensions (N,) of a motion [N] for each digit separately, without the shortcuts of the control law."""
     found = np.zeros(model.tendon_count)
-    q, dq, ddq = way.tolist()
+    q, dq, ddq = motion.tolist()
     for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
         own = digit.joints
         torque = np.array(model.inverse(digit, q[own], dq[own], ddq[own])) @ digit.coupling
@@ -58,12 +58,12 @@ def test_the_load_of_each_digit_is_limited_separately(
     kinds = set()
     for spread in (0.0, 1.0, 30.0, 1000.0, 1e5):
         for _ in range(20):
-            way = rng.normal(size=(3, joints)) * np.array([[0.3], [1.0], [spread]]) + np.array(
+            motion = rng.normal(size=(3, joints)) * np.array([[0.3], [1.0], [spread]]) + np.array(
                 [[0.7], [0.0], [0.0]]
             )
-            load = required_tensions_of(model, goals, way)
+            load = required_tensions_of(model, goals, motion)
             np.testing.assert_allclose(
-                load, required_tensions_by_digit(model, way), rtol=1e-6, atol=1e-6
+                load, required_tensions_by_digit(model, motion), rtol=1e-6, atol=1e-6
             )
             bound = (load <= model.floor) | (load >= model.ceiling)
             kinds.add("all" if bound.all() else "some" if bound.any() else "none")
@@ -73,7 +73,7 @@ def test_the_load_of_each_digit_is_limited_separately(
 def test_resting_digits_load_no_moving_digit(jamia11: HandModel) -> None:
     goals = motion_goals(jamia11, 0.0, (0.5,) * 4)
     alone = (goals[0], *(replace(goal, kind=GoalKind.LIMP, trajectory=None) for goal in goals[1:]))
-    way = joint_motion_at(jamia11, goals, 0.2)
+    motion = joint_motion_at(jamia11, goals, 0.2)
     own = jamia11.digit_tendons[0]
-    both = [required_tensions_of(jamia11, one, way)[own] for one in (goals, alone)]
+    both = [required_tensions_of(jamia11, one, motion)[own] for one in (goals, alone)]
     np.testing.assert_allclose(both[0], both[1], rtol=1e-9)

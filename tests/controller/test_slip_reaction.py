@@ -26,16 +26,21 @@ from tests.controller.synthetic_states import (
     estimate_under_tension,
 )
 
-TENSION_N = 20.0
+HELD_TENSION_N = 20.0
 
 
 class GraspRun:
     """A grasp with all digits except the last. It runs tick by tick on synthetic estimates."""
 
     def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
-        self.model, self.resting_estimate = model, estimate_under_tension(model, TENSION_N, 0.5)
+        self.model, self.resting_estimate = (
+            model,
+            estimate_under_tension(model, HELD_TENSION_N, 0.5),
+        )
         sizes = [tendons.stop - tendons.start for tendons in model.digit_tendons]
-        held = [DigitGoal(GoalKind.TENSION, tension=np.full(size, TENSION_N)) for size in sizes]
+        held = [
+            DigitGoal(GoalKind.TENSION, tension=np.full(size, HELD_TENSION_N)) for size in sizes
+        ]
         self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
         self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
         self.t = 0.0
@@ -75,7 +80,7 @@ def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -
     held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.06)
     assert [event.where for event in held.events] == [model.hand.digit_names[0]]
     for goal in held.goals[:-1]:
-        np.testing.assert_allclose(goal.tension, grip.RAISE_FACTOR * TENSION_N)
+        np.testing.assert_allclose(goal.tension, grip.RAISE_FACTOR * HELD_TENSION_N)
     assert held.goals[-1].kind == GoalKind.LIMP, "what does not hold is left alone"
 
 
@@ -93,7 +98,7 @@ def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -
     held.tick(held.resting_estimate, 1.0)
     held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.5)
     assert [event.level for event in held.events] == ["warn"]
-    assert held.commanded_tension == TENSION_N
+    assert held.commanded_tension == HELD_TENSION_N
 
 
 def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
@@ -115,9 +120,9 @@ def test_a_stiff_grip_pulls_back_what_is_pulled_out(model: HandModel) -> None:
     held = GraspRun(model, limit=np.nan, stiffness=5e3)
     held.tick(held.resting_estimate, 1.0)
     held.tick(held.estimate_after_winding(-0.2e-3), 0.01)
-    assert held.commanded_tension == pytest.approx(TENSION_N + 1.0, abs=0.01)
+    assert held.commanded_tension == pytest.approx(HELD_TENSION_N + 1.0, abs=0.01)
     held.tick(held.estimate_after_winding(0.2e-3), 0.01)
-    assert held.commanded_tension == pytest.approx(TENSION_N - 1.0, abs=0.01)
+    assert held.commanded_tension == pytest.approx(HELD_TENSION_N - 1.0, abs=0.01)
 
 
 PULLED_CYLINDER_SCENE = """name = "pull"

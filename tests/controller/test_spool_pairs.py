@@ -116,14 +116,18 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
 
 
 def begin_run(
-    peer: SimulatedHand, hand: Hand, program: Program, calibration: Calibration | None, first: int
+    peer: SimulatedHand,
+    hand: Hand,
+    program: Program,
+    calibration: Calibration | None,
+    first_tick: int,
 ) -> SimulatedRun:
-    """Begin a run of a program at tick ``first``. The simulated hand may have run before."""
+    """Begin a run of a program at tick ``first_tick``. The simulated hand may have run before."""
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = SimulatedRun.of(controller, peer)
-    run.k = first
+    run.k = first_tick
     run.record = False
-    run.state.set_whole(s.K, first - 1)
+    run.state.set_whole(s.K, first_tick - 1)
     return run
 
 

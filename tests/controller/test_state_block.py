@@ -45,8 +45,8 @@ from tests.hand.many_motors import fifteen_motors
 RANDOM_HAND_SEEDS = range(6)
 
 
-def field_names(of: list[BlockField]) -> list[str]:
-    return [field.name for field in of]
+def field_names(block_fields: list[BlockField]) -> list[str]:
+    return [field.name for field in block_fields]
 
 
 # BlockSchema of a block and its layout.
@@ -216,19 +216,19 @@ def random_hand(seed: int) -> HandModel:
 
     Masses, springs and friction are varied at random.
     """
-    chance = random.Random(seed)
+    rng = random.Random(seed)
     raw: dict[str, Any] = fifteen_motors()
     if seed % 3:
         raw = hand_content(("jamia", "jamia11")[seed % 3 - 1])
     digits = [digit["name"] for digit in raw["digit"]]
-    kept = sorted(chance.sample(digits, chance.randint(1, len(digits))), key=digits.index)
+    kept = sorted(rng.sample(digits, rng.randint(1, len(digits))), key=digits.index)
 
     def is_kept_section(name: str) -> bool:
         return any(name == digit or name.startswith(f"{digit}_") for digit in kept)
 
     for section in ("digit", "tendon", "motor"):
         raw[section] = [
-            _varied_section(one, chance) for one in raw[section] if is_kept_section(one["name"])
+            _varied_section(one, rng) for one in raw[section] if is_kept_section(one["name"])
         ]
     node = raw["sensor_node"]
     raw["sensor_node"] = node | {
@@ -241,12 +241,12 @@ VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_ra
           "stiffness_N_per_m", "inertia_kg_m2", "coulomb_N_m")  # fmt: skip
 
 
-def _varied_section(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
+def _varied_section(one: dict[str, Any], rng: random.Random) -> dict[str, Any]:
     """Return a section of a hand file with its numbers varied at random."""
     found = dict(one)
     for key in VARIED_KEYS:
         if key in found:
-            factor = chance.uniform(0.8, 1.25)
+            factor = rng.uniform(0.8, 1.25)
             found[key] = (
                 [factor * x for x in found[key]]
                 if isinstance(found[key], list)

@@ -663,7 +663,7 @@ def test_a_softer_stream_is_still_followed_and_stable(
         assert (client.run.state.view("damping_fraction") == 1.0).all()
 
 
-PUSH_N = 1.5
+PUSH_FORCE_N = 1.5
 """Force against flexion on the last link of the index finger, along +y of the palm frame [N]."""
 
 
@@ -678,7 +678,7 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
             client.stream_motion(lambda t: 40.0, 0.4)
             start = true_angle(client.run)
             engine = client.run.peer.world.plant.engine
-            engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_N
+            engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_FORCE_N
             client.stream_motion(lambda t: 40.0, 0.4)
             yielded[softness] = start - true_angle(client.run)
             assert client.tick_outputs[-1].mode == Mode.ACTIVE

@@ -21,19 +21,23 @@ from tests.controller.synthetic_states import (
 )
 
 
-def estimate_with_unexplained_tension(model: HandModel, external: float) -> SyntheticEstimate:
-    """Return the estimate of a hand at rest. All its tendons have the unexplained tension ``external`` [N]."""
+def estimate_with_unexplained_tension(
+    model: HandModel, unexplained_tension: float
+) -> SyntheticEstimate:
+    """Return the estimate of a hand at rest whose tendons all have the same unexplained tension [N]."""
     return exact_estimate(model, balanced_state(model, 0.5))._replace(
-        external=np.full(model.tendon_count, external)
+        external=np.full(model.tendon_count, unexplained_tension)
     )
 
 
 def test_a_lasting_tension_blocks_and_a_short_one_does_not(model: HandModel) -> None:
     state, lasting = active_state(model), round(0.1 / model.period)
 
-    def blocked_digits_after(external: float, ticks: int) -> np.ndarray:
+    def blocked_digits_after(unexplained_tension: float, ticks: int) -> np.ndarray:
         for _ in range(ticks):
-            detect_contacts(model, state, estimate_with_unexplained_tension(model, external))
+            detect_contacts(
+                model, state, estimate_with_unexplained_tension(model, unexplained_tension)
+            )
         return state.view("blocked")
 
     assert not blocked_digits_after(2.0 * BLOCKED_ABOVE_N, 1).any(), "one tick of it"

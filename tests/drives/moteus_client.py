@@ -10,7 +10,7 @@ from typing import Any
 import moteus  # type: ignore[import-untyped,unused-ignore]
 from moteus.pythoncan_device import PythonCanDevice  # type: ignore[import-untyped,unused-ignore]
 
-TURN_DISTANCE = 0.1
+TRAVEL_TURNS = 0.1
 MAX_TRIES = 400
 TRY_INTERVAL_S = 0.005
 CLIENT_TIMEOUT_S = 60.0
@@ -68,11 +68,11 @@ async def _use_controller(controller: Any, transport: Any, node: int) -> None:
         )  # fmt: skip
 
     turned = await _step_until(
-        pull, lambda seen: seen[register.POSITION] > TURN_DISTANCE, "turned by a torque"
+        pull, lambda seen: seen[register.POSITION] > TRAVEL_TURNS, "turned by a torque"
     )
     assert turned[register.MODE] == mode.POSITION
     assert math.isclose(turned[register.TORQUE], 0.05, abs_tol=0.02)
-    goal = turned[register.POSITION] - TURN_DISTANCE
+    goal = turned[register.POSITION] - TRAVEL_TURNS
 
     async def hold() -> Any:
         return await controller.set_position(

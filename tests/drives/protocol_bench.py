@@ -17,7 +17,7 @@ from handctl.hand.file.sections import Motor
 from handctl.hand.load import load_hand
 
 PERIOD_NS = 2_000_000
-FIRST_NODE = 0x10
+FIRST_NODE_ID = 0x10
 OPTIONS_TEXT_BY_PROTOCOL = {
     name: "[motor.options]\n"
     + "".join(f"{key} = {json.dumps(value)}\n" for key, value in traits.options.items())
@@ -40,7 +40,7 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
     for i, text in enumerate(motors):
         protocol = protocols[min(i, len(protocols) - 1)]
         text = text.replace('"mit"', f'"{protocol}"')
-        text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", text)
+        text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE_ID + i}", text)
         options = OPTIONS_TEXT_BY_PROTOCOL[protocol] + extra
         if PROTOCOL_TRAITS[protocol].can_fd and "data_bitrate" not in head:
             head = head.replace(

@@ -16,7 +16,7 @@ from handctl.drives.odrive import codec
 from handctl.drives.odrive.drive import OdriveDrive
 from handctl.drives.odrive.progress import progress_of
 from tests.drives.protocol_bench import (
-    FIRST_NODE,
+    FIRST_NODE_ID,
     OPTIONS_TEXT_BY_PROTOCOL,
     ProtocolBench,
     hand_file,
@@ -70,7 +70,7 @@ def lose_first_frames(
     taken, lost = node.receive, list[WireFrame]()
 
     def receive(frame: WireFrame, t_ns: int) -> list[WireFrame] | None:
-        mine = frame.can_id == FIRST_NODE << 5 | command and frame.data.startswith(start)
+        mine = frame.can_id == FIRST_NODE_ID << 5 | command and frame.data.startswith(start)
         if mine and len(lost) < times:
             lost.append(frame)
             return []

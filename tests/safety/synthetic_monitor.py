@@ -34,7 +34,7 @@ from handctl.safety.judge import (
 from handctl.safety.limits import LOAD_CELLS, SafetyLimits
 
 PERIOD_S, NAN = 0.002, np.nan
-SPOOL_M = 0.005
+SPOOL_RADIUS_M = 0.005
 """Radius of the spools [m]."""
 NOW_NS = 10_000_000_000
 """Time of every tick [ns]. It can stay the same, because only the age of readings counts."""
@@ -84,7 +84,7 @@ class SyntheticMonitor:
         motor_period = np.full(n, 1.0) * motor_period
         every = SimpleNamespace(period=PERIOD_S, tendon_count=n)
         self.set_constants(
-            motor_mass=5.0, motor_damping=40.0, coulomb=3.0, stiffness=1e5, spool=SPOOL_M, arms_sum=0.02,
+            motor_mass=5.0, motor_damping=40.0, coulomb=3.0, stiffness=1e5, spool=SPOOL_RADIUS_M, arms_sum=0.02,
             excursion_to_joints=50.0 * np.eye(n), moves=np.eye(n), period=PERIOD_S, period_ns=PERIOD_NS,
             motor_period=motor_period, joint_period=joint_period,
             residual_fraction=low_pass_fractions(every, motor_period, joint_period),  # type: ignore[arg-type]

@@ -15,7 +15,7 @@ from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
 from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
-    SPOOL_M,
+    SPOOL_RADIUS_M,
     StateRows,
     SyntheticMonitor,
     call_interpreted,
@@ -327,7 +327,7 @@ def test_a_missing_reading_is_neither_constant_nor_changed():
     )
     assert [ticks for ticks, *_ in seen] == [0, 0, 1, 1, 0]
     assert [first for _, first, _ in seen] == [0.0, 1.0, 2.0, 3.0, 0.0]
-    assert monitor.field_values("motor_value") == [pytest.approx(2.0 * SPOOL_M)]
+    assert monitor.field_values("motor_value") == [pytest.approx(2.0 * SPOOL_RADIUS_M)]
 
 
 def test_missing_reference_is_used_once_it_is_read():

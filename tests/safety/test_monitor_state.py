@@ -26,7 +26,7 @@ from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
     PERIOD_S,
-    SPOOL_M,
+    SPOOL_RADIUS_M,
     SyntheticMonitor,
     call_interpreted,
     synthetic_limits,
@@ -80,7 +80,7 @@ def resting_tick(**given: Any) -> dict[str, Any]:
     facts |= given
     # Travel and position come from the same encoder. The travel is the position times the radius of
     # the spool.
-    facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_M)
+    facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_RADIUS_M)
     return {FIELD_BY_NAME[name]: value for name, value in facts.items()}
 
 

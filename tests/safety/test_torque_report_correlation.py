@@ -40,7 +40,7 @@ def motors_after(
 
 
 def noisy_commands(seed: int, size: float = 0.1) -> np.ndarray:
-    """Return commands (TICKS, 2) [N] of two motors that hold 90 N, rounded to 12 bits as in a drive."""
+    """Return commands (COMMAND_TICKS, 2) [N] of two motors that hold 90 N, rounded to 12 bits as in a drive."""
     return 90.0 + size * np.random.default_rng(seed).standard_normal((COMMAND_TICKS, 2))
 
 
@@ -120,7 +120,7 @@ def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> 
 
 
 def stalled_commands(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return commands (TICKS, 2) [N] and the reports of drives that obey, on a bus that sometimes stands still.
+    """Return commands (COMMAND_TICKS, 2) [N] and the reports of drives that obey, on a bus that sometimes stands still.
 
     A standstill lasts one to five ticks, and commands change meanwhile. The first reports after it
     still show the command from before the standstill.
