@@ -72,7 +72,7 @@ def frictionless_jamia11() -> HandModel:
 
 @pytest.fixture(params=["jamia", "jamia11"])
 def frictionless_model(request: pytest.FixtureRequest) -> HandModel:
-    found: HandModel = request.getfixturevalue(f"plain_{request.param}")
+    found: HandModel = request.getfixturevalue(f"frictionless_{request.param}")
     return found
 
 
