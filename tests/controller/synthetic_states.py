@@ -17,12 +17,12 @@ from handctl.controller.tick import Controller
 from handctl.core import block as s
 from handctl.core import stages
 from handctl.core.block import state_tables
+from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.estimation.statics import winding_efficiency
 from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, TablePlaces
-from handctl.core.stage_constants import ConstantTables, constant_tables
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram
 from tests.controller.controller_bench import uncommissioned_controller

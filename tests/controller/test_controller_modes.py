@@ -6,7 +6,7 @@ The motors of the hand are scripted.
 import numpy as np
 import pytest
 
-from handctl.controller.mode_history import (
+from handctl.controller.modes import (
     ARMING_TIMEOUT_S,
     CUT_S,
     DISARM_TIMEOUT_S,

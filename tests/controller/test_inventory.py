@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from handctl.controller.mode_history import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
+from handctl.controller.modes import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core.model import HandModel
