@@ -95,14 +95,14 @@ def compile_reference(folder: Path) -> str:
 def measure_vcan(floor: str, ticks: int) -> dict:
     """Measure the exchange on vcan0."""
     sys.path.insert(0, str(HERE.parent))
-    from tests.vcan import uml
+    from tests.vcan import uml_guest
 
-    kind, reason = uml.vcan_access()
+    kind, reason = uml_guest.vcan_access()
     if not kind:
         return {"skipped": reason}
     output: list[str] = []
     command = [sys.executable, __file__, "--one", "vcan", floor, str(ticks // 5)]
-    status = uml.run(command, timeout_s=240.0, report_line=output.append)
+    status = uml_guest.run_with_vcan(command, timeout_s=240.0, report_line=output.append)
     return json.loads(output[-1]) if status == 0 else {"skipped": f"status {status}: {output[-1:]}"}
 
 

@@ -15,8 +15,8 @@ from fuzz.drives import FUZZED_DRIVES
 from handctl.core.schema import BlockArray
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from tests.drives.protocol_bench import Bench, hand_file
-from tests.drives.wired import Wired
+from tests.drives.protocol_bench import ProtocolBench, hand_file
+from tests.drives.wired_drives import WiredDrives
 
 FuzzTarget = Callable[[bytes], bool]
 STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
@@ -73,17 +73,17 @@ def path_to_torque(name: str, folder: Path) -> tuple[Drive, list[RecordedState]]
     path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join(line for line in lines if not line.startswith(fuzzed.without)))
-    bench = Bench(path)
+    bench = ProtocolBench(path)
     motor = bench.drives[0]
     seen = list[RecordedState]()
     while bench.states[0].phase != DrivePhase.ENABLED:
-        received = tuple(frame for frame in bench.incoming if frame.can_id in motor.node_ids)
+        received = tuple(frame for frame in bench.received_frames if frame.can_id in motor.node_ids)
         if received or not seen:
             seen.append(RecordedState(bench.states[0], bench.k * bench.period_ns, received))
         ready = all(state.phase >= DrivePhase.READY for state in bench.states)
         bench.tick(DriveTarget.ENABLE if ready else DriveTarget.POLL)
     seen.append(RecordedState(bench.states[0], bench.k * bench.period_ns, ()))
-    bench.rig.close()
+    bench.simulated_hand.close()
     return motor, seen
 
 
@@ -158,14 +158,16 @@ def _advance_drive(
 
 def sensor_target(folder: Path) -> FuzzTarget:
     """Return the target for the sensor node, with increasing tick numbers."""
-    bench = Bench(hand_file(folder, ["mit"]))
-    bench.rig.close()
-    wired = Wired((), bench.node)
-    ours = sorted(bench.node.node_ids)
+    bench = ProtocolBench(hand_file(folder, ["mit"]))
+    bench.simulated_hand.close()
+    wired = WiredDrives((), bench.sensor_node)
+    ours = sorted(bench.sensor_node.node_ids)
     return lambda data: _feed_sensor_node(wired, wired.block.copy(), ours, data)
 
 
-def _feed_sensor_node(wired: Wired, begin: BlockArray, ours: Sequence[int], data: bytes) -> bool:
+def _feed_sensor_node(
+    wired: WiredDrives, begin: BlockArray, ours: Sequence[int], data: bytes
+) -> bool:
     """Feed frames to the decoder of the sensor node, from the state ``begin``.
 
     Return True if any frame counted.
@@ -173,7 +175,11 @@ def _feed_sensor_node(wired: Wired, begin: BlockArray, ours: Sequence[int], data
     wired.block[:] = begin
     taken = 0
     for frame, more in frames_of_input(data, ours, STEP_NS):
-        wired.sync(more)
-        wired.receive([frame]).observe()
-        taken += int(wired.view("group_answered").sum()) + wired.number("stale_now") + wired.misread
+        wired.begin_tick_with_sync(more)
+        wired.receive([frame]).observe_readings()
+        taken += (
+            int(wired.field_view("group_answered").sum())
+            + wired.field_number("stale_now")
+            + wired.has_malformed_frame
+        )
     return taken > 0

@@ -9,27 +9,29 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.slow import Durations, slow_tests
-from tests.stalls import StallMeter
+from tests.slow_tests import DurationRecorder, tests_slower_than
+from tests.stall_meter import StallMeter
 
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SLOW_S = float("inf") if NIGHTLY else float(os.environ.get("HANDCTL_SLOW_S", "inf"))
 """Cost above which a sample leaves out a test of tests/slow_tests.txt [s]."""
-CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+PROPERTY_TEST_SETTINGS = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """Property tests have no time limit per example. They judge no time, and the processor cores are shared."""
 
-settings.register_profile("every run", CALM, derandomize=True, database=None, max_examples=40)
-settings.register_profile("nightly", CALM, max_examples=2000, print_blob=True)
+settings.register_profile(
+    "every run", PROPERTY_TEST_SETTINGS, derandomize=True, database=None, max_examples=40
+)
+settings.register_profile("nightly", PROPERTY_TEST_SETTINGS, max_examples=2000, print_blob=True)
 settings.load_profile("nightly" if NIGHTLY else "every run")
 
-SLOWER = 0.5
+TIME_SCALE_PER_REPEAT = 0.5
 """Factor by which each repetition of a test reduces its time scale."""
-CALM_S = 1.0
+TIME_WITHOUT_STALL_S = 1.0
 """Time without a stall of the machine that precedes a repetition [s]."""
-MAX_WAIT_S = 15.0
+MAX_STALL_WAIT_S = 15.0
 """Longest wait for a time without a stall before a repetition [s]."""
-TIMEOUT_S = 900.0
+REAL_CLOCK_TIMEOUT_S = 900.0
 """Time limit for all tries of a test on the real clock together [s]. A test may set a shorter limit."""
 
 # A shell starts its background jobs with SIGINT ignored, and nohup ignores SIGHUP. Every program
@@ -48,20 +50,22 @@ if "HANDCTL_RUN_DIR" not in os.environ:
     os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
 
 
-ON_CLOCK = ("alone", "realtime and not alone")
+REAL_CLOCK_SELECTIONS = ("alone", "realtime and not alone")
 """Test selections of `make realtime`. They contain only tests on the real clock."""
 REAL_CLOCK_MARKERS = ("mark.realtime", "mark.alone")
 """Markers of tests on the real clock.
 
 Every file with such tests contains one, except in the folder that marks all its tests.
 """
-MARKED_FOLDER = Path(__file__).parent / "vcan"
+REAL_CLOCK_FOLDER = Path(__file__).parent / "vcan"
 
 
 def has_clock_tests(path: Path) -> bool:
     """Return True if a test file may have tests on the real clock."""
     text = path.read_text(encoding="utf-8")
-    return path.is_relative_to(MARKED_FOLDER) or any(mark in text for mark in REAL_CLOCK_MARKERS)
+    return path.is_relative_to(REAL_CLOCK_FOLDER) or any(
+        mark in text for mark in REAL_CLOCK_MARKERS
+    )
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -69,17 +73,19 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
     The import of all test files would take 15 s.
     """
-    if config.getoption("markexpr") not in ON_CLOCK or not collection_path.match("test_*.py"):
+    if config.getoption("markexpr") not in REAL_CLOCK_SELECTIONS or not collection_path.match(
+        "test_*.py"
+    ):
         return None
     return None if has_clock_tests(collection_path) else True
 
 
-class Repeats:
+class RepeatAfterStall:
     """Plugin that repeats a failed test on the real clock if the machine stalled during it.
 
     A test has at most three tries.
 
-    If a test slows time, each try slows it more by the fixture ``slower``. In slower time a stall
+    If a test slows time, each try slows it more by the fixture ``repeat_time_scale``. In slower time a stall
     has less effect, but a defect has the same effect.
 
     Attributes:
@@ -102,24 +108,24 @@ class Repeats:
             self._test = item.nodeid
             self._start = time.monotonic()
 
-    def stalled(self, error: BaseException | None) -> bool:
+    def failed_by_stall(self, error: BaseException | None) -> bool:
         """Return True if the present try failed and the machine stalled during it. ``error`` is None if it passed."""
         longest = self.meter.longest_since(self._start) if self.meter and error else 0.0
         if longest:
             self.stalls.append((self._test, longest))
-            self.await_calm()
+            self.wait_without_stall()
         return longest > 0.0
 
-    def await_calm(self) -> None:
-        """Wait until the machine had no stall for ``CALM_S``, but at most for ``MAX_WAIT_S``.
+    def wait_without_stall(self) -> None:
+        """Wait until the machine had no stall for ``TIME_WITHOUT_STALL_S``, but at most for ``MAX_STALL_WAIT_S``.
 
         A stall is often followed by others.
         """
         assert self.meter
-        until = time.monotonic() + MAX_WAIT_S
+        until = time.monotonic() + MAX_STALL_WAIT_S
         while time.monotonic() < until:
             begin = time.monotonic()
-            time.sleep(CALM_S)
+            time.sleep(TIME_WITHOUT_STALL_S)
             if not self.meter.longest_since(begin):
                 return
 
@@ -127,8 +133,8 @@ class Repeats:
         """Mark the tests on the real clock as tests that may be repeated."""
         for item in items:
             if item.get_closest_marker("realtime"):
-                item.add_marker(pytest.mark.flaky(reruns=2, condition=self.stalled))
-                item.add_marker(pytest.mark.timeout(TIMEOUT_S))
+                item.add_marker(pytest.mark.flaky(reruns=2, condition=self.failed_by_stall))
+                item.add_marker(pytest.mark.timeout(REAL_CLOCK_TIMEOUT_S))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Report the repeated tests and the longest stall in each."""
@@ -144,9 +150,9 @@ class Repeats:
 
 
 @pytest.fixture
-def slower(request: pytest.FixtureRequest) -> float:
+def repeat_time_scale(request: pytest.FixtureRequest) -> float:
     """Return the factor on the time scale of a test: 1 in its first try, less in each repetition."""
-    return float(SLOWER ** (getattr(request.node, "execution_count", 1) - 1))
+    return float(TIME_SCALE_PER_REPEAT ** (getattr(request.node, "execution_count", 1) - 1))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -162,9 +168,9 @@ def pytest_configure(config: pytest.Config) -> None:
     A virtual machine has one core, on which every process waits for the others.
     """
     if "HANDCTL_VCAN_REPORTS" not in os.environ:
-        config.pluginmanager.register(Repeats(), "repeats")
+        config.pluginmanager.register(RepeatAfterStall(), "repeats")
     if path := config.getoption("--durations-file"):
-        config.pluginmanager.register(Durations(path), "durations_file")
+        config.pluginmanager.register(DurationRecorder(path), "durations_file")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -180,7 +186,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             raise pytest.UsageError(
                 f"{path}: tests on the real clock, but none of {REAL_CLOCK_MARKERS} in the source"
             )
-    slow = slow_tests(SLOW_S)
+    slow = tests_slower_than(SLOW_S)
     if left_out := [item for item in items if item.nodeid in slow]:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if item.nodeid not in slow]

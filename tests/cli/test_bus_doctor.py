@@ -9,11 +9,11 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from tests.drives.bench_process import drives
+from tests.drives.bench_process import run_simulated_drives
 
 
 def test_bus_doctor_measures_the_nodes_of_a_local_bus(capsys):
-    with drives("local:d", "mit", "--ids", "1,2"):
+    with run_simulated_drives("local:d", "mit", "--ids", "1,2"):
         main(["bus", "doctor", "--bus", "local:d", "--json"])
         (bus,) = json.loads(capsys.readouterr().out)["buses"]
     assert [(node["node_id"], node["answers"]) for node in bus["nodes"]] == [(1, 20), (2, 20)]
@@ -22,7 +22,7 @@ def test_bus_doctor_measures_the_nodes_of_a_local_bus(capsys):
 
 
 def test_motors_of_the_hand_that_do_not_answer_are_named(capsys):
-    with drives("local:d", "mit", "--ids", "1,2"):
+    with run_simulated_drives("local:d", "mit", "--ids", "1,2"):
         assert main(["bus", "doctor", "--hand", "jamia", "--bus", "local:d"]) == 1
     out = capsys.readouterr().out
     assert "ring_motor (mit 3) does not answer" in out
@@ -46,20 +46,20 @@ def test_an_odrive_with_firmware_05_is_found(capsys):
 
     Firmware 0.5 sends no reply, so the drive counted as missing.
     """
-    with drives("local:d", "odrive", "--ids", "3", "--firmware", "0.5"):
+    with run_simulated_drives("local:d", "odrive", "--ids", "3", "--firmware", "0.5"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 0
     assert "odrive 3 answers 20 of 20" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
 def test_two_drives_with_one_number_are_found(capsys, protocol):
-    with drives("local:d", protocol, "--ids", "33", "--broken", "twin"):
+    with run_simulated_drives("local:d", protocol, "--ids", "33", "--broken", "twin"):
         assert main(["bus", "doctor", "--bus", "local:d"]) == 1
     assert f"--  {protocol} 33: two drives answer" in capsys.readouterr().out
 
 
 def test_a_fault_can_be_injected_into_running_drives(capsys):
-    with drives("local:d", "mit", "--ids", "1,2"):
+    with run_simulated_drives("local:d", "mit", "--ids", "1,2"):
         assert main(["fault", "kinds", "--bus", "local:d"]) == 0
         assert "mit1, mit2" in capsys.readouterr().out
         assert main(["fault", "inject", "off node=2", "--bus", "local:d"]) == 0

@@ -8,7 +8,7 @@ import pytest
 
 from handctl.cli.main import main
 from tests.cli.refused import refused
-from tests.drives.protocol_bench import hand_file, on_two_buses
+from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 
 def names(path):
@@ -25,7 +25,7 @@ def test_a_hand_on_one_bus_has_one_file(place, capsys):
 
 
 def test_each_bus_of_a_hand_has_its_file(place, capsys):
-    path = on_two_buses(hand_file(place, ["mit", "cia402"]))
+    path = move_to_second_bus(hand_file(place, ["mit", "cia402"]))
     assert (
         main(["config", "export", "--dbc", "--hand", str(path), "--output", "two.dbc", "--json"])
         == 0

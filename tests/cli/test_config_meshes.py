@@ -27,8 +27,8 @@ from tests.cli.test_config_import import TRIPOD
 from tests.hand.mesh_files import (
     assert_same_places,
     corners_of_hand,
-    meshed,
-    triangles,
+    hand_with_meshes,
+    tetrahedron_triangles,
     write_meshes,
 )
 from tools.meshes.solids import stl
@@ -170,7 +170,7 @@ def test_exported_meshes_come_back_to_their_places(
     (place / "hand").mkdir()
     (place / "mine").mkdir()
     write_meshes(place / "hand")
-    hand = meshed(name)
+    hand = hand_with_meshes(name)
     Path("hand/hand.toml").write_text(hand.to_toml())
     exported = f"hand/{FORMS[form]}"
     assert main(["config", "export", form, "--hand", "hand/hand.toml", "--output", exported]) == 0
@@ -202,7 +202,7 @@ def write_ros_package(place: Path) -> Path:
     (folder / "urdf").mkdir(parents=True)
     (folder / "meshes").mkdir()
     for size, name in enumerate(("base", "proximal"), 1):
-        (folder / "meshes" / f"{name}.stl").write_bytes(stl(size * triangles()))
+        (folder / "meshes" / f"{name}.stl").write_bytes(stl(size * tetrahedron_triangles()))
     return Path(shutil.copy(TRIPOD, folder / "urdf"))
 
 
@@ -272,7 +272,7 @@ def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_meshes(place)
-    (place / "small.stl").write_bytes(stl(0.5 * triangles()))
+    (place / "small.stl").write_bytes(stl(0.5 * tetrahedron_triangles()))
     body = '<body name="{0}" pos="{1} 0 0"><joint name="{0}" axis="0 0 1" range="0 90"/>'
     body += '<inertial pos="0.02 0 0" mass="0.01" diaginertia="1e-6 1e-6 1e-6"/>'
     free = 'contype="0" conaffinity="0"'
@@ -301,5 +301,5 @@ def test_the_largest_visual_mesh_of_a_body_is_imported_from_a_model(
         expected = corners + data.geom_xpos[geom] - data.xanchor[link]
         pose = [digit[f"link_mesh_{key}"][link] for key in ("position_m", "rpy_deg")]
         shown = LinkMesh("", "", "", (digit["link_mesh_scale"][link],) * 3, *map(tuple, pose))
-        found = shown.place((1e3 if link == 0 else 1.0) * triangles())
+        found = shown.place((1e3 if link == 0 else 1.0) * tetrahedron_triangles())
         assert_same_places({"": expected}, {"": found})

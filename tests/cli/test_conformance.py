@@ -13,7 +13,7 @@ from handctl.drives.mit.codec import MotorRanges, command_message
 from handctl.drives.signals import SignalTable
 from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.mailbox import Mailbox
-from tests.drives.bench_process import drives
+from tests.drives.bench_process import run_simulated_drives
 from tests.runtime.processes import handctl
 
 WORDS = ["conformance", "--bus", "local:c", "--torque-limit-Nm", "0.1"]
@@ -31,7 +31,7 @@ ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
     ],
 )
 def test_a_good_drive_in_another_process_passes(protocol, more):
-    with drives("local:c", protocol, "--ids", "33"):
+    with run_simulated_drives("local:c", protocol, "--ids", "33"):
         done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
         result = json.loads(done.stdout)
         assert [check for check in result["checks"] if check["verdict"] == "failed"] == []
@@ -49,7 +49,7 @@ def test_a_good_drive_in_another_process_passes(protocol, more):
 def test_conformance_leaves_no_error_in_a_drive(protocol):
     """Regression: a drive kept a latched error, and `commission` then refused the hand."""
     more = ENDPOINTS if protocol == "odrive" else []
-    with drives("local:c", protocol, "--ids", "33"):
+    with run_simulated_drives("local:c", protocol, "--ids", "33"):
         done = handctl(*WORDS, "--protocol", protocol, "--node", "33", "--yes", "--json", *more)
         assert done.returncode == 0
         time.sleep(0.5)
@@ -60,7 +60,7 @@ def test_conformance_leaves_no_error_in_a_drive(protocol):
 
 
 def test_two_drives_with_one_number_are_refused(capsys):
-    with drives("local:c", "mit", "--ids", "2", "--broken", "twin"):
+    with run_simulated_drives("local:c", "mit", "--ids", "2", "--broken", "twin"):
         assert main([*WORDS, "--protocol", "mit", "--node", "2", "--yes"]) == 1
     assert "two drives answer as mit 2" in capsys.readouterr().err
 
@@ -89,7 +89,7 @@ def test_an_odrive_of_firmware_05_needs_no_option(capsys):
 
 @pytest.mark.realtime
 def test_a_broken_drive_fails_and_its_line_says_why():
-    with drives("local:c", "mit", "--ids", "2", "--broken", "sign"):
+    with run_simulated_drives("local:c", "mit", "--ids", "2", "--broken", "sign"):
         done = handctl(*WORDS, "--protocol", "mit", "--node", "2", "--yes")
     assert done.returncode == 1
     lines = done.stdout.splitlines()
@@ -124,7 +124,7 @@ def test_unsuitable_drive_options_are_refused_before_a_bus_is_opened(capsys, wor
 
 
 def test_missing_drive_is_reported(capsys):
-    with drives("local:c", "odrive", "--ids", "3"):
+    with run_simulated_drives("local:c", "odrive", "--ids", "3"):
         assert main([*WORDS, "--protocol", "odrive", "--node", "4", "--yes"]) == 1
     assert "no odrive 4; found: odrive 3" in capsys.readouterr().err
 
@@ -134,7 +134,7 @@ def test_drive_of_another_host_is_not_commanded(capsys):
 
     The checks must therefore listen before they send the first command.
     """
-    with drives("local:c", "cubemars", "--ids", "33"):
+    with run_simulated_drives("local:c", "cubemars", "--ids", "33"):
         other, over = LocalBus("c", 0, int), threading.Event()
         heard, limp = [], SignalTable(command_message(33, MotorRanges(12.5, 50.0, 18.0))).pack(0.0)
 

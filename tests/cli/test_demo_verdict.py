@@ -87,13 +87,13 @@ def test_a_hand_of_two_buses_needs_no_bus_named(place, capsys):
 
 
 @pytest.mark.realtime
-def test_a_hand_of_two_buses_works_in_real_time(place, slower):
+def test_a_hand_of_two_buses_works_in_real_time(place, repeat_time_scale):
     (place / "buses.toml").write_text(toml_text(two_buses()))
     (place / "bend.toml").write_text(
         'schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n'
     )
     words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
-    done = handctl("demo", "--json", *words, *scaled(slower))
+    done = handctl("demo", "--json", *words, *scaled(repeat_time_scale))
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["failure"] == ""
 

@@ -14,7 +14,7 @@ from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import PACKAGED_HANDS_FOLDER, hand_content, load_hand
-from tests.hand.test_refusals import is_number, key_path_text, leaves, with_value
+from tests.hand.test_hand_file_refusals import content_leaves, is_number, key_path_text, with_value
 
 BUS = "local:does-not-exist"
 STEP = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
@@ -127,7 +127,7 @@ def without(content, path, instead=None):
 
 def cases():
     for name, (content, _) in FILES.items():
-        for path, value in leaves(content):
+        for path, value in content_leaves(content):
             if is_number(value):
                 yield from ((name, path, kind) for kind in (*ALWAYS_WRONG, *POSSIBLY_VALID))
             if isinstance(path[-1], str):

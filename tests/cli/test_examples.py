@@ -92,9 +92,11 @@ def wait_for(terminal, command):
 
 
 @pytest.mark.realtime
-def test_examples_work_beside_a_simulator_and_a_running_hand(terminal, start_others, slower):
+def test_examples_work_beside_a_simulator_and_a_running_hand(
+    terminal, start_others, repeat_time_scale
+):
     simulator, run = EXAMPLES["stop"].beside
-    start_others(f"{simulator} --time-scale {SCALE * slower:g}")
+    start_others(f"{simulator} --time-scale {SCALE * repeat_time_scale:g}")
     wait_for(terminal, "handctl fault kinds --bus local:demo")
     for words in BESIDE_A_SIMULATOR:
         if words != "fault inject":  # its fault would disturb the run

@@ -156,8 +156,8 @@ def test_gains_that_give_no_controller_are_not_applied(place, capsys):
 
 
 @pytest.mark.realtime
-def test_set_on_a_running_hand_is_in_its_log(place, slower):
-    scale = scaled(slower)
+def test_set_on_a_running_hand_is_in_its_log(place, repeat_time_scale):
+    scale = scaled(repeat_time_scale)
     handctl = [sys.executable, "-m", "handctl.cli"]
     sim = [
         sys.executable,

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.cli.main import main
 from tests.cli.test_conformance import ENDPOINTS
-from tests.drives.bench_process import drives
+from tests.drives.bench_process import run_simulated_drives
 from tests.runtime.processes import handctl
 
 WORDS = ["jog", "--bus", "local:j", "--torque-limit-Nm", "0.3", "--node", "33", "--for", "1.5"]
@@ -37,7 +37,7 @@ WORDS = ["jog", "--bus", "local:j", "--torque-limit-Nm", "0.3", "--node", "33", 
 )
 def test_a_drive_in_another_process_is_moved_and_left_off(protocol, mode, more):
     setpoint = "0.1" if mode == "torque" else "1.0"
-    with drives("local:j", protocol, "--ids", "33"):
+    with run_simulated_drives("local:j", protocol, "--ids", "33"):
         words = [
             "--protocol",
             protocol,
@@ -63,7 +63,7 @@ def test_a_drive_in_another_process_is_moved_and_left_off(protocol, mode, more):
 
 @pytest.mark.realtime
 def test_a_limit_stops_a_drive_in_another_process(capsys):
-    with drives("local:j", "mit", "--ids", "33"):
+    with run_simulated_drives("local:j", "mit", "--ids", "33"):
         words = [
             "--protocol",
             "mit",

@@ -21,8 +21,8 @@ from handctl.drives.frame import EXTENDED, REMOTE, Frame
 from handctl.drives.registry import make_drive
 from handctl.hand.file.sections import Bus, Motor
 from handctl.runtime.diagnostics.scan import BusScan, requests_without_answers, scan_bus
-from tests.drives.bench_process import drives
-from tests.drives.protocol_bench import Bench as HandBench
+from tests.drives.bench_process import run_simulated_drives
+from tests.drives.protocol_bench import ProtocolBench as HandBench
 from tests.drives.protocol_bench import hand_file
 
 
@@ -252,7 +252,7 @@ def test_a_torque_too_large_for_a_hand_file_is_not_taken_from_the_drive():
 
 
 def test_drives_that_a_scan_cannot_find_are_named(capsys):
-    with drives("local:s", "mit", "--ids", "17"):
+    with run_simulated_drives("local:s", "mit", "--ids", "17"):
         assert main(["scan", "--bus", "local:s"]) == 0
         assert "not searched for: cubemars" in capsys.readouterr().out
         assert main(["bus", "doctor", "--bus", "local:s"]) == 0
@@ -263,8 +263,8 @@ def test_a_sensor_node_is_found_unless_drives_on_the_bus_use_sync(tmp_path):
     beside = {"mit": True, "cia402": False}
     for protocol, seen in beside.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
-        result = scan_bus(BenchBus(bench.rig.world), listen=hear)
-        bench.rig.close()
+        result = scan_bus(BenchBus(bench.simulated_hand.world), listen=hear)
+        bench.simulated_hand.close()
         assert len([node for node in result.found if node.protocol == protocol]) == 4
         sensors = [node for node in result.found if node.protocol == "sensor"]
         assert [node.node_id for node in sensors] == ([0x1A0] if seen else [])
@@ -297,9 +297,9 @@ def test_no_scan_request_enables_torque():
 def test_scan_reads_two_buses_and_prints_a_part_of_a_hand_file(capsys):
     ids = ["--ids", "17,18"]
     with (
-        drives("local:s", "mit", *ids),
-        drives("join:s", "cia402", *ids),
-        drives("local:t", "odrive", *ids),
+        run_simulated_drives("local:s", "mit", *ids),
+        run_simulated_drives("join:s", "cia402", *ids),
+        run_simulated_drives("local:t", "odrive", *ids),
     ):
         assert main(["scan", "--bus", "lab=local:s", "--bus", "far=local:t", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

@@ -28,22 +28,22 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_content, hand_from_content
 from handctl.programs.live import LiveProgram
 
-RATE_HZ, TICKS = 200.0, 40
+RATE_HZ, TICKS_PER_HAND = 200.0, 40
 """Control rate [Hz] and number of ticks of each random hand."""
-FREE_TICKS = 10
+LAST_TICKS_WITH_FAULTS = 10
 """Number of ticks at the end of a run in which faults may end the motion.
 
 In all earlier ticks the hand is kept active in spite of faults.
 """
 LOST_FRACTION, DUPLICATE_FRACTION, CORRUPT_FRACTION, SKIPPED_FRACTION = 0.03, 0.02, 0.02, 0.03
 """Fractions of frames that are lost, duplicate or corrupt, and fraction of ticks that are skipped."""
-BUSES, ON_A_BUS = ("main", "second"), 12
+BUS_NAMES, MOTORS_PER_BUS = ("main", "second"), 12
 CARRIED_FRACTION = 0.3
 """Fraction of digits that are mounted on another digit, which carries them."""
-Random = np.random.Generator
+RandomGenerator = np.random.Generator
 
 
-def random_hand(tendons: int, random: Random) -> Hand:
+def random_hand(tendons: int, rng: RandomGenerator) -> Hand:
     """Return a random hand with ``tendons`` tendons.
 
     A digit has as many tendons as joints, a single tendon, or one tendon more than joints. Some
@@ -53,21 +53,21 @@ def random_hand(tendons: int, random: Random) -> Hand:
     finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
     digits, entries, joints = list[dict[str, Any]](), list[dict[str, Any]](), list[str]()
     while len(entries) < tendons:
-        name, left, size = f"d{len(digits)}", tendons - len(entries), int(random.integers(1, 4))
+        name, left, size = f"d{len(digits)}", tendons - len(entries), int(rng.integers(1, 4))
         digit_joints = [f"{name}_j{j + 1}" for j in range(size)]
-        radii = random.uniform(2e-3, 5e-3, size)
-        kinds = [arms for arms in _arms(digit_joints, radii) if len(arms) <= left]
-        arms = kinds[int(random.integers(len(kinds)))]
-        digits.append(_digit(finger, name, size, len(arms) == 1 < size, random))
-        if len(digits) > 1 and random.random() < CARRIED_FRACTION:
+        radii = rng.uniform(2e-3, 5e-3, size)
+        kinds = [arms for arms in _moment_arm_kinds(digit_joints, radii) if len(arms) <= left]
+        arms = kinds[int(rng.integers(len(kinds)))]
+        digits.append(_random_digit(finger, name, size, len(arms) == 1 < size, rng))
+        if len(digits) > 1 and rng.random() < CARRIED_FRACTION:
             # Tendons of a carried digit pass a joint of its carrier at a distance from the axis.
             carrier = digits[-2]["name"]
             digits[-1]["mount_on"] = carrier
-            arms = [arm | {f"{carrier}_j1": float(random.uniform(1e-3, 5e-3))} for arm in arms]
+            arms = [arm | {f"{carrier}_j1": float(rng.uniform(1e-3, 5e-3))} for arm in arms]
         joints += digit_joints
         for moment_arm in arms:
             varied = {
-                key: tendon[key] * random.uniform(0.8, 1.2)
+                key: tendon[key] * rng.uniform(0.8, 1.2)
                 for key in ("stiffness_N_per_m", "friction_coefficient")
             }
             number = len(entries)
@@ -77,11 +77,16 @@ def random_hand(tendons: int, random: Random) -> Hand:
                 | {"name": f"t{number}", "motor": f"m{number}", "moment_arm_m": moment_arm}
             )
     motors = [
-        motor | {"name": f"m{n}", "node_id": n % ON_A_BUS + 1, "bus": BUSES[n // ON_A_BUS]}
+        motor
+        | {
+            "name": f"m{n}",
+            "node_id": n % MOTORS_PER_BUS + 1,
+            "bus": BUS_NAMES[n // MOTORS_PER_BUS],
+        }
         for n in range(tendons)
     ]
-    buses = [raw["bus"][0] | {"name": name} for name in BUSES[: -(-tendons // ON_A_BUS)]]
-    read = [joint for joint in joints if random.random() < 0.6]
+    buses = [raw["bus"][0] | {"name": name} for name in BUS_NAMES[: -(-tendons // MOTORS_PER_BUS)]]
+    read = [joint for joint in joints if rng.random() < 0.6]
     node = raw["sensor_node"] | {"tendons": [entry["name"] for entry in entries], "joints": read}
     made = raw | {
         "name": "random",
@@ -92,21 +97,22 @@ def random_hand(tendons: int, random: Random) -> Hand:
         "sensor_node": node,
     }
     hand = hand_from_content(made, "random.toml")
-    hand = with_drives(hand, str(random.choice(GUARDED_PROTOCOLS)))
-    servos = _motors_with_position_loop(hand, random)
+    hand = with_drives(hand, str(rng.choice(GUARDED_PROTOCOLS)))
+    servos = _motors_with_position_loop(hand, rng)
     loop: dict[str, object] = {"control": "position"}
     if hand.motor[0].protocol == "moteus":
         loop |= {"kp_N_m_per_rad": 1.0, "kd_N_m_s_per_rad": 0.02}
     motors = [
         one.model_copy(
-            update={"node_id": FIRST_NODE + n % ON_A_BUS} | (loop if one.name in servos else {})
+            update={"node_id": FIRST_NODE + n % MOTORS_PER_BUS}
+            | (loop if one.name in servos else {})
         )
         for n, one in enumerate(hand.motor)
     ]
     return hand.model_copy(update={"motor": tuple(motors)})
 
 
-def _motors_with_position_loop(hand: Hand, random: Random) -> set[str]:
+def _motors_with_position_loop(hand: Hand, rng: RandomGenerator) -> set[str]:
     """Return about half of the motors that may close a position loop.
 
     Only motors of digits without antagonists may do so.
@@ -118,10 +124,10 @@ def _motors_with_position_loop(hand: Hand, random: Random) -> set[str]:
         tendons = hand.tendon[hand.digit_tendons[digit.name]]
         if len(tendons) <= (len(digit.joints) if digit.coupling is None else 1):
             allowed |= {tendon.motor for tendon in tendons}
-    return {name for name in sorted(allowed) if random.random() < 0.5}
+    return {name for name in sorted(allowed) if rng.random() < 0.5}
 
 
-def _arms(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
+def _moment_arm_kinds(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
     """Yield the moment arms of a digit's tendons, once for each kind of digit."""
     one = float(radii[0])
     yield [dict.fromkeys(joints, one)]
@@ -132,17 +138,17 @@ def _arms(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float
     yield [*each, {joint: -float(radius) for joint, radius in zip(joints, radii, strict=True)}]
 
 
-def _digit(
-    finger: dict[str, Any], name: str, size: int, coupled: bool, random: Random
+def _random_digit(
+    finger: dict[str, Any], name: str, size: int, coupled: bool, rng: RandomGenerator
 ) -> dict[str, Any]:
     cut = {key: value[:size] if isinstance(value, list) and key[:5] in ("link_", "joint", "sprin") else value
            for key, value in finger.items()}  # fmt: skip
-    cut |= {"name": name, "mount_position_m": random.uniform(-0.05, 0.05, 3).tolist()}
-    cut["spring_preload_rad"] = random.uniform(0.4, 0.8, size).tolist()
+    cut |= {"name": name, "mount_position_m": rng.uniform(-0.05, 0.05, 3).tolist()}
+    cut["spring_preload_rad"] = rng.uniform(0.4, 0.8, size).tolist()
     return cut | ({"coupling": [[1.0]] * size} if coupled else {})
 
 
-def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> bytes:
+def _message_payload(message: Message, given: dict[Quantity, Any], rng: RandomGenerator) -> bytes:
     """Return the payload of a message with given values.
 
     If a status has several signals, the first has its highest bits.
@@ -159,7 +165,7 @@ def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> by
             value = float(value[signal.channel])
         values.append(value)
     data = SignalTable(message).pack(*values)
-    return random.bytes(len(data)) if random.random() < CORRUPT_FRACTION else data
+    return rng.bytes(len(data)) if rng.random() < CORRUPT_FRACTION else data
 
 
 class RandomHand:
@@ -176,7 +182,7 @@ class RandomHand:
         self.state.decide(progress=replace(self.state.progress, phase="live"))
         self.period_ns = round(1e9 / RATE_HZ)
         for n, drive in enumerate(self.controller.drives):
-            self.controller.keep(self.state, n, _enabled(drive, self.protocol))
+            self.controller.keep(self.state, n, _enabled_drive_state(drive, self.protocol))
         self.state.mode = Mode.ACTIVE
         self.position, self.tension = np.zeros(tendons), np.zeros(tendons)
         self.speed = self.random.normal(0.0, 2.0, tendons)
@@ -185,26 +191,27 @@ class RandomHand:
         # A drive closes its position loop only while its tendon is taut.
         self.pull = 20.0 if any(motor.holds_position for motor in hand.motor) else 0.0
 
-    def frames(self, t_ns: int) -> tuple[Frame, ...]:
+    def received_frames(self, t_ns: int) -> tuple[Frame, ...]:
         """Return the frames that arrive in a tick. Motors wind, tensions follow, and some frames are disturbed."""
-        random, period = self.random, 1.0 / RATE_HZ
-        self.speed = 0.9 * self.speed + random.normal(0.0, 1.0, len(self.speed))
+        rng, period = self.random, 1.0 / RATE_HZ
+        self.speed = 0.9 * self.speed + rng.normal(0.0, 1.0, len(self.speed))
         self.position += self.speed * period
-        pulls = self.pull + 400.0 * self.position + random.normal(0.0, 0.5, len(self.tension))
+        pulls = self.pull + 400.0 * self.position + rng.normal(0.0, 0.5, len(self.tension))
         self.tension = np.clip(pulls, 0.0, 130.0)
-        self.angle += random.normal(0.01, 0.02, len(self.angle))
+        self.angle += rng.normal(0.01, 0.02, len(self.angle))
         messages = []
         for n, drive in enumerate(self.controller.drives):
             given: dict[Quantity, Any] = {
                 Quantity.POSITION: float(self.position[n]), Quantity.VELOCITY: float(self.speed[n]),
-                Quantity.TORQUE: float(random.normal(0.1, 0.05)), Quantity.STATUS: _status(drive, self.protocol),
-                Quantity.TEMPERATURE: float(random.integers(20, 90)),
+                Quantity.TORQUE: float(rng.normal(0.1, 0.05)),
+                Quantity.STATUS: _status_while_enabled(drive, self.protocol),
+                Quantity.TEMPERATURE: float(rng.integers(20, 90)),
             }  # fmt: skip
             messages += [(one, drive.bus, given) for one in drive.cyclic.feedback]
         sensors = self.controller.sensors
         counter = self.state.whole(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
-            late = random.random() < CORRUPT_FRACTION
+            late = rng.random() < CORRUPT_FRACTION
             given = {
                 Quantity.COUNTER: counter ^ late,
                 Quantity.TENSION: self.tension,
@@ -213,7 +220,7 @@ class RandomHand:
             messages += [(message, sensors.bus, given)]
         out = []
         for message, bus, given in messages:
-            chance = random.random()
+            chance = rng.random()
             for _ in range(
                 0
                 if chance < LOST_FRACTION
@@ -221,21 +228,21 @@ class RandomHand:
                 if chance < LOST_FRACTION + DUPLICATE_FRACTION
                 else 1
             ):
-                data = _payload(message, given, random)
+                data = _message_payload(message, given, rng)
                 out.append(
                     Frame(
                         message.can_id,
                         data,
                         message.flags,
                         bus,
-                        t_ns - int(random.integers(1_000_000)),
+                        t_ns - int(rng.integers(1_000_000)),
                     )
                 )
-        if random.random() < 0.1:
-            out.append(Frame(int(random.integers(0x800)), random.bytes(8), 0, 0, t_ns - 1))
+        if rng.random() < 0.1:
+            out.append(Frame(int(rng.integers(0x800)), rng.bytes(8), 0, 0, t_ns - 1))
         return tuple(out)
 
-    def requests(self, i: int) -> tuple[str, ...]:
+    def requests_of_tick(self, i: int) -> tuple[str, ...]:
         """Return the requests that arrive in the i-th tick: a move or a tension of a digit, or none."""
         if self.pull and i == 2:
             return (
@@ -258,11 +265,11 @@ class RandomHand:
             )
         return (json.dumps({"do": "hold", "tension_N": {name: self.random.uniform(5.0, 60.0)}}),)
 
-    def ticks(self) -> Iterator[str]:
+    def hash_ticks(self) -> Iterator[str]:
         """Run all ticks, and yield a hash of the state, telemetry, frames and events of each."""
         k = 0
-        for i in range(TICKS):
-            if i < TICKS - FREE_TICKS:
+        for i in range(TICKS_PER_HAND):
+            if i < TICKS_PER_HAND - LAST_TICKS_WITH_FAULTS:
                 self.state.mode = Mode.ACTIVE
                 self.state.decide(latched=())
             k += 1 if self.random.random() > SKIPPED_FRACTION else int(self.random.integers(2, 5))
@@ -271,9 +278,9 @@ class RandomHand:
                 k,
                 t_ns,
                 int(self.random.integers(1_000_000)),
-                self.frames(t_ns),
+                self.received_frames(t_ns),
                 (),
-                self.requests(i),
+                self.requests_of_tick(i),
             )
             self.state, out = self.controller.tick(self.state, entry)
             parts = [
@@ -285,7 +292,7 @@ class RandomHand:
             yield hashlib.blake2b(b"".join(parts), digest_size=8).hexdigest()
 
 
-def _status(drive: Any, protocol: str) -> int:
+def _status_while_enabled(drive: Any, protocol: str) -> int:
     """Return the status that a drive reports while it is enabled."""
     if protocol == "mit":
         return int(mit.ENABLED << 4 | drive.node_id & 0xF)
@@ -294,7 +301,7 @@ def _status(drive: Any, protocol: str) -> int:
     return int(cia402.ENABLED_STATUS) if protocol == "cia402" else 0
 
 
-def _enabled(drive: Any, protocol: str) -> DriveState:
+def _enabled_drive_state(drive: Any, protocol: str) -> DriveState:
     """Return the state of a drive that is configured and obeys commands."""
     state: DriveState = drive.initial()
     private: Any = state.private
@@ -311,7 +318,7 @@ def _enabled(drive: Any, protocol: str) -> DriveState:
 def tick_hashes(tendons: int, seed: int) -> list[str]:
     """Return the hash of each tick of a random hand."""
     with np.errstate(all="ignore"):
-        return list(RandomHand(tendons, seed).ticks())
+        return list(RandomHand(tendons, seed).hash_ticks())
 
 
 if __name__ == "__main__":

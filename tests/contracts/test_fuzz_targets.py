@@ -17,11 +17,11 @@ from fuzz.drives import FUZZED_DRIVES
 from fuzz.targets import TARGET_FACTORIES, seeds
 from handctl.drives.contract import DrivePhase
 
-UNCHANGED = ("hand", "task", "trajectory", "gains", "calibration", "log")
+DOCUMENT_TARGETS = ("hand", "task", "trajectory", "gains", "calibration", "log")
 """Fuzz targets that change a document. An empty fuzz input leaves the document unchanged."""
 
 
-@pytest.mark.parametrize("name", UNCHANGED)
+@pytest.mark.parametrize("name", DOCUMENT_TARGETS)
 def test_an_unchanged_document_is_accepted(name: str, tmp_path: Path) -> None:
     assert TARGET_FACTORIES[name](tmp_path)(b"")
 
@@ -82,10 +82,10 @@ def test_a_changed_field_of_a_log_is_found_by_its_check(
 def test_the_fuzz_target_rejects_an_empty_or_two_line_refusal(
     text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> None:
+    def refuse_with_text(*_: object) -> None:
         raise SimulatorError(text)
 
-    monkeypatch.setattr(texts, "parse_fault", refuse)
+    monkeypatch.setattr(texts, "parse_fault", refuse_with_text)
     target = TARGET_FACTORIES["fault"](tmp_path)
     with pytest.raises(AssertionError):
         target(b"")

@@ -8,7 +8,7 @@ import pytest
 
 from handctl import compiled, kernel_loading
 
-CHECKS = """
+LOADING_CHECKS_CODE = """
 import sys
 from handctl import compiled, kernel_loading
 compiled.compile_kernels()
@@ -19,14 +19,14 @@ from numba import njit
 square = compiled.square
 print("linked", njit(lambda value: square(value) + 1.0)(3.0))
 """
-UNKNOWN = "from handctl import kernel_loading\nkernel_loading.TESTED_VERSIONS = ()\n"
+UNKNOWN_VERSION_CODE = "from handctl import kernel_loading\nkernel_loading.TESTED_VERSIONS = ()\n"
 
 pytestmark = pytest.mark.skipif(
     compiled._CACHE_FOLDER is None, reason="no folder for compiled code"
 )
 
 
-def lines(code: str) -> list[str]:
+def printed_lines(code: str) -> list[str]:
     """Run a program text in Python, and return the lines that it prints."""
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     return ran.stdout.splitlines()
@@ -34,7 +34,7 @@ def lines(code: str) -> list[str]:
 
 def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:
     compiled.compile_kernels()
-    assert lines(CHECKS) == [
+    assert printed_lines(LOADING_CHECKS_CODE) == [
         "registered False",
         "imported False",
         "loaded False 9.0",
@@ -44,7 +44,7 @@ def test_stored_code_is_loaded_without_the_compiler_and_linked_later() -> None:
 
 def test_other_versions_of_numba_load_in_their_own_way() -> None:
     compiled.compile_kernels()
-    assert lines(UNKNOWN + CHECKS) == [
+    assert printed_lines(UNKNOWN_VERSION_CODE + LOADING_CHECKS_CODE) == [
         "registered True",
         "imported True",
         "loaded True 9.0",

@@ -6,24 +6,24 @@ from pathlib import Path
 from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.session.exit_codes import ExitCode
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-MOST_LINES = 150
+README_TEXT = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+README_MAX_LINES = 150
 
 
 def test_readme_is_short() -> None:
-    assert len(README.splitlines()) <= MOST_LINES
+    assert len(README_TEXT.splitlines()) <= README_MAX_LINES
 
 
 def test_the_limits_come_before_the_commands() -> None:
-    assert README.index("**Simulated only.**") < README.index("make demo")
+    assert README_TEXT.index("**Simulated only.**") < README_TEXT.index("make demo")
     firmware = "reference firmware with a schematic"
     for word in ("Nobody has run handctl on a real hand", "**Be the first**", firmware):
-        assert word in README, word
+        assert word in README_TEXT, word
 
 
 def test_the_code_that_needs_a_hand_is_named() -> None:
-    assert f"**{int(ExitCode.REMOVE_POWER)}**" in README
-    assert "switch the power off" in README
+    assert f"**{int(ExitCode.REMOVE_POWER)}**" in README_TEXT
+    assert "switch the power off" in README_TEXT
 
 
 def test_every_protocol_is_named() -> None:
@@ -32,7 +32,9 @@ def test_every_protocol_is_named() -> None:
         "robstride": "RobStride", "robstride_mit": "RobStride motors in MIT mode",
     }  # fmt: skip
     assert [
-        protocol for protocol in PROTOCOL_ENTRIES if names.get(protocol, protocol) not in README
+        protocol
+        for protocol in PROTOCOL_ENTRIES
+        if names.get(protocol, protocol) not in README_TEXT
     ] == []
 
 
@@ -40,5 +42,5 @@ def test_every_extra_is_named() -> None:
     project = tomllib.loads(
         (Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8")
     )["project"]
-    table = README.split("| extra |")[1].split("\n\n")[0]
+    table = README_TEXT.split("| extra |")[1].split("\n\n")[0]
     assert [extra for extra in project["optional-dependencies"] if f"`{extra}`" not in table] == []

@@ -17,7 +17,9 @@ from handctl.hand.load import load_hand
 from handctl.programs.calibration import load_calibration
 
 
-def watched(seconds: float, mib_per_h: float = 0.0, swings_mib: float = 0.0) -> list[MemorySample]:
+def memory_samples(
+    seconds: float, mib_per_h: float = 0.0, swings_mib: float = 0.0
+) -> list[MemorySample]:
     chance = random.Random(1)
     times = [30.0 * i for i in range(int(seconds / 30) + 1)]
     return [
@@ -47,9 +49,9 @@ def test_a_controller_gets_a_calibration_of_its_hand(
 
 
 def test_growth_is_reported_in_mebibytes_per_hour() -> None:
-    assert memory_slope(watched(3600.0, mib_per_h=2.0)) == pytest.approx(2.0, abs=0.01)
+    assert memory_slope(memory_samples(3600.0, mib_per_h=2.0)) == pytest.approx(2.0, abs=0.01)
     assert memory_slope(
-        [one._replace(rss=one.rss + 9 * (one.t < WARM_S)) for one in watched(3600.0)]
+        [one._replace(rss=one.rss + 9 * (one.t < WARM_S)) for one in memory_samples(3600.0)]
     ) == pytest.approx(0.0)
 
 
@@ -58,17 +60,17 @@ def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
 
     This was reported as growth of 3 MiB per hour.
     """
-    falling_back = watched(2400.0)
+    falling_back = memory_samples(2400.0)
     low = [
         one._replace(rss=one.rss - 1.5 * (600 <= one.t < 1170 and one.t % 300 > 30))
         for one in falling_back
     ]
     assert memory_slope(low) == pytest.approx(0.0, abs=1e-6)
-    assert memory_slope(watched(7200.0, mib_per_h=2.0, swings_mib=1.5)) == pytest.approx(
+    assert memory_slope(memory_samples(7200.0, mib_per_h=2.0, swings_mib=1.5)) == pytest.approx(
         2.0, abs=0.3
     )
 
 
 def test_too_short_a_time_has_no_slope() -> None:
-    assert memory_slope(watched(WARM_S + MIN_SLOPE_TIME_S - 60.0)) is None
-    assert memory_slope(watched(WARM_S + MIN_SLOPE_TIME_S + 60.0)) is not None
+    assert memory_slope(memory_samples(WARM_S + MIN_SLOPE_TIME_S - 60.0)) is None
+    assert memory_slope(memory_samples(WARM_S + MIN_SLOPE_TIME_S + 60.0)) is not None

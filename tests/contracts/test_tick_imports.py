@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-RUN = """
+RUN_CODE = """
 import json, sys
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
@@ -43,7 +43,7 @@ print(*sorted(set(sys.modules) - before))
 def test_no_tick_imports_a_module(hand: str) -> None:
     """Regression: the first task with a phase ``follow`` imported 202 modules of scipy in a tick, which took 0.3 s."""
     ran = subprocess.run(
-        [sys.executable, "-c", RUN, hand], capture_output=True, text=True, check=False
+        [sys.executable, "-c", RUN_CODE, hand], capture_output=True, text=True, check=False
     )
     assert ran.returncode == 0, ran.stderr
     assert ran.stdout.split() == []

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-CONTROLLER_MB = 620
+REPOSITORY = Path(__file__).parents[2]
+CONTROLLER_SIZE_MB = 620
 """Largest size of the packages that a controller needs [MB].
 
 numba with LLVM has 210, scipy 145, numpy 75, and the dependencies of the package control have 105.
@@ -24,7 +24,7 @@ numba with LLVM has 210, scipy 145, numpy 75, and the dependencies of the packag
 pytestmark = [pytest.mark.nightly, pytest.mark.timeout(1800)]
 
 
-class Fresh:
+class WheelEnvironment:
     """A Python environment with the wheel, without access to the repository.
 
     Args:
@@ -33,15 +33,17 @@ class Fresh:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.wheel = self._build()
+        self.wheel = self._build_wheel()
         venv.create(folder / "env", with_pip=True)
         self._constraints = folder / "constraints.txt"
         pins = re.findall(
-            r"^[a-z0-9][^\n]*==[^\n\\]*", (ROOT / "requirements-dev.lock").read_text(), re.MULTILINE
+            r"^[a-z0-9][^\n]*==[^\n\\]*",
+            (REPOSITORY / "requirements-dev.lock").read_text(),
+            re.MULTILINE,
         )
         self._constraints.write_text("\n".join(pins))
 
-    def _build(self) -> Path:
+    def _build_wheel(self) -> Path:
         dist = self.folder / "dist"
         command = [
             sys.executable,
@@ -53,7 +55,7 @@ class Fresh:
             "--directory",
             str(dist),
         ]
-        subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+        subprocess.run(command, cwd=REPOSITORY, check=True, capture_output=True)
         (wheel,) = dist.glob("*.whl")
         return wheel
 
@@ -83,7 +85,7 @@ class Fresh:
             f"{self.wheel}{extras}",
         )
 
-    def megabytes(self) -> float:
+    def installed_megabytes(self) -> float:
         """Return the size of the installed packages without pip and setuptools [MB]."""
         where = self.run("python", "-c", "import sysconfig; print(sysconfig.get_path('purelib'))")
         packages = Path(where.stdout.strip())
@@ -98,32 +100,39 @@ class Fresh:
 
 
 @pytest.fixture(scope="module")
-def controller(tmp_path_factory: pytest.TempPathFactory) -> Fresh:
-    fresh = Fresh(tmp_path_factory.mktemp("wheel"))
+def controller_environment(tmp_path_factory: pytest.TempPathFactory) -> WheelEnvironment:
+    fresh = WheelEnvironment(tmp_path_factory.mktemp("wheel"))
     fresh.install()
     return fresh
 
 
 @pytest.fixture(scope="module")
-def simulator(controller: Fresh) -> Fresh:
-    controller.install("[sim,view]")
-    return controller
+def simulator_environment(controller_environment: WheelEnvironment) -> WheelEnvironment:
+    controller_environment.install("[sim,view]")
+    return controller_environment
 
 
-def test_a_controller_needs_no_extra(controller: Fresh) -> None:
-    where = controller.run("python", "-c", "import handctl; print(handctl.__file__)").stdout
-    assert where.startswith(str(controller.folder))
-    assert controller.run("handctl", "--version").stdout.strip() in controller.wheel.name
-    log = ROOT / "logs" / "golden" / "jamia-grasp.mcap"
-    assert "0 differ" in controller.run("handctl", "replay", "execute", str(log)).stdout
-    controller.run("handctl", "report", str(log), "--output", "report.html")
-    controller.run("handctl", "config", "check", "--hand", "jamia")
-    wanted = controller.run("handctl", "demo", "--lockstep", code=2).stderr
+def test_a_controller_needs_no_extra(controller_environment: WheelEnvironment) -> None:
+    where = controller_environment.run(
+        "python", "-c", "import handctl; print(handctl.__file__)"
+    ).stdout
+    assert where.startswith(str(controller_environment.folder))
+    assert (
+        controller_environment.run("handctl", "--version").stdout.strip()
+        in controller_environment.wheel.name
+    )
+    log = REPOSITORY / "logs" / "golden" / "jamia-grasp.mcap"
+    assert "0 differ" in controller_environment.run("handctl", "replay", "execute", str(log)).stdout
+    controller_environment.run("handctl", "report", str(log), "--output", "report.html")
+    controller_environment.run("handctl", "config", "check", "--hand", "jamia")
+    wanted = controller_environment.run("handctl", "demo", "--lockstep", code=2).stderr
     assert wanted == "handctl: demo needs mujoco: pip install 'handctl[sim]'\n"
-    assert controller.megabytes() <= CONTROLLER_MB
+    assert controller_environment.installed_megabytes() <= CONTROLLER_SIZE_MB
 
 
-def test_the_demo_runs_and_its_log_becomes_a_recording(simulator: Fresh) -> None:
-    simulator.run("handctl", "demo", "--lockstep", "--log", "run.mcap")
-    simulator.run("handctl", "view", "run.mcap", "--save", "run.rrd")
-    assert (simulator.folder / "run.rrd").stat().st_size > 100_000
+def test_the_demo_runs_and_its_log_becomes_a_recording(
+    simulator_environment: WheelEnvironment,
+) -> None:
+    simulator_environment.run("handctl", "demo", "--lockstep", "--log", "run.mcap")
+    simulator_environment.run("handctl", "view", "run.mcap", "--save", "run.rrd")
+    assert (simulator_environment.folder / "run.rrd").stat().st_size > 100_000

@@ -7,7 +7,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import Bench, bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
 """Default control rate of each hand [Hz]. Its frames fit on the bus at this rate."""
@@ -33,10 +33,10 @@ def model(request: pytest.FixtureRequest) -> HandModel:
 
 
 @pytest.fixture(scope="module")
-def active() -> Bench:
+def active_bench() -> ControllerBench:
     """Return a bench whose hand is active and holds a tension."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(1.0)
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 5}')
     run.tick('{"do": "hold", "tension_N": {"index": 30}}')

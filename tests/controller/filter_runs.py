@@ -1,6 +1,6 @@
 """States, sensors and single ticks for tests of the tension filter.
 
-``FilterState`` is the part of a controller's state that belongs to the filter. ``step`` runs the
+``FilterState`` is the part of a controller's state that belongs to the filter. ``run_unplanned_filter_tick`` runs the
 stages of one tick on such a state.
 """
 
@@ -15,13 +15,13 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, S, TendonRegime, X
 from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from tests.controller.synthetic import (
-    Estimate,
-    Readings,
+from tests.controller.synthetic_states import (
+    SensorReadings,
+    SyntheticEstimate,
     active_state,
-    constants,
     empty_readings,
     estimate_of,
+    stage_constants,
 )
 
 
@@ -29,32 +29,34 @@ class FilterState(NamedTuple):
     """State of the tension filter between two ticks, with one entry per tendon.
 
     Attributes:
-        x: (7N,) the seven filter states of each tendon, tendon after tendon.
-        regimes: members of ``TendonRegime``. stopped: whether the digit is on its open stop. turning: evidence that the
-            tendon leaves or enters slack.
-        measured: whether the tendon's length is known. surprise: last load-cell innovation, divided by its standard
-            deviation.
-        nis, lately: two averages of the normalised innovation squared. doubtful: whether the filter doubts its model.
-        wary: time for which the filter still doubts its model [s].
+        filter_states: (7N,) the seven filter states of each tendon, tendon after tendon.
+        regimes: members of ``TendonRegime``.
+        stopped: whether the digit is on its open stop.
+        turning_evidence: evidence that the tendon leaves or enters slack.
+        length_known: whether the tendon's length is known.
+        cell_surprise: last load-cell innovation, divided by its standard deviation.
+        nis_mean, nis_lately: two averages of the normalised innovation squared.
+        doubtful: whether the filter doubts its model.
+        doubt_time_s: time for which the filter still doubts its model [s].
         covariance: (N, 7, 7) of the states while measurements are missing. None stands for the steady-state covariance.
         started: whether every sensor has been read once.
     """
 
-    x: np.ndarray
+    filter_states: np.ndarray
     regimes: tuple[int, ...]
     stopped: tuple[bool, ...]
-    turning: tuple[int, ...]
-    measured: tuple[bool, ...]
-    surprise: np.ndarray
-    nis: np.ndarray
+    turning_evidence: tuple[int, ...]
+    length_known: tuple[bool, ...]
+    cell_surprise: np.ndarray
+    nis_mean: np.ndarray
     doubtful: tuple[bool, ...]
-    lately: np.ndarray
-    wary: np.ndarray
+    nis_lately: np.ndarray
+    doubt_time_s: np.ndarray
     covariance: np.ndarray | None = None
     started: bool = True
 
     @staticmethod
-    def of(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
+    def in_regime(x: np.ndarray, regime: TendonRegime, stopped: bool) -> "FilterState":
         """Return a filter state with every tendon in the same regime, from the states (7N,) of the tendons."""
         n = len(x) // STATE_COUNT
         none = np.zeros(n)
@@ -65,16 +67,17 @@ class FilterState(NamedTuple):
         )
 
     @staticmethod
-    def initial(n: int) -> "FilterState":
+    def before_first_reading(n: int) -> "FilterState":
         """Return the state that the filter of N tendons has before the first reading of a sensor."""
-        return FilterState.of(np.zeros(STATE_COUNT * n), TendonRegime.SLACK, stopped=True)._replace(
-            started=False
-        )
+        return FilterState.in_regime(
+            np.zeros(STATE_COUNT * n), TendonRegime.SLACK, stopped=True
+        )._replace(started=False)
 
 
-ROWS = {
-    "regimes": "regime", "stopped": "stopped", "turning": "turning", "measured": "length_known",
-    "surprise": "surprise", "nis": "nis_mean", "doubtful": "doubtful", "lately": "nis_lately", "wary": "wary",
+BLOCK_FIELD_BY_ATTRIBUTE = {
+    "regimes": "regime", "stopped": "stopped", "turning_evidence": "turning", "length_known": "length_known",
+    "cell_surprise": "surprise", "nis_mean": "nis_mean", "doubtful": "doubtful", "nis_lately": "nis_lately",
+    "doubt_time_s": "wary",
 }  # fmt: skip
 """Field of the state block for each attribute of ``FilterState``.
 
@@ -84,10 +87,12 @@ The seven states and the covariance are not listed.
 
 def write_filter_state(state: State, filtered: FilterState) -> None:
     """Write a filter state into the block of a controller's state."""
-    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = filtered.x.reshape(-1, STATE_COUNT).T
-    for name, row in ROWS.items():
+    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = filtered.filter_states.reshape(
+        -1, STATE_COUNT
+    ).T
+    for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items():
         state.view(row)[...] = getattr(filtered, name)
-    state.view("kind")[...] = state.view("regime") + 3 * (filtered.wary > 0.0)
+    state.view("kind")[...] = state.view("regime") + 3 * (filtered.doubt_time_s > 0.0)
     state.set_whole(s.COVARIANCE_PROPAGATED, filtered.covariance is not None)
     if filtered.covariance is not None:
         state.view("covariance")[...] = filtered.covariance.reshape(-1, STATE_COUNT**2).T
@@ -96,12 +101,12 @@ def write_filter_state(state: State, filtered: FilterState) -> None:
 
 def filter_state_of(state: State) -> FilterState:
     """Return the filter's part of a controller's state."""
-    booleans = ("stopped", "measured", "doubtful")
+    booleans = ("stopped", "length_known", "doubtful")
     found = {
         name: tuple(map(bool if name in booleans else int, state.view(row)))
         if state.view(row).dtype == np.int64
         else state.view(row).copy()
-        for name, row in ROWS.items()
+        for name, row in BLOCK_FIELD_BY_ATTRIBUTE.items()
     }
     carried = None
     if state.whole(s.COVARIANCE_PROPAGATED):
@@ -110,7 +115,7 @@ def filter_state_of(state: State) -> FilterState:
     return FilterState(x, **found, covariance=carried, started=state.started)
 
 
-def read(state: State, measured: Readings) -> None:
+def write_readings(state: State, measured: SensorReadings) -> None:
     """Write the measurements of a tick into a controller's state."""
     for name in ("travel", "tension", "excursion"):
         state.view(f"measured_{name}")[...] = getattr(measured, name)
@@ -118,16 +123,16 @@ def read(state: State, measured: Readings) -> None:
     state.view("saturated")[list(measured.saturated)] = 1
 
 
-def tick(
+def run_filter_tick(
     model: HandModel,
     state: FilterState,
-    measured: Readings,
+    measured: SensorReadings,
     force: np.ndarray,
     rate: np.ndarray,
     contact: tuple[bool, ...],
     friction_state: np.ndarray | None = None,
     missed: int = 0,
-) -> tuple[FilterState, Estimate]:
+) -> tuple[FilterState, SyntheticEstimate]:
     """Correct the filter with the measurements of one tick and predict the present state, by the stages of a real tick.
 
     Args:
@@ -139,42 +144,48 @@ def tick(
         friction_state: (N,) how far the friction of each tendon is developed, where that is known.
         missed: number of ticks that were skipped since the last tick.
     """
-    run = state_of(model, state)
-    read(run, measured)
-    run.view("force")[...], run.view("rate")[...] = force, rate
-    run.view("planned_contact")[...] = contact
+    controller_state = state_of(model, state)
+    write_readings(controller_state, measured)
+    controller_state.view("force")[...], controller_state.view("rate")[...] = force, rate
+    controller_state.view("planned_contact")[...] = contact
     if friction_state is not None:
-        run.view("friction_state")[...] = friction_state
-    run.set_whole(s.MISSED_TICKS, missed)
-    stages.correct_estimate(run.block, run.layout.places, *constants(model))
-    if run.started:
-        predict_filter_states(model, run.layout, run.block, missed)
-    stages.conclude_estimate(run.block, run.layout.places, *constants(model))
-    return filter_state_of(run), estimate_of(run)
+        controller_state.view("friction_state")[...] = friction_state
+    controller_state.set_whole(s.MISSED_TICKS, missed)
+    stages.correct_estimate(
+        controller_state.block, controller_state.layout.places, *stage_constants(model)
+    )
+    if controller_state.started:
+        predict_filter_states(model, controller_state.layout, controller_state.block, missed)
+    stages.conclude_estimate(
+        controller_state.block, controller_state.layout.places, *stage_constants(model)
+    )
+    return filter_state_of(controller_state), estimate_of(controller_state)
 
 
-def state_at_rest(model: HandModel, tension: float, closed: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the states (N, 7) and motor forces (N,) of a hand that rests with all joints at ``closed`` [rad]."""
+def state_at_rest(
+    model: HandModel, tension: float, joint_angle: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states (N, 7) and motor forces (N,) of a hand that rests with all joints at ``joint_angle`` [rad]."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
-    x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), closed)
+    x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), joint_angle)
     x[:, X] = x[:, S] + tension / model.space.stiffness
     return x, np.full(model.tendon_count, tension)
 
 
-def step(
+def run_unplanned_filter_tick(
     model: HandModel,
     state: FilterState,
-    measured: Readings,
+    measured: SensorReadings,
     force: np.ndarray,
     contact: tuple[bool, ...],
-) -> tuple[FilterState, Estimate]:
+) -> tuple[FilterState, SyntheticEstimate]:
     """Run one tick of the filter in which no change of tension is planned."""
-    return tick(model, state, measured, force, np.zeros(model.tendon_count), contact)
+    return run_filter_tick(model, state, measured, force, np.zeros(model.tendon_count), contact)
 
 
 def noiseless_readings(
     model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False
-) -> Readings:
+) -> SensorReadings:
     """Return noiseless readings of filter states (N, 7) and tensions (N,). ``excursion`` adds joint encoders."""
     return empty_readings(model)._replace(
         travel=x[:, X].copy(),
@@ -185,7 +196,7 @@ def noiseless_readings(
 
 def all_in_regime(model: HandModel, regime: TendonRegime, x: np.ndarray) -> FilterState:
     """Return a filter state with every tendon in the same regime. No digit is on its open stop."""
-    return FilterState.of(x.ravel(), regime, stopped=False)
+    return FilterState.in_regime(x.ravel(), regime, stopped=False)
 
 
 def no_contact(model: HandModel) -> tuple[bool, ...]:
@@ -193,38 +204,44 @@ def no_contact(model: HandModel) -> tuple[bool, ...]:
     return (False,) * len(model.digits)
 
 
-def start(
+def state_after_first_readings(
     model: HandModel, state: FilterState, travel: np.ndarray, cells: bool = True
 ) -> FilterState:
     """Return the filter state after readings of the encoders [m], and of the load cells if ``cells``."""
-    run = state_of(model, state)
-    run.mode = Mode.SILENT
-    run.view("position")[...] = travel / model.space.spool
-    run.view("group_frames")[...] = cells
-    stages.observe_tick(run.block, run.layout.places, *constants(model))
-    return filter_state_of(run)
+    controller_state = state_of(model, state)
+    controller_state.mode = Mode.SILENT
+    controller_state.view("position")[...] = travel / model.space.spool
+    controller_state.view("group_frames")[...] = cells
+    stages.observe_tick(
+        controller_state.block, controller_state.layout.places, *stage_constants(model)
+    )
+    return filter_state_of(controller_state)
 
 
-def corrected_state(model: HandModel, state: FilterState, measured: Readings) -> State:
+def corrected_state(model: HandModel, state: FilterState, measured: SensorReadings) -> State:
     """Return a controller's state after the filter's measurement update, before its prediction.
 
     No digit is in contact.
     """
-    run = state_of(model, state)
-    read(run, measured)
-    stages.correct_estimate(run.block, run.layout.places, *constants(model))
-    return run
+    controller_state = state_of(model, state)
+    write_readings(controller_state, measured)
+    stages.correct_estimate(
+        controller_state.block, controller_state.layout.places, *stage_constants(model)
+    )
+    return controller_state
 
 
 def state_of(model: HandModel, filtered: FilterState) -> State:
     """Return a controller's state that contains the given filter state."""
-    run = active_state(model)
-    run.mode = Mode.ARMING  # in this mode the filter takes contacts from the plan, and detects none
-    write_filter_state(run, filtered)
-    return run
+    controller_state = active_state(model)
+    controller_state.mode = (
+        Mode.ARMING
+    )  # in this mode the filter takes contacts from the plan, and detects none
+    write_filter_state(controller_state, filtered)
+    return controller_state
 
 
-def parts(model: HandModel, kinds: tuple[int, ...], name: str) -> np.ndarray:
+def design_arrays_by_tendon(model: HandModel, kinds: tuple[int, ...], name: str) -> np.ndarray:
     """Return one array of the filter design for each tendon (N, ...), selected by the tendon's regime."""
     return np.array(
         [getattr(own[kind], name) for own, kind in zip(model.filter.blocks, kinds, strict=True)]

@@ -18,11 +18,11 @@ from handctl.core.law.loads import allocate_bounded_tensions
 from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, TablePlaces
 from handctl.safety.action import Action
-from tests.controller.synthetic import (
-    Estimate,
+from tests.controller.synthetic_states import (
+    SyntheticEstimate,
     active_state,
-    constants,
     controller_of,
+    stage_constants,
     state_with_estimate,
 )
 
@@ -51,17 +51,17 @@ class LawState(NamedTuple):
     friction_state: np.ndarray | None = None
 
     @staticmethod
-    def initial(n: int) -> "LawState":
+    def before_first_command(n: int) -> "LawState":
         """Return the state of the control law of N tendons before its first command."""
-        return LawState.idle(np.zeros(n))
+        return LawState.idle_at_tensions(np.zeros(n))
 
     @staticmethod
-    def idle(tension: np.ndarray) -> "LawState":
+    def idle_at_tensions(tension: np.ndarray) -> "LawState":
         """Return the state of the control law before its first command, with set-points at given tensions (N,) [N]."""
         return LawState(tension, *np.zeros((4, len(tension))))
 
 
-class Command(NamedTuple):
+class LawCommand(NamedTuple):
     """Output of the control law: (N,) motor torque [N m] and tension goal [N], (J,) joint torque [N m] and goals."""
 
     torque: np.ndarray
@@ -71,7 +71,7 @@ class Command(NamedTuple):
     dq: np.ndarray
 
 
-def warm(model: HandModel, limit: np.ndarray) -> np.ndarray:
+def temperatures_for_limits(model: HandModel, limit: np.ndarray) -> np.ndarray:
     """Return the temperatures (N,) [degC] at which drives are limited to tensions [N] between floor and ceiling."""
     limits = controller_of(model).limits
     fraction = (limit - model.floor) / (model.ceiling - model.floor)
@@ -88,22 +88,22 @@ def run_control_law(
     controller_of(model)._compute_torques(state, action, 1)
 
 
-def step(
+def run_law_tick(
     model: HandModel,
     law: LawState,
-    estimate: Estimate,
+    estimate: SyntheticEstimate,
     goals: tuple[DigitGoal, ...],
     t: float,
-    most: np.ndarray | None = None,
-    held: np.ndarray | None = None,
-) -> tuple[LawState, Command]:
+    temperature_limit_N: np.ndarray | None = None,
+    held_limit_N: np.ndarray | None = None,
+) -> tuple[LawState, LawCommand]:
     """Run one tick of the control law for all digits of a hand.
 
     Args:
         model: the hand. law: state of the control law after the last tick. estimate: of the hand at t. goals: one per
             digit. t: time [s].
-        most: (N,) limit of the tension by the temperature of each drive [N]. held: (N,) limit of the tension while
-            safety holds the hand [N].
+        temperature_limit_N: (N,) limit of the tension by the temperature of each drive [N].
+        held_limit_N: (N,) limit of the tension while safety holds the hand [N].
     """
     state = state_with_estimate(model, estimate)
     for name in ("setpoint", "integral", "force", "planned", "rate"):
@@ -113,12 +113,12 @@ def step(
         state.set_whole(s.TRIMMED, 1)
     if law.friction_state is not None:
         state.view("friction_state")[...] = law.friction_state
-    if most is not None:
-        state.view("temperature")[...] = warm(model, most)
-    if held is not None:
-        state.view("limit_held")[...] = held
+    if temperature_limit_N is not None:
+        state.view("temperature")[...] = temperatures_for_limits(model, temperature_limit_N)
+    if held_limit_N is not None:
+        state.view("limit_held")[...] = held_limit_N
         state.set_whole(s.HOLDING, 1)
-    run_control_law(model, state, goals, t, Action.PASS if held is None else Action.HOLD)
+    run_control_law(model, state, goals, t, Action.PASS if held_limit_N is None else Action.HOLD)
     return law_state_of(state), command_of(state)
 
 
@@ -132,49 +132,59 @@ def law_state_of(state: State) -> LawState:
     return LawState(**kept, trim=trim, held=held)
 
 
-def command_of(state: State) -> Command:
+def command_of(state: State) -> LawCommand:
     """Return the commands that the control law has written into a controller's state."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
-    return Command(*(state.view(name).copy() for name in names))
+    return LawCommand(*(state.view(name).copy() for name in names))
 
 
 @kernel("block", "layout", "constants", "layout")
-def _limit(block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces) -> np.ndarray:
+def _tension_limits(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> np.ndarray:
     return computed_torque.present_tension_limits(
-        state_tables(block, at), constant_tables(of, of_at)
+        state_tables(block, at), constant_tables(constants, constants_at)
     )
 
 
-def limit_of(model: HandModel, state: State) -> np.ndarray:
+def tension_limits_of(model: HandModel, state: State) -> np.ndarray:
     """Return the tension limits (N,) in a controller's state [N], infinite where there is none.
 
     The limits of the hand file come in addition.
     """
-    return _limit(state.block, state.layout.places, *constants(model))
+    return _tension_limits(state.block, state.layout.places, *stage_constants(model))
 
 
 @kernel("block", "layout", "constants", "layout", "matrix")
-def _required(
-    block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces, way: np.ndarray
+def _required_tensions(
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
+    motion: np.ndarray,
 ) -> int:
-    x, c = state_tables(block, at), constant_tables(of, of_at)
-    reference.write_required_torque(x, c, way)
+    x, c = state_tables(block, at), constant_tables(constants, constants_at)
+    reference.write_required_torque(x, c, motion)
     return reference.write_required_tensions(x, c)
 
 
-def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> np.ndarray:
-    """Return the tensions (N,) [N] whose torques at the joints of the moving digits make a motion ``way`` (3, J)."""
+def required_tensions_of(
+    model: HandModel, goals: tuple[DigitGoal, ...], motion: np.ndarray
+) -> np.ndarray:
+    """Return the tensions (N,) [N] whose torques at the joints of the moving digits make a motion ``motion`` (3, J)."""
     state = active_state(model)
     write_goals(model, state.layout, state.block, goals)
-    undecided = _required(state.block, state.layout.places, *constants(model), way)
+    undecided = _required_tensions(
+        state.block, state.layout.places, *stage_constants(model), motion
+    )
     allocate_bounded_tensions(
-        model, state.layout, controller_of(model).constants, state.block, undecided, way
+        model, state.layout, controller_of(model).constants, state.block, undecided, motion
     )
     return state.view("load")
 
 
-def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
+def joint_motion_at(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
     """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
     run_control_law(model, state, goals, t, Action.PASS)
-    return stages.joint_motion(state.block, state.layout.places, *constants(model))
+    return stages.joint_motion(state.block, state.layout.places, *stage_constants(model))

@@ -14,14 +14,14 @@ from handctl.hand.load import load_hand
 from handctl.programs.program import Program
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
-RATE_HZ = 250.0
-GONE_M = 0.05
+CONTROL_RATE_HZ = 250.0
+OBJECT_LOST_M = 0.05
 
 
 @cache
 def model_of(hand: str) -> HandModel:
     """Return the model of a packaged hand. Its gains are designed once for all calls."""
-    return HandModel.of(load_hand(hand), Gains(), RATE_HZ)
+    return HandModel.of(load_hand(hand), Gains(), CONTROL_RATE_HZ)
 
 
 @dataclass
@@ -32,17 +32,17 @@ class PlantRun:
     the estimated, measured and true tension of each tendon [N].
     """
 
-    t: list[float] = field(default_factory=list)
-    place: list[list[float]] = field(default_factory=list)
-    force: list[np.ndarray] = field(default_factory=list)
-    tension: list[np.ndarray] = field(default_factory=list)
-    cell: list[np.ndarray] = field(default_factory=list)
-    real: list[list[float]] = field(default_factory=list)
+    time_s: list[float] = field(default_factory=list)
+    object_position: list[list[float]] = field(default_factory=list)
+    digit_contact_force: list[np.ndarray] = field(default_factory=list)
+    estimated_tension: list[np.ndarray] = field(default_factory=list)
+    measured_tension: list[np.ndarray] = field(default_factory=list)
+    true_tension: list[list[float]] = field(default_factory=list)
     events: list[tuple[float, TickEvent]] = field(default_factory=list)
 
     def events_named(self, name: str) -> list[tuple[float, str]]:
         """Return the time and the place of each event that has a given name."""
-        return [(t, event.where) for t, event in self.events if event.name == name]
+        return [(time_s, event.where) for time_s, event in self.events if event.name == name]
 
 
 def run_on_plant(
@@ -52,7 +52,7 @@ def run_on_plant(
     folder: Path,
     seconds: float,
     seed: int = 0,
-    **wrong: float,
+    **plant_factors: float,
 ) -> PlantRun:
     """Run a program on a simulated hand whose motor zeros are known.
 
@@ -60,23 +60,25 @@ def run_on_plant(
         hand: name of a packaged hand. program: the program to run. scene: text of a scene file. folder: where that file
             is written.
         seconds: simulated time. The run ends earlier if the object is lost. seed: of the simulator.
-        wrong: factors on parameters of the plant. The controller does not know them.
+        plant_factors: factors on parameters of the plant. The controller does not know them.
     """
     result = PlantRun()
-    with SimulatorSettings(hand, scene, seed, wrong, homed=True).against(
+    with SimulatorSettings(hand, scene, seed, plant_factors, homed=True).against(
         homed_controller(model_of(hand), program)
     ) as run:
         plant, run.record = run.peer.world.plant, False
         for entry, out in run.ticks(seconds):
-            t = entry.k / RATE_HZ
-            result.t.append(t)
-            result.place.append(plant.engine.object_pose()[:3])
-            result.force.append(np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1))
-            result.tension.append(out.telemetry.tension)
-            result.cell.append(out.telemetry.tension_raw)
-            result.real.append(list(plant.tensions()))
+            t = entry.k / CONTROL_RATE_HZ
+            result.time_s.append(t)
+            result.object_position.append(plant.engine.object_pose()[:3])
+            result.digit_contact_force.append(
+                np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
+            )
+            result.estimated_tension.append(out.telemetry.tension)
+            result.measured_tension.append(out.telemetry.tension_raw)
+            result.true_tension.append(list(plant.tensions()))
             result.events += [(t, event) for event in out.events]
-            gone = math.dist(result.place[-1], result.place[0]) > GONE_M
+            gone = math.dist(result.object_position[-1], result.object_position[0]) > OBJECT_LOST_M
             if run.state.mode == Mode.RELAX or gone:
                 break
     return result

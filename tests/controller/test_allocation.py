@@ -10,11 +10,11 @@ from handctl.core.law.allocation import REGULARISATION, solve_bounded, tensions_
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 
-DIGITS = {
+DIGIT_BY_CASE = {
     f"{name} {digit}": (load_hand(name), digit)
     for name, digit in (("jamia", "index"), ("jamia11", "index"), ("jamia11", "thumb"))
 }
-EXTENSOR = np.array(
+EXTENSOR_MOMENT_ARMS = np.array(
     [[9e-3, 0.0, 0.0], [3e-3, 6e-3, 0.0], [3e-3, 3e-3, 3e-3], [-9e-3, -6e-3, -3e-3]]
 )
 """Moment arms of four tendons on three joints [m].
@@ -25,15 +25,15 @@ The last tendon opens all joints, with radii 3:2:1 (N + 1 class).
 
 def arms_of(case: str) -> np.ndarray:
     if case == "N + 1":
-        return EXTENSOR
-    hand, digit = DIGITS[case]
+        return EXTENSOR_MOMENT_ARMS
+    hand, digit = DIGIT_BY_CASE[case]
     return DigitModel.of(hand, digit).reduced_moment_arms
 
 
-CASES = [*DIGITS, "N + 1"]
+DIGIT_CASES = [*DIGIT_BY_CASE, "N + 1"]
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", DIGIT_CASES)
 def test_feasible_torques_are_made_exactly(case: str) -> None:
     arms, rng = arms_of(case), np.random.default_rng(1)
     floor, ceiling = np.full(len(arms), 3.0), np.full(len(arms), 110.0)
@@ -53,7 +53,9 @@ def test_feasible_torques_are_made_exactly(case: str) -> None:
             assert tension.sum() <= wanted.sum() * 1.001, "no more co-contraction than needed"
 
 
-def cost(arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.ndarray) -> float:
+def allocation_cost(
+    arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.ndarray
+) -> float:
     """Return the cost of tensions, as the docstring of the allocation module defines it."""
     r = np.abs(arms).mean()
     return float(
@@ -62,7 +64,7 @@ def cost(arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.nd
     )
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", DIGIT_CASES)
 def test_bounded_solution_has_the_smallest_error(case: str) -> None:
     """For no torque does the bounded least-squares solver of scipy find tensions with a smaller cost."""
     arms, rng = arms_of(case), np.random.default_rng(2)
@@ -83,18 +85,18 @@ def test_bounded_solution_has_the_smallest_error(case: str) -> None:
         )
         best = lsq_linear(rows, right, (floor, ceiling), method="bvls", tol=1e-12).x
         assert (
-            cost(arms, torque, floor, tension)
-            <= cost(arms, torque, floor, best) * (1 + 1e-6) + 1e-6
+            allocation_cost(arms, torque, floor, tension)
+            <= allocation_cost(arms, torque, floor, best) * (1 + 1e-6) + 1e-6
         )
         outside += bool(np.abs(missing).max() > 1e-6)
     assert outside > 20, "torques that the bounds forbid were among them"
 
 
-finite = st.floats(-1e6, 1e6, allow_nan=False)
+finite_torques = st.floats(-1e6, 1e6, allow_nan=False)
 
 
 @given(
-    torque=st.lists(finite, min_size=3, max_size=3),
+    torque=st.lists(finite_torques, min_size=3, max_size=3),
     case=st.sampled_from(["jamia11 index", "N + 1"]),
 )
 def test_bounds_hold_for_any_torque(torque: list[float], case: str) -> None:
@@ -107,7 +109,7 @@ def test_bounds_hold_for_any_torque(torque: list[float], case: str) -> None:
     assert np.isfinite(missing).all()
 
 
-@given(torque=finite)
+@given(torque=finite_torques)
 def test_one_tendon_pulls_between_its_bounds(torque: float) -> None:
     arms = arms_of("jamia index")
     tension, missing = tensions_for_torque(
@@ -118,7 +120,7 @@ def test_one_tendon_pulls_between_its_bounds(torque: float) -> None:
     np.testing.assert_allclose(missing, [torque - arms[0, 0] * expected], rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", DIGIT_CASES)
 def test_where_the_solver_starts_changes_nothing(case: str) -> None:
     arms, rng = arms_of(case), np.random.default_rng(3)
     n = len(arms)
@@ -133,10 +135,10 @@ def test_where_the_solver_starts_changes_nothing(case: str) -> None:
 
 
 def test_arguments_are_not_changed() -> None:
-    arms = EXTENSOR.copy()
+    arms = EXTENSOR_MOMENT_ARMS.copy()
     torque, floor, ceiling = np.array([5.0, -5.0, 5.0]), np.full(4, 3.0), np.full(4, 110.0)
     tensions_for_torque(arms, torque, floor, ceiling)
-    np.testing.assert_array_equal(arms, EXTENSOR)
+    np.testing.assert_array_equal(arms, EXTENSOR_MOMENT_ARMS)
     np.testing.assert_array_equal(torque, [5.0, -5.0, 5.0])
     assert (floor == 3.0).all()
     assert (ceiling == 110.0).all()

@@ -26,21 +26,21 @@ from handctl.programs.task import Task
 from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
 
 RATE_HZ = 250.0
-HAND = "n_plus_1"
-SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
+ANTAGONIST_HAND = "n_plus_1"
+SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 
 @cache
-def n_plus_1() -> Hand:
+def n_plus_1_hand() -> Hand:
     """Return a hand with two fingers and a thumb.
 
     A finger has three joints and four tendons, the thumb two and three.
     """
-    return load_hand(HAND)
+    return load_hand(ANTAGONIST_HAND)
 
 
 @cache
-def without_encoders() -> Hand:
+def hand_without_encoders() -> Hand:
     """Return the same hand without joint encoders. Its motor zeros refer to the lower joint limits."""
     content = hand_content("n_plus_1")
     return hand_from_content(
@@ -49,7 +49,7 @@ def without_encoders() -> Hand:
 
 
 @cache
-def two_n() -> Hand:
+def two_n_hand() -> Hand:
     """Return the same hand with another thumb.
 
     Each joint of this thumb has two tendons, a flexor and an extensor.
@@ -78,12 +78,12 @@ def two_n() -> Hand:
 
 
 @cache
-def model() -> HandModel:
+def antagonist_model() -> HandModel:
     """Return the model of the hand at the control rate of these tests."""
-    return HandModel.of(n_plus_1(), Gains(), RATE_HZ)
+    return HandModel.of(n_plus_1_hand(), Gains(), RATE_HZ)
 
 
-def moves(*angles: tuple[float, float]) -> Task:
+def task_of_moves(*angles: tuple[float, float]) -> Task:
     """Return a task of moves. Each pair is the angle of all joints [deg] and the duration of a move [s]."""
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
@@ -94,22 +94,22 @@ def moves(*angles: tuple[float, float]) -> Task:
     )
 
 
-def ticks_of(
+def begin_run(
     peer: SimulatedHand,
     program: Program,
     calibration: Calibration | None,
-    first: int,
+    first_tick: int,
     hand: Hand | None = None,
 ) -> tuple[SimulatedRun, Iterator[None]]:
-    """Begin a run of a program at tick ``first``. The simulated hand may have run before."""
+    """Begin a run of a program at tick ``first_tick``. The simulated hand may have run before."""
     controller = make_controller(
-        hand or n_plus_1(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
+        hand or n_plus_1_hand(), Gains(), RATE_HZ, program, calibration, arm_at_once=True
     )
     run = SimulatedRun.of(controller, peer)
-    run.k = first
+    run.k = first_tick
     run.record = False
-    run.state.set_whole(s.K, first - 1)
-    return run, (None for _ in run.ticks(first / RATE_HZ + 120.0))
+    run.state.set_whole(s.K, first_tick - 1)
+    return run, (None for _ in run.ticks(first_tick / RATE_HZ + 120.0))
 
 
 def events_of(run: SimulatedRun) -> tuple[TickEvent, ...]:
@@ -117,11 +117,15 @@ def events_of(run: SimulatedRun) -> tuple[TickEvent, ...]:
     return run.out.events
 
 
-HANDS = {"n + 1": n_plus_1, "n + 1 without joint encoders": without_encoders, "2 n": two_n}
+HAND_BY_KIND = {
+    "n + 1": n_plus_1_hand,
+    "n + 1 without joint encoders": hand_without_encoders,
+    "2 n": two_n_hand,
+}
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("kind", HANDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
+@pytest.mark.parametrize("kind", HAND_BY_KIND)
 def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
     kind: str, seed: int
 ) -> None:
@@ -129,11 +133,11 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
 
     The joints follow their goals within a degree.
     """
-    hand = HANDS[kind]()
+    hand = HAND_BY_KIND[kind]()
     period_ns = round(1e9 / RATE_HZ)
     with SimulatorSettings(hand, None, seed).peer(period_ns) as peer:
         plant = peer.world.plant
-        run, ticks = ticks_of(peer, CommissionProgram(), None, 0, hand)
+        run, ticks = begin_run(peer, CommissionProgram(), None, 0, hand)
         for _ in ticks:
             assert not [event for event in events_of(run) if event.level == "error"]
         assert not run.state.progress.failure
@@ -148,8 +152,8 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         found = (calibration.zero(hand) - offset) * run.controller.model.space.spool
         np.testing.assert_allclose(found, 0.0, atol=5e-5)
 
-        task = TaskProgram(moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3)))
-        run, ticks = ticks_of(peer, task, calibration, run.k, hand)
+        task = TaskProgram(task_of_moves((0.0, 0.6), (40.0, 1.0), (5.0, 1.0), (40.0, 0.3)))
+        run, ticks = begin_run(peer, task, calibration, run.k, hand)
         errors = list[np.ndarray]()
         least = list[float]()
         for _ in ticks:
@@ -161,7 +165,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         assert min(least) > 0.5 * run.controller.model.floor.min(), "no tendon comes near slack"
 
 
-GRASP = Task.model_validate(
+GRASP_TASK = Task.model_validate(
     {
         "schema": 1,
         "name": "grasp",
@@ -193,7 +197,7 @@ GRASP = Task.model_validate(
         ),
     }
 )
-CYLINDER = """name = "cylinder"
+CYLINDER_SCENE = """name = "cylinder"
 [object]
 shape = "cylinder"
 diameter_m = 0.042
@@ -208,13 +212,13 @@ sink_speed_m_s = 0.2
 """
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
-    with SimulatorSettings(n_plus_1(), CYLINDER, seed, homed=True).peer(
+    with SimulatorSettings(n_plus_1_hand(), CYLINDER_SCENE, seed, homed=True).peer(
         round(1e9 / RATE_HZ)
     ) as peer:
         plant = peer.world.plant
-        run, ticks = ticks_of(peer, TaskProgram(GRASP), None, 0)
+        run, ticks = begin_run(peer, TaskProgram(GRASP_TASK), None, 0)
         height, tension = dict[str, float](), dict[str, np.ndarray]()
         touched = set[str]()
         for _ in ticks:
@@ -225,29 +229,31 @@ def test_an_antagonistic_hand_grasps_holds_and_releases(seed: int) -> None:
         assert touched == {"index", "middle", "thumb"}
         assert height["hold"] == pytest.approx(0.0, abs=2e-3), "the table has sunk, the grasp holds"
         assert height["open"] < -0.05, "the antagonists open the digits"
-        closes = model().redundancy.side > 0.0
+        closes = antagonist_model().redundancy.side > 0.0
         np.testing.assert_allclose(tension["hold"][closes], 40.0, atol=3.0)
         np.testing.assert_allclose(
-            tension["hold"][~closes], model().redundancy.balance[~closes], atol=2.0
+            tension["hold"][~closes], antagonist_model().redundancy.balance[~closes], atol=2.0
         )
 
 
 def test_the_balance_makes_no_torque_and_is_at_the_floor_or_above() -> None:
-    for digit in model().digits:
-        balance = model().redundancy.balance[digit.tendons]
+    for digit in antagonist_model().digits:
+        balance = antagonist_model().redundancy.balance[digit.tendons]
         np.testing.assert_allclose(digit.moment_arms.T @ balance, 0.0, atol=1e-4)
-        assert balance.min() == pytest.approx(model().floor[digit.tendons].min(), rel=1e-3)
+        assert balance.min() == pytest.approx(
+            antagonist_model().floor[digit.tendons].min(), rel=1e-3
+        )
 
 
 def test_springs_of_no_stiffness_are_no_springs() -> None:
-    content = n_plus_1().content
+    content = n_plus_1_hand().content
     named = {digit["name"]: digit for digit in content["digit"]}
     assert named["thumb"]["spring_stiffness_N_m_per_rad"] == (0.0, 0.0)
-    assert hand_from_content(content, "x").identity == n_plus_1().identity
+    assert hand_from_content(content, "x").identity == n_plus_1_hand().identity
 
 
 def test_a_digit_that_nothing_opens_is_refused() -> None:
-    content = n_plus_1().content
+    content = n_plus_1_hand().content
     for tendon in content["tendon"]:
         if tendon["name"] == "thumb_e":
             tendon["moment_arm_m"] = {"thumb_j1": 0.004, "thumb_j2": 0.003}

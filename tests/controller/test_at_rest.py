@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from handctl.core import stages
 from handctl.core.model import HandModel
 from handctl.safety.faults.node import STUCK_GOAL_M
-from tests.controller.synthetic import active_state, constants
+from tests.controller.synthetic_states import active_state, stage_constants
 
 
 @pytest.mark.parametrize("rest_s", [0.2, 5.0])
@@ -21,7 +21,7 @@ def test_contact_does_not_move_the_filtered_goal(jamia: HandModel, rest_s: float
     def tick(goal: NDArray[np.float64], apart_m: float) -> NDArray[np.float64]:
         state.view("q_goal")[...] = goal
         state.view("excursion")[...] = jamia.hand.moment_arms @ goal + apart_m
-        stages.store_commands(state.block, state.layout.places, *constants(jamia))
+        stages.store_commands(state.block, state.layout.places, *stage_constants(jamia))
         return state.view("followed").copy()
 
     for t in np.arange(0.0, 1.0, period):

@@ -9,19 +9,19 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram
 from handctl.safety.faults.tendon import RELAXED_S
-from tests.controller.bench import Bench, bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
 @pytest.mark.parametrize("tare", [-3.0, 0.0, 5.0])
 def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: float) -> None:
     """The reading of a broken wire is no valid tension, with any tare of its load cell."""
     model, n = jamia, jamia.tendon_count
-    run = bench(model, LiveProgram())
+    run = make_controller_bench(model, LiveProgram())
     run.controller = replace(run.controller, tare=np.full(n, tare))
-    run.peer.bias[:] = tare
-    run.until(Mode.ACTIVE)
+    run.peer.cell_bias[:] = tare
+    run.run_until_mode(Mode.ACTIVE)
     run.run(0.5)
-    run.peer.bias[1] = -100.0
+    run.peer.cell_bias[1] = -100.0
     faults = [
         event.text[:3] for _ in range(4) for event in run.tick().events if event.name == "fault"
     ]
@@ -29,27 +29,29 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
     assert run.state.mode == Mode.RELAX
 
 
-def at_the_rail(model: HandModel) -> Bench:
+def bench_with_saturated_cell(model: HandModel) -> ControllerBench:
     """Return a hand that begins to relax in its last tick, because a load cell is at the upper end of its range."""
-    run = bench(model, LiveProgram())
-    run.until(Mode.ACTIVE)
-    run.peer.bias[:] = 60.0  # all load cells keep reading a high tension, so RELAX does not end
-    run.peer.bias[1] = 300.0
-    run.until(Mode.RELAX)
+    run = make_controller_bench(model, LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
+    run.peer.cell_bias[:] = (
+        60.0  # all load cells keep reading a high tension, so RELAX does not end
+    )
+    run.peer.cell_bias[1] = 300.0
+    run.run_until_mode(Mode.RELAX)
     return run
 
 
 def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
     """The saturated load cell may be the only evidence that a drive does not obey."""
-    run = at_the_rail(jamia)
+    run = bench_with_saturated_cell(jamia)
     began = run.state.mode_since
-    run.until(Mode.CUT)
+    run.run_until_mode(Mode.CUT)
     assert abs(run.state.mode_since - began - RELAXED_S) <= 2 * jamia.period
 
 
 def test_a_tendon_that_relaxes_in_time_needs_no_cut(jamia: HandModel) -> None:
-    run = at_the_rail(jamia)
+    run = bench_with_saturated_cell(jamia)
     for _ in range(round(0.9 * RELAXED_S / jamia.period)):
         assert run.tick().mode == Mode.RELAX
-    run.peer.bias[:] = 0.0
-    run.until(Mode.DISARM)
+    run.peer.cell_bias[:] = 0.0
+    run.run_until_mode(Mode.DISARM)

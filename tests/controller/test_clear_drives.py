@@ -10,37 +10,39 @@ from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import Bench, bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
-COMMUNICATION_LOST = 0xD
-CLEAR = '{"do": "clear"}'
+COMMUNICATION_LOST_STATE = 0xD
+CLEAR_REQUEST = '{"do": "clear"}'
 
 
 @pytest.fixture
-def hand_after_crash() -> Bench:
+def hand_after_crash() -> ControllerBench:
     """Return a bench whose hand was armed when its previous controller died."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     for motor in run.peer.motors:
-        motor.nibble = COMMUNICATION_LOST
+        motor.state_nibble = COMMUNICATION_LOST_STATE
     return run
 
 
 def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(
-    hand_after_crash: Bench,
+    hand_after_crash: ControllerBench,
 ) -> None:
-    hand_after_crash.until(Mode.DONE)
-    assert Mode.ARMING not in hand_after_crash.modes
+    hand_after_crash.run_until_mode(Mode.DONE)
+    assert Mode.ARMING not in hand_after_crash.mode_history
     assert "communication lost" in hand_after_crash.state.failure
     assert "--clear" in hand_after_crash.state.failure
-    assert [motor.nibble for motor in hand_after_crash.peer.motors] == [COMMUNICATION_LOST] * 4
+    assert [motor.state_nibble for motor in hand_after_crash.peer.motors] == [
+        COMMUNICATION_LOST_STATE
+    ] * 4
 
 
 def test_with_the_order_the_drives_are_cleared_configured_and_armed(
-    hand_after_crash: Bench,
+    hand_after_crash: ControllerBench,
 ) -> None:
-    hand_after_crash.tick(CLEAR)
-    hand_after_crash.until(Mode.ACTIVE)
-    assert hand_after_crash.modes == [
+    hand_after_crash.tick(CLEAR_REQUEST)
+    hand_after_crash.run_until_mode(Mode.ACTIVE)
+    assert hand_after_crash.mode_history == [
         Mode.SILENT,
         Mode.INVENTORY,
         Mode.READY,
@@ -50,22 +52,22 @@ def test_with_the_order_the_drives_are_cleared_configured_and_armed(
     assert hand_after_crash.state.failure == ""
 
 
-def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: Bench) -> None:
-    hand_after_crash.tick(CLEAR)
-    hand_after_crash.until(Mode.ACTIVE)
+def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: ControllerBench) -> None:
+    hand_after_crash.tick(CLEAR_REQUEST)
+    hand_after_crash.run_until_mode(Mode.ACTIVE)
     hand_after_crash.run(0.5)
-    hand_after_crash.peer.motors[1].nibble = COMMUNICATION_LOST
-    hand_after_crash.until(Mode.DONE)
+    hand_after_crash.peer.motors[1].state_nibble = COMMUNICATION_LOST_STATE
+    hand_after_crash.run_until_mode(Mode.DONE)
     assert "N08" in hand_after_crash.state.failure
-    assert hand_after_crash.peer.motors[1].nibble == COMMUNICATION_LOST
+    assert hand_after_crash.peer.motors[1].state_nibble == COMMUNICATION_LOST_STATE
 
 
-def test_a_drive_that_does_not_clear_is_refused_in_time(hand_after_crash: Bench) -> None:
-    hand_after_crash.peer.motors[2].deaf = {0xFB}
-    hand_after_crash.tick(CLEAR)
-    hand_after_crash.until(Mode.DONE)
+def test_a_drive_that_does_not_clear_is_refused_in_time(hand_after_crash: ControllerBench) -> None:
+    hand_after_crash.peer.motors[2].ignored_commands = {0xFB}
+    hand_after_crash.tick(CLEAR_REQUEST)
+    hand_after_crash.run_until_mode(Mode.DONE)
     assert (
         hand_after_crash.state.failure
         == "no answer from ring_motor (or an error that does not clear)"
     )
-    assert Mode.ARMING not in hand_after_crash.modes
+    assert Mode.ARMING not in hand_after_crash.mode_history

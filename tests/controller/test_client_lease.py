@@ -13,17 +13,19 @@ from handctl.controller.snapshot import snapshot_bytes
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.requests import AliveRequest, alive_text, is_routine, parse_request
-from tests.controller.test_stream import Client, check_ticks_repeat, live
+from tests.controller.test_target_streams import StreamClient, check_ticks_repeat, live_client
 
 LEASE_S = 0.5
 
 
-def lease_events(client: Client) -> list[str]:
+def lease_events(client: StreamClient) -> list[str]:
     """Return the texts of all events about a client's lease so far."""
-    return [event.text for out in client.outs for event in out.events if event.name == "lease"]
+    return [
+        event.text for out in client.tick_outputs for event in out.events if event.name == "lease"
+    ]
 
 
-def wait_alive(client: Client, seconds: float, every_s: float = 0.1) -> None:
+def run_with_signs_of_life(client: StreamClient, seconds: float, every_s: float = 0.1) -> None:
     """Run ticks for a time. The client sends its sign of life every ``every_s`` seconds."""
     for _ in range(round(seconds / every_s)):
         client.tick(alive_text(client.name))
@@ -32,20 +34,20 @@ def wait_alive(client: Client, seconds: float, every_s: float = 0.1) -> None:
 
 def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -> None:
     """Regression: after a hold the hand kept pulling without a time limit."""
-    with live(jamia) as client:
-        client.ask("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
-        wait_alive(client, 3.0 * LEASE_S)
-        assert client.outs[-1].mode == Mode.ACTIVE
+    with live_client(jamia) as client:
+        client.send_command("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
+        run_with_signs_of_life(client, 3.0 * LEASE_S)
+        assert client.tick_outputs[-1].mode == Mode.ACTIVE
         assert lease_events(client) == []
-        client.outs.clear()
+        client.tick_outputs.clear()
         client.wait(1.5 * LEASE_S)
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == Mode.ACTIVE
         assert len(lease_events(client)) == 1
-        assert client.outs[-1].telemetry.tension[0] == pytest.approx(30.0, abs=2.0), (
+        assert client.tick_outputs[-1].telemetry.tension[0] == pytest.approx(30.0, abs=2.0), (
             "a hold is held"
         )
         client.wait(0.6 * LEASE_S)
-        assert [out.mode for out in client.outs].index(Mode.RELAX) == pytest.approx(
+        assert [out.mode for out in client.tick_outputs].index(Mode.RELAX) == pytest.approx(
             2 * LEASE_S / jamia.period, abs=0.1 / jamia.period
         )
         text = "client one has been silent for"
@@ -53,55 +55,58 @@ def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -
         assert [event.startswith(text) for event in lease_events(client)] == [True, True]
         assert client.run.until(lambda out: out.mode == Mode.DONE, 5.0)
         assert client.run.state.unconfirmed == ()
-        assert client.faults == set()
+        assert client.reported_faults == set()
 
 
 def test_a_moving_digit_comes_to_rest_and_goes_on_with_the_next_command(jamia: HandModel) -> None:
-    with live(jamia) as client:
-        client.ask("move", angle_deg={"index": 90.0}, duration_s=2.0, lease_s=LEASE_S)
+    with live_client(jamia) as client:
+        client.send_command("move", angle_deg={"index": 90.0}, duration_s=2.0, lease_s=LEASE_S)
         client.wait(1.5 * LEASE_S)
-        at = np.degrees(client.goals("q_goal")[-1])
+        at = np.degrees(client.goal_history("q_goal")[-1])
         assert at < 60.0, "on the way"
         client.wait(0.2 * LEASE_S)
-        assert np.degrees(client.goals("q_goal")[-1]) == pytest.approx(at, abs=1e-9)
+        assert np.degrees(client.goal_history("q_goal")[-1]) == pytest.approx(at, abs=1e-9)
         client.tick(alive_text("one"))
         assert lease_events(client)[-1] == "one answers again"
-        assert client.ask("move", angle_deg={"index": 70.0}, lease_s=LEASE_S) == "move index 70"
-        wait_alive(client, 1.2)
-        assert np.degrees(client.goals("q_goal")[-1]) == pytest.approx(70.0)
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert (
+            client.send_command("move", angle_deg={"index": 70.0}, lease_s=LEASE_S)
+            == "move index 70"
+        )
+        run_with_signs_of_life(client, 1.2)
+        assert np.degrees(client.goal_history("q_goal")[-1]) == pytest.approx(70.0)
+        assert client.tick_outputs[-1].mode == Mode.ACTIVE
 
 
 def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
-    with live(jamia) as client:
-        client.open(lease_s=0.2)
-        client.follow(lambda t: 20.0 * t, 1.0)
+    with live_client(jamia) as client:
+        client.open_stream(lease_s=0.2)
+        client.stream_motion(lambda t: 20.0 * t, 1.0)
         assert lease_events(client) == []
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == Mode.ACTIVE
 
 
 @pytest.mark.parametrize("after", ["no lease", "leave", "another"])
 def test_a_lease_ends(jamia: HandModel, after: str) -> None:
     """A lease ends with a command that has no lease, with leaving the command, and with another client's command."""
-    with live(jamia) as client:
-        client.ask("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
+    with live_client(jamia) as client:
+        client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
         if after == "leave":
-            client.ask("leave")
+            client.send_command("leave")
         else:
             client.name = "two" if after == "another" else "one"
-            client.ask("stay", take_over=True)
+            client.send_command("stay", take_over=True)
         client.tick(alive_text("one"))
         client.wait(3.0 * LEASE_S)
         assert lease_events(client) == []
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.tick_outputs[-1].mode == Mode.ACTIVE
 
 
 def test_other_clients_do_not_renew_a_lease(jamia: HandModel) -> None:
-    with live(jamia) as client:
-        client.ask("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
+    with live_client(jamia) as client:
+        client.send_command("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
         client.name = "two"
-        wait_alive(client, 2.2 * LEASE_S)
-        assert client.outs[-1].mode >= Mode.RELAX
+        run_with_signs_of_life(client, 2.2 * LEASE_S)
+        assert client.tick_outputs[-1].mode >= Mode.RELAX
 
 
 def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) -> None:
@@ -109,23 +114,25 @@ def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) ->
         {"kind": "move", "name": "bend", "angle_deg": {"index": 20.0}, "duration_s": 0.7},
         {"kind": "move", "name": "stay", "angle_deg": {"index": 20.0}, "duration_s": 9.0},
     ]
-    with live(jamia) as client:
-        client.ask("grasp", task={"schema": 1, "name": "bend", "phase": phases}, lease_s=LEASE_S)
+    with live_client(jamia) as client:
+        client.send_command(
+            "grasp", task={"schema": 1, "name": "bend", "phase": phases}, lease_s=LEASE_S
+        )
         client.wait(1.8 * LEASE_S)
-        assert client.outs[-1].phase == "stay"
-        assert np.degrees(client.goals("q_goal")[-1]) == pytest.approx(20.0, abs=1.0)
+        assert client.tick_outputs[-1].phase == "stay"
+        assert np.degrees(client.goal_history("q_goal")[-1]) == pytest.approx(20.0, abs=1.0)
         client.wait(0.4 * LEASE_S)
-        assert client.outs[-1].mode >= Mode.RELAX
+        assert client.tick_outputs[-1].mode >= Mode.RELAX
 
 
 def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> None:
     """The ticks repeat from the start, and also from a snapshot in the middle of the run."""
-    with live(jamia) as client:
-        client.ask("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)
-        wait_alive(client, LEASE_S)
+    with live_client(jamia) as client:
+        client.send_command("move", angle_deg={"index": 50.0}, duration_s=1.0, lease_s=LEASE_S)
+        run_with_signs_of_life(client, LEASE_S)
         middle, at = snapshot_bytes(client.run.state), len(client.run.recorded)
         client.wait(2.2 * LEASE_S)
-        assert client.outs[-1].mode >= Mode.RELAX
+        assert client.tick_outputs[-1].mode >= Mode.RELAX
         check_ticks_repeat(client.run, middle, at)
 
 

@@ -23,9 +23,13 @@ from handctl.programs.commission import (
     calibration_of_result,
 )
 from handctl.programs.program import ProgramProgress
-from tests.controller.bench import Bench, bench
-from tests.controller.synthetic import empty_readings, estimate_under_tension, slack
-from tests.hand.many import fifteen_motors
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
+from tests.controller.synthetic_states import (
+    empty_readings,
+    estimate_under_tension,
+    slack_hand_estimate,
+)
+from tests.hand.many_motors import fifteen_motors
 
 
 @pytest.fixture(scope="module")
@@ -42,47 +46,49 @@ def jamia11() -> HandModel:
     return HandModel.of(load_hand("jamia11"), Gains(), 50.0)
 
 
-BIAS_N, JUST_TAUT_M = 0.7, 1.2e-3
-SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
+CELL_BIAS_N, TAUT_TRAVEL_M = 0.7, 1.2e-3
+NOISE_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
-Cells = Callable[[int], np.ndarray]
+TensionByPull = Callable[[int], np.ndarray]
 """Function that returns the tension at each load cell while tendon i is pulled. With i = -1 all tendons are limp."""
 
 
-def good(model: HandModel) -> Cells:
+def tensions_without_fault(model: HandModel) -> TensionByPull:
     return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_N, 0.0)
 
 
 def run_commissioning(
     model: HandModel,
-    cells: Cells,
+    tension_by_pull: TensionByPull,
     noise: float = 0.2,
-    loss: float = 0.0,
-    never: int = -9,
-    drift: float = 0.0,
+    lost_fraction: float = 0.0,
+    slack_tendon: int = -9,
+    cell_drift_N: float = 0.0,
     seed: int = 7,
 ) -> ProgramProgress:
     """Run the commissioning program.
 
-    Tendon ``never`` does not become taut. A fraction ``loss`` of the ticks has no frames.
+    Tendon ``slack_tendon`` does not become taut. A fraction ``lost_fraction`` of the ticks has no frames.
 
-    The zero of each load cell drifts as a random walk of ``drift`` [N] rms in 100 s.
+    The zero of each load cell drifts as a random walk of ``cell_drift_N`` [N] rms in 100 s.
     """
     rng, program = np.random.default_rng(seed), CommissionProgram()
     progress, n = program.initial(model), model.tendon_count
-    walked, step = np.zeros(n), drift * np.sqrt(model.period / 100.0)
+    walked, step = np.zeros(n), cell_drift_N * np.sqrt(model.period / 100.0)
     for k in range(round(60.0 / model.period)):
-        walked += step * rng.normal(size=n) if drift else 0.0
+        walked += step * rng.normal(size=n) if cell_drift_N else 0.0
         i = progress.step - 1
         pulled = any(goal.kind != GoalKind.LIMP for goal in progress.goals)
-        tension = cells(i if pulled else -1) + BIAS_N + walked + noise * rng.normal(size=n)
-        travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
+        tension = (
+            tension_by_pull(i if pulled else -1) + CELL_BIAS_N + walked + noise * rng.normal(size=n)
+        )
+        travel = np.full(n, TAUT_TRAVEL_M) + (tension - CELL_BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
         measured = empty_readings(model)._replace(travel=travel, tension=shown)
-        if rng.random() < loss:
+        if rng.random() < lost_fraction:
             measured = empty_readings(model)
-        estimate = slack(model)
-        if pulled and i != never and k * model.period - progress.since > 0.2:
+        estimate = slack_hand_estimate(model)
+        if pulled and i != slack_tendon and k * model.period - progress.since > 0.2:
             estimate = estimate_under_tension(model, PULL_N)
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
         if pulled and not progress.finished and progress.phase.startswith("pull"):
@@ -99,13 +105,13 @@ def run_commissioning(
     raise AssertionError("commissioning does not end")
 
 
-@pytest.mark.parametrize("loss", [0.0, 0.3])
-def test_tares_and_zeros_are_found(model: HandModel, loss: float) -> None:
-    progress = run_commissioning(model, good(model), loss=loss)
+@pytest.mark.parametrize("lost_fraction", [0.0, 0.3])
+def test_tares_and_zeros_are_found(model: HandModel, lost_fraction: float) -> None:
+    progress = run_commissioning(model, tensions_without_fault(model), lost_fraction=lost_fraction)
     assert not progress.failure
     found = calibration_of_result(model, progress, "2024-01-01T00:00:00+00:00")
-    np.testing.assert_allclose(found.tare(model.hand), BIAS_N, atol=0.15)
-    np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, JUST_TAUT_M, atol=5e-6)
+    np.testing.assert_allclose(found.tare(model.hand), CELL_BIAS_N, atol=0.15)
+    np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, TAUT_TRAVEL_M, atol=5e-6)
     for row in found.tendon.values():
         assert row.answer_N == pytest.approx(PULL_N, abs=0.25)
         assert row.crosstalk_N < 0.3, "noise is no crosstalk"
@@ -113,7 +119,7 @@ def test_tares_and_zeros_are_found(model: HandModel, loss: float) -> None:
 
 
 def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
-    progress = run_commissioning(model, good(model), never=1)
+    progress = run_commissioning(model, tensions_without_fault(model), slack_tendon=1)
     assert progress.failure.startswith(model.hand.tendon_names[1])
     assert "taut" in progress.failure
     assert {goal.kind for goal in progress.goals} == {GoalKind.LIMP}, "let go"
@@ -121,8 +127,8 @@ def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
 
 def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
     last = model.tendon_count - 1
-    cells = good(model)
-    progress = run_commissioning(model, lambda i: cells(i) * (i != last))
+    tension_by_pull = tensions_without_fault(model)
+    progress = run_commissioning(model, lambda i: tension_by_pull(i) * (i != last))
     assert progress.failure.startswith(model.hand.tendon_names[last])
     assert "answers" in progress.failure
 
@@ -133,33 +139,38 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
     Tendons touch, or a cell has two channels.
     """
 
-    def cells(i: int) -> np.ndarray:
-        tension = good(model)(i)
+    def tension_by_pull(i: int) -> np.ndarray:
+        tension = tensions_without_fault(model)(i)
         if i == 1:
             tension[0] = 0.5 * PULL_N
         return tension
 
-    progress = run_commissioning(model, cells)
+    progress = run_commissioning(model, tension_by_pull)
     assert progress.failure.startswith(model.hand.tendon_names[1])
     assert "another load cell" in progress.failure
 
 
 @pytest.fixture(scope="module")
-def fifteen() -> HandModel:
+def fifteen_motor_model() -> HandModel:
     return HandModel.of(hand_from_content(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", NOISE_SEEDS)
 def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
-    fifteen: HandModel, seed: int
+    fifteen_motor_model: HandModel, seed: int
 ) -> None:
     """The load cells drift twice as fast as those of packaged hands.
 
     The drift of 0.9 N rms at the end is the limit of crosstalk.
     """
-    progress = run_commissioning(fifteen, good(fifteen), drift=2.0, seed=seed)
+    progress = run_commissioning(
+        fifteen_motor_model,
+        tensions_without_fault(fifteen_motor_model),
+        cell_drift_N=2.0,
+        seed=seed,
+    )
     assert not progress.failure
-    found = calibration_of_result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
+    found = calibration_of_result(fifteen_motor_model, progress, "2024-01-01T00:00:00+00:00").tendon
     assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_N
     assert [row.answer_N for row in found.values()] == pytest.approx([PULL_N] * 15, abs=1.0)
 
@@ -171,15 +182,15 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
     """
     drifted = [0.0]
 
-    def cells(i: int) -> np.ndarray:
+    def tension_by_pull(i: int) -> np.ndarray:
         drifted[0] += 0.1 * jamia.period
-        return good(jamia)(i) + drifted[0]
+        return tensions_without_fault(jamia)(i) + drifted[0]
 
-    progress = run_commissioning(jamia, cells, noise=0.0)
+    progress = run_commissioning(jamia, tension_by_pull, noise=0.0)
     assert not progress.failure
     tare = (
         calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand)
-        - BIAS_N
+        - CELL_BIAS_N
     )
     assert np.diff(tare) == pytest.approx(np.full(3, np.diff(tare).mean()), abs=0.01), (
         "each a pull later than the last"
@@ -187,14 +198,14 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
     assert 0.1 < np.diff(tare).mean() < 0.2, "a pull takes 1.7 s"
 
 
-def test_crosstalk_is_found_while_load_cells_drift(fifteen: HandModel) -> None:
-    def cells(i: int) -> np.ndarray:
-        tension = good(fifteen)(i)
+def test_crosstalk_is_found_while_load_cells_drift(fifteen_motor_model: HandModel) -> None:
+    def tension_by_pull(i: int) -> np.ndarray:
+        tension = tensions_without_fault(fifteen_motor_model)(i)
         tension[2] += 0.6 * PULL_N * (i == 9)
         return tension
 
-    progress = run_commissioning(fifteen, cells, drift=1.0)
-    assert progress.failure.startswith(fifteen.hand.tendon_names[9])
+    progress = run_commissioning(fifteen_motor_model, tension_by_pull, cell_drift_N=1.0)
+    assert progress.failure.startswith(fifteen_motor_model.hand.tendon_names[9])
     assert "another load cell" in progress.failure
 
 
@@ -205,13 +216,13 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
     """
     held = np.zeros(jamia.tendon_count)
 
-    def cells(i: int) -> np.ndarray:
+    def tension_by_pull(i: int) -> np.ndarray:
         held[:] = np.maximum(
             held - 2.0 * jamia.period, PULL_N * (np.arange(jamia.tendon_count) == i)
         )
         return held.copy()
 
-    progress = run_commissioning(jamia, cells)
+    progress = run_commissioning(jamia, tension_by_pull)
     assert not progress.failure
     found = calibration_of_result(jamia, progress, "2024-01-01T00:00:00+00:00").tendon
     assert max(row.crosstalk_N for row in found.values()) < 0.5
@@ -220,55 +231,63 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia: HandModel) -> None:
     """The tension of a relaxing tendon cannot fall by more than the last pull has left in it."""
 
-    def cells(i: int) -> np.ndarray:
-        return good(jamia)(i) - 0.5 * PULL_N * (i == 2) * (np.arange(jamia.tendon_count) == 0)
+    def tension_by_pull(i: int) -> np.ndarray:
+        return tensions_without_fault(jamia)(i) - 0.5 * PULL_N * (i == 2) * (
+            np.arange(jamia.tendon_count) == 0
+        )
 
-    progress = run_commissioning(jamia, cells)
+    progress = run_commissioning(jamia, tension_by_pull)
     assert progress.failure.startswith(jamia.hand.tendon_names[2])
     assert "another load cell" in progress.failure
 
 
 def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
-    progress = run_commissioning(model, lambda i: -good(model)(i))
+    progress = run_commissioning(model, lambda i: -tensions_without_fault(model)(i))
     assert progress.failure.startswith(model.hand.tendon_names[0])
 
 
 @pytest.fixture(scope="module")
-def faster() -> HandModel:
+def fast_rate_jamia() -> HandModel:
     """Return the model of ``jamia`` at a control rate at which its tension loop does not oscillate."""
     return HandModel.of(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
-def whole(faster: HandModel) -> Bench:
+def commissioning_bench(fast_rate_jamia: HandModel) -> ControllerBench:
     """Return a bench whose controller runs the commissioning program on a hand with scripted motors."""
-    return bench(faster, CommissionProgram())
+    return make_controller_bench(fast_rate_jamia, CommissionProgram())
 
 
 @pytest.mark.parametrize(
     "bias", [-2.0, *(pytest.param(bias, marks=pytest.mark.nightly) for bias in (0.0, 2.0)), 4.5]
 )
-def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: float) -> None:
+def test_load_cells_that_were_never_tared_are_no_hindrance(
+    commissioning_bench: ControllerBench, bias: float
+) -> None:
     """After the tare the tension loop uses tared readings of the load cells.
 
     Raw readings would add their bias to the pull.
     """
-    whole.peer.bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
-    whole.until(Mode.DONE, 30.0)
-    assert not whole.state.failure
-    model = whole.controller.model
-    found = calibration_of_result(model, whole.state.progress, "2024-01-01T00:00:00+00:00")
-    np.testing.assert_allclose(found.tare(model.hand), whole.peer.bias, atol=0.05)
+    commissioning_bench.peer.cell_bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
+    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    assert not commissioning_bench.state.failure
+    model = commissioning_bench.controller.model
+    found = calibration_of_result(
+        model, commissioning_bench.state.progress, "2024-01-01T00:00:00+00:00"
+    )
+    np.testing.assert_allclose(
+        found.tare(model.hand), commissioning_bench.peer.cell_bias, atol=0.05
+    )
     np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5)
 
 
-def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
-    whole.peer.bias[2] = 25.0
-    whole.until(Mode.DONE, 30.0)
+def test_a_load_cell_beyond_taring_is_named(commissioning_bench: ControllerBench) -> None:
+    commissioning_bench.peer.cell_bias[2] = 25.0
+    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
     expected = (
         "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
     )
-    assert whole.state.failure == expected
+    assert commissioning_bench.state.failure == expected
 
 
 @pytest.mark.parametrize(
@@ -279,14 +298,16 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
 ) -> None:
     """The message names the load cell that is nearest to an end of its range, even if another cell reads more."""
 
-    def cells(i: int) -> np.ndarray:
-        tension = good(model)(i) - BIAS_N
+    def tension_by_pull(i: int) -> np.ndarray:
+        tension = tensions_without_fault(model)(i) - CELL_BIAS_N
         tension[0] += tare
         tension[1] += 3.95
         return tension
 
     progress = (
-        run_commissioning(model, cells, noise=0.0) if refused else program_after_tare(model, cells)
+        run_commissioning(model, tension_by_pull, noise=0.0)
+        if refused
+        else program_after_tare(model, tension_by_pull)
     )
     assert progress.failure == (
         f"{model.hand.tendon_names[0]}: load cell reads {tare:.1f} N without tension, which can be tared from -4 to 6 N"
@@ -295,33 +316,37 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
     )
 
 
-def program_after_tare(model: HandModel, cells: Cells) -> ProgramProgress:
+def program_after_tare(model: HandModel, tension_by_pull: TensionByPull) -> ProgramProgress:
     """Return the progress of the commissioning program just after its tare."""
     program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:
-        measured = empty_readings(model)._replace(tension=cells(-1) + BIAS_N)
-        progress, _ = program.advance(model, progress, slack(model), measured, k * model.period)
+        measured = empty_readings(model)._replace(tension=tension_by_pull(-1) + CELL_BIAS_N)
+        progress, _ = program.advance(
+            model, progress, slack_hand_estimate(model), measured, k * model.period
+        )
         k += 1
     return progress
 
 
-def test_swapped_load_cells_are_found_and_both_named(whole: Bench) -> None:
-    whole.peer.order = [1, 0, 2, 3]
-    whole.until(Mode.DONE, 30.0)
-    assert whole.state.failure.startswith("index_tendon")
-    assert "middle_tendon" in whole.state.failure
-    assert "swapped" in whole.state.failure
+def test_swapped_load_cells_are_found_and_both_named(commissioning_bench: ControllerBench) -> None:
+    commissioning_bench.peer.tendon_of_channel = [1, 0, 2, 3]
+    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    assert commissioning_bench.state.failure.startswith("index_tendon")
+    assert "middle_tendon" in commissioning_bench.state.failure
+    assert "swapped" in commissioning_bench.state.failure
     asked = (
-        np.array([out.telemetry.motor_torque_goal for _, _, out in whole.history])
-        / whole.controller.model.space.spool
+        np.array(
+            [out.telemetry.motor_torque_goal for _, _, out in commissioning_bench.tick_history]
+        )
+        / commissioning_bench.controller.model.space.spool
     )
     assert asked.max() <= PULL_FORCE_LIMIT_N * 1.001, (
         "a cell that does not answer does not unleash the motor"
     )
 
 
-def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
-    real = whole.peer.step
+def test_a_motor_that_turns_the_other_way_is_found(commissioning_bench: ControllerBench) -> None:
+    real = commissioning_bench.peer.step
 
     def reversed_motor(t_ns: int, frames: list[Frame]) -> list[Frame]:
         turned = []
@@ -332,9 +357,9 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
             turned.append(frame._replace(data=word.to_bytes(len(frame.data), "big")))
         return real(t_ns, turned)
 
-    whole.peer.step = reversed_motor  # type: ignore[method-assign]
-    whole.until(Mode.DONE, 30.0)
-    assert whole.state.failure == "fault N17 index_motor", (
+    commissioning_bench.peer.step = reversed_motor  # type: ignore[method-assign]
+    commissioning_bench.run_until_mode(Mode.DONE, 30.0)
+    assert commissioning_bench.state.failure == "fault N17 index_motor", (
         "safety is there before the rope would have to be taut"
     )
 
@@ -342,7 +367,7 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
 @pytest.fixture
 def calibration(model: HandModel) -> Calibration:
     return calibration_of_result(
-        model, run_commissioning(model, good(model)), "2024-01-01T00:00:00+00:00"
+        model, run_commissioning(model, tensions_without_fault(model)), "2024-01-01T00:00:00+00:00"
     )
 
 
@@ -366,7 +391,7 @@ def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
 
     path = tmp_path / "c.toml"
     found = calibration_of_result(
-        jamia, run_commissioning(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"
+        jamia, run_commissioning(jamia, tensions_without_fault(jamia)), "2024-01-01T00:00:00+00:00"
     )
     write_calibration(path, found)
     with pytest.raises(ConfigError, match="handctl commission again"):
@@ -393,7 +418,9 @@ def test_a_tare_that_hides_an_end_of_the_range_is_refused(
     write_calibration(
         path,
         calibration_of_result(
-            jamia, run_commissioning(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"
+            jamia,
+            run_commissioning(jamia, tensions_without_fault(jamia)),
+            "2024-01-01T00:00:00+00:00",
         ),
     )
     path.write_text(re.sub(r"tare_N = .*", f"tare_N = {tare}", path.read_text(), count=1))

@@ -20,15 +20,15 @@ from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel, _torque_limit
 from handctl.hand.load import load_hand
 from handctl.safety.action import Action
-from tests.controller.goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, run_control_law, step
-from tests.controller.synthetic import (
-    Estimate,
+from tests.controller.digit_goals import holding_goals, moving_goals
+from tests.controller.law_runs import LawState, run_control_law, run_law_tick
+from tests.controller.synthetic_states import (
+    SyntheticEstimate,
     balanced_state,
-    efficiency,
     exact_estimate,
     load_statics,
     state_with_estimate,
+    winding_efficiency_of,
 )
 
 
@@ -51,7 +51,7 @@ def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | Non
     assert beyond, "there are numbers that come out larger"
 
 
-number = st.floats(-1e4, 1e4, allow_nan=False)
+finite_number = st.floats(-1e4, 1e4, allow_nan=False)
 
 
 @given(data=st.data())
@@ -59,7 +59,7 @@ def test_torque_is_within_its_limits_for_any_finite_input(
     data: st.DataObject, jamia: HandModel
 ) -> None:
     n = jamia.tendon_count
-    column = st.lists(number, min_size=n, max_size=n).map(np.array)
+    column = st.lists(finite_number, min_size=n, max_size=n).map(np.array)
     names = ("tension", "travel", "speed", "excursion", "rate", "disturbance", "external", "offset")
     estimate = exact_estimate(jamia, np.zeros((n, STATE_COUNT)))._replace(
         **{name: data.draw(column) for name in names}
@@ -76,11 +76,12 @@ def test_torque_is_within_its_limits_for_any_finite_input(
             angle, angle, st.floats(1e-3, 10.0),
         ),
         GoalKind.TENSION: st.builds(
-            lambda f, r: DigitGoal(GoalKind.TENSION, tension=np.array([f]), rate=r), number, st.floats(0.0, 5000.0)
+            lambda f, r: DigitGoal(GoalKind.TENSION, tension=np.array([f]), rate=r),
+            finite_number, st.floats(0.0, 5000.0),
         ),
     }  # fmt: skip
     goals = tuple(data.draw(kinds[data.draw(st.sampled_from(GoalKind))]) for _ in jamia.digits)
-    law, command = step(jamia, state, estimate, goals, data.draw(st.floats(0.0, 100.0)))
+    law, command = run_law_tick(jamia, state, estimate, goals, data.draw(st.floats(0.0, 100.0)))
     assert np.isfinite(command.torque).all()
     assert (command.torque <= jamia.torque_limit * (1 + 1e-12)).all()
     assert (command.torque >= -UNWIND_FRACTION * jamia.torque_limit * (1 + 1e-12)).all()
@@ -108,14 +109,20 @@ def test_torque_is_within_its_limits_for_any_finite_input(
 def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel) -> None:
     x = balanced_state(model, 0.8)
     estimate = exact_estimate(model, x)
-    law, moved = step(
-        model, LawState.initial(len(x)), estimate, moving_goals(model, 0.2, 0.8, 1.0), 2.0
+    law, moved = run_law_tick(
+        model,
+        LawState.before_first_command(len(x)),
+        estimate,
+        moving_goals(model, 0.2, 0.8, 1.0),
+        2.0,
     )
     np.testing.assert_allclose(
         law.setpoint, estimate.tension, err_msg="ready to hold what is there"
     )
     for tension in (0.0, 30.0):
-        _, held = step(model, law, estimate, holding_goals(model, tension), 2.0 + model.period)
+        _, held = run_law_tick(
+            model, law, estimate, holding_goals(model, tension), 2.0 + model.period
+        )
         force = (held.torque - moved.torque) / model.space.spool
         assert np.abs(force).max() < 2.5 * 200.0 * model.period + 0.2, (
             "one step of the ramp, times the gain"
@@ -125,20 +132,26 @@ def test_the_change_from_motion_to_tension_control_is_bumpless(model: HandModel)
 def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: HandModel) -> None:
     x = balanced_state(model, 0.8)
     estimate = exact_estimate(model, x)
-    law, command = step(
-        model, LawState.initial(len(x)), estimate, (DigitGoal(),) * len(model.digits), 0.0
+    law, command = run_law_tick(
+        model,
+        LawState.before_first_command(len(x)),
+        estimate,
+        (DigitGoal(),) * len(model.digits),
+        0.0,
     )
     assert not command.torque.any()
-    after, _ = step(model, law, estimate, holding_goals(model, 0.0, rate=10.0), model.period)
+    after, _ = run_law_tick(
+        model, law, estimate, holding_goals(model, 0.0, rate=10.0), model.period
+    )
     np.testing.assert_allclose(after.setpoint, estimate.tension - 10.0 * model.period)
 
 
 def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
     """Regression: the integral part of the tension loop must not grow without limit while a load cell is silent."""
-    law = LawState.initial(model.tendon_count)
+    law = LawState.before_first_command(model.tendon_count)
     silent = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))
     for k in range(300):
-        law, command = step(
+        law, command = run_law_tick(
             model, law, silent, holding_goals(model, 50.0, limit=12.0), k * model.period
         )
         assert (np.abs(command.torque) <= 12.0 * model.space.spool * (1 + 1e-12)).all()
@@ -146,39 +159,45 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
 
 
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
-    law = LawState.initial(model.tendon_count)
+    law = LawState.before_first_command(model.tendon_count)
     slack = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
         slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(50):
-        law, _ = step(model, law, slack, holding_goals(model, 20.0), k * model.period)
+        law, _ = run_law_tick(model, law, slack, holding_goals(model, 20.0), k * model.period)
     assert not law.integral.any()
-    law, _ = step(model, law, slack._replace(slack=~slack.slack), holding_goals(model, 20.0), 0.0)
+    law, _ = run_law_tick(
+        model, law, slack._replace(slack=~slack.slack), holding_goals(model, 20.0), 0.0
+    )
     assert (law.integral > 0).all()
 
 
 def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
     """Even with a soft tension loop, a commanded tension of 3 N makes a slack tendon taut."""
-    law = LawState.idle(np.zeros(model.tendon_count))
+    law = LawState.idle_at_tensions(np.zeros(model.tendon_count))
     loose = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
         slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(round(0.1 / model.period)):
-        law, command = step(model, law, loose, holding_goals(model, 3.0), k * model.period)
+        law, command = run_law_tick(model, law, loose, holding_goals(model, 3.0), k * model.period)
     assert (command.torque / model.space.spool > model.space.coulomb + 2.0).all()
-    _, command = step(
-        model, LawState.idle(np.zeros(model.tendon_count)), loose, holding_goals(model, 0.0), 0.0
+    _, command = run_law_tick(
+        model,
+        LawState.idle_at_tensions(np.zeros(model.tendon_count)),
+        loose,
+        holding_goals(model, 0.0),
+        0.0,
     )
     assert not command.torque.any(), "nothing is wound for nothing"
 
 
 def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
     law, estimate = (
-        LawState.initial(model.tendon_count),
+        LawState.before_first_command(model.tendon_count),
         exact_estimate(model, balanced_state(model, 0.5)),
     )
     for k in range(3000):
-        law, command = step(
+        law, command = run_law_tick(
             model, law, estimate, holding_goals(model, 5000.0, rate=5000.0), k * model.period
         )
     np.testing.assert_array_equal(law.setpoint, model.ceiling)
@@ -186,7 +205,7 @@ def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
     assert (law.integral == INTEGRAL_LIMIT_N).all()
 
 
-class Plant:
+class ClosedLoopPlant:
     """Rotors, tendons and digits that are simulated in small time steps, and a control law that gets their exact state.
 
     Attributes:
@@ -194,44 +213,44 @@ class Plant:
         held: whether the digits are fixed where they are.
     """
 
-    STEPS = 40
+    STEPS_PER_TICK = 40
     """Number of integration steps in a tick.
 
     It is large because capstan friction reverses within 1 mm/s of tendon speed.
     """
 
     def __init__(self, model: HandModel, x: np.ndarray, held: bool) -> None:
-        self.model, self.x, self.held = model, x.copy(), held
-        self.law = LawState.initial(model.tendon_count)
+        self.model, self.tendon_states, self.digits_fixed = model, x.copy(), held
+        self.law = LawState.before_first_command(model.tendon_count)
 
     def tick(self, goals: tuple[DigitGoal, ...], k: int) -> None:
         model, space = self.model, self.model.space
-        self.law, self.command = step(
-            model, self.law, exact_estimate(model, self.x), goals, k * model.period
+        self.law, self.command = run_law_tick(
+            model, self.law, exact_estimate(model, self.tendon_states), goals, k * model.period
         )
-        force, dt = self.command.torque / space.spool, model.period / self.STEPS
-        sliding = self.x.copy()
+        force, dt = self.command.torque / space.spool, model.period / self.STEPS_PER_TICK
+        sliding = self.tendon_states.copy()
         sliding[:, V] = 1.0
         statics = load_statics(model, sliding, np.zeros(len(sliding)))
         q = model.excursion_to_joints @ sliding[:, S]
-        loss, base = -np.log(efficiency(model, q)), self.x[:, S].copy()
-        x, v, s, w = (self.x[:, one].copy() for one in (X, V, S, W))
-        for _ in range(self.STEPS):
+        loss, base = -np.log(winding_efficiency_of(model, q)), self.tendon_states[:, S].copy()
+        x, v, s, w = (self.tendon_states[:, one].copy() for one in (X, V, S, W))
+        for _ in range(self.STEPS_PER_TICK):
             tension = np.maximum(space.stiffness * (x - s) + space.damping * (v - w), 0.0)
             friction = space.coulomb * np.tanh(v / 2.5e-3) + space.motor_damping * v
             v += dt * (force - tension - friction) / space.motor_mass
             x += dt * v
-            if self.held:
+            if self.digits_fixed:
                 continue
             pull = tension * np.exp(-loss * np.tanh(w / 1e-3))
             resistance = statics.resistance + space.load_stiffness * (s - base)
             w += dt * (pull - resistance - space.load_damping * w) / space.load_mass
             s += dt * w
         for one, value in zip((X, V, S, W), (x, v, s, w), strict=True):
-            self.x[:, one] = value
+            self.tendon_states[:, one] = value
 
-    def angles(self) -> np.ndarray:
-        return exact_estimate(self.model, self.x).q
+    def joint_angles(self) -> np.ndarray:
+        return exact_estimate(self.model, self.tendon_states).q
 
 
 def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
@@ -251,7 +270,7 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
         goals = holding_goals(
             model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), rate=1e6
         )
-        law, command = step(model, LawState.initial(n), estimate, goals, 0.0)
+        law, command = run_law_tick(model, LawState.before_first_command(n), estimate, goals, 0.0)
         asked, v, taken = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
         for _ in range(steps):
             friction = space.coulomb * np.tanh(v / 2.5e-3)
@@ -266,29 +285,29 @@ def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> Non
 
 def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
     plant, goals, worst = (
-        Plant(jamia, balanced_state(jamia, 0.1), held=False),
+        ClosedLoopPlant(jamia, balanced_state(jamia, 0.1), held=False),
         moving_goals(jamia, 0.1, 1.0, 0.8),
         0.0,
     )
     for k in range(round(1.2 / jamia.period)):
         plant.tick(goals, k)
         wanted = goals[0].trajectory.at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
-        worst = max(worst, float(np.abs(plant.angles() - wanted).max()))
+        worst = max(worst, float(np.abs(plant.joint_angles() - wanted).max()))
         assert (plant.command.tension >= jamia.floor).all()
     assert math.degrees(worst) < 1.0
-    assert np.degrees(np.abs(plant.angles() - 1.0)).max() < 0.5, "and stays"
+    assert np.degrees(np.abs(plant.joint_angles() - 1.0)).max() < 0.5, "and stays"
 
 
 def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
     """The digits are fixed, and the control law gets the exact estimate of the tensions."""
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, X] = 10.0 / model.space.stiffness
-    plant = Plant(model, x, held=True)
-    plant.law = LawState.idle(np.full(len(x), 10.0))
+    plant = ClosedLoopPlant(model, x, held=True)
+    plant.law = LawState.idle_at_tensions(np.full(len(x), 10.0))
     peak = 0.0
     for k in range(round(2.0 / model.period)):
         plant.tick(holding_goals(model, 30.0, rate=60.0), k)
-        tension = exact_estimate(model, plant.x).tension
+        tension = exact_estimate(model, plant.tendon_states).tension
         peak = max(peak, float(tension.max()))
     np.testing.assert_allclose(tension, 30.0, atol=0.3)
     assert peak < 32.0
@@ -297,12 +316,12 @@ def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
 def test_arguments_are_not_changed(model: HandModel) -> None:
     estimate, state = (
         exact_estimate(model, balanced_state(model, 0.5)),
-        LawState.initial(model.tendon_count),
+        LawState.before_first_command(model.tendon_count),
     )
-    before = [getattr(estimate, name).copy() for name in Estimate._fields]
-    first = step(model, state, estimate, holding_goals(model, 20.0), 0.0)
-    second = step(model, state, estimate, holding_goals(model, 20.0), 0.0)
-    for name, copy in zip(Estimate._fields, before, strict=True):
+    before = [getattr(estimate, name).copy() for name in SyntheticEstimate._fields]
+    first = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
+    second = run_law_tick(model, state, estimate, holding_goals(model, 20.0), 0.0)
+    for name, copy in zip(SyntheticEstimate._fields, before, strict=True):
         np.testing.assert_array_equal(getattr(estimate, name), copy)
     assert not state.setpoint.any()
     np.testing.assert_array_equal(first[1].torque, second[1].torque)
@@ -311,7 +330,9 @@ def test_arguments_are_not_changed(model: HandModel) -> None:
 @pytest.mark.parametrize("kind", [GoalKind.MOTION, GoalKind.TENSION])
 def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: GoalKind) -> None:
     estimate = exact_estimate(jamia, balanced_state(jamia, 0.5))
-    _, command = step(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
+    _, command = run_law_tick(
+        jamia, LawState.before_first_command(4), estimate, (DigitGoal(kind),) * 4, 0.0
+    )
     assert not command.torque.any()
     state = state_with_estimate(jamia, estimate)
     run_control_law(jamia, state, holding_goals(jamia, 30.0, rate=1e6), 0.0, Action.PASS)
@@ -335,7 +356,9 @@ def test_motion_without_feedforward_has_only_feedback(model: HandModel) -> None:
     bare = replace(model, gains=gains, inverse=lambda digit, *way: (0.0,) * digit.joint_count)
     x = balanced_state(model, 0.5)
     goals = moving_goals(model, 0.2, 0.8, 0.4)
-    _, command = step(bare, LawState.initial(len(x)), exact_estimate(model, x), goals, 0.13)
+    _, command = run_law_tick(
+        bare, LawState.before_first_command(len(x)), exact_estimate(model, x), goals, 0.13
+    )
     np.testing.assert_allclose(command.tension, model.floor)
     q, dq = command.q, command.dq
     excursion, rate = model.hand.moment_arms @ q - x[:, S], model.hand.moment_arms @ dq - x[:, V]
@@ -357,14 +380,14 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
     estimate, goals, law = (
         exact_estimate(model, x),
         moving_goals(model, 0.2, 0.8, 0.4),
-        LawState.initial(model.tendon_count),
+        LawState.before_first_command(model.tendon_count),
     )
-    law, first = step(model, law, estimate, goals, 0.2)
+    law, first = run_law_tick(model, law, estimate, goals, 0.2)
     assert not law.rate.any(), "nothing was planned before"
-    law, second = step(model, law, estimate, goals, 0.2 + model.period)
+    law, second = run_law_tick(model, law, estimate, goals, 0.2 + model.period)
     np.testing.assert_allclose(law.rate, (second.tension - first.tension) / model.period, rtol=0.1)
     assert law.rate.any()
-    law, _ = step(model, law, estimate, holding_goals(model, 20.0), 0.3)
+    law, _ = run_law_tick(model, law, estimate, holding_goals(model, 20.0), 0.3)
     assert not law.rate.any()
     assert not law.planned.any()
 
@@ -372,13 +395,13 @@ def test_the_filter_gets_the_planned_change_of_tension(model: HandModel) -> None
 def test_planned_friction_reverses_only_when_the_tendon_does(model: HandModel) -> None:
     x = balanced_state(model, 0.5)
     x[:, V] = x[:, W] = 0.1
-    estimate, law = exact_estimate(model, x), LawState.initial(model.tendon_count)
+    estimate, law = exact_estimate(model, x), LawState.before_first_command(model.tendon_count)
     for t, goals in (
         (0.2, moving_goals(model, 0.2, 0.8, 0.4)),
         (0.1, moving_goals(model, 0.5, 0.0, 0.4)),
     ):
-        law, _ = step(model, law, estimate, goals, t)
-    later, _ = step(model, law, estimate, goals, 0.1 + model.period)
+        law, _ = run_law_tick(model, law, estimate, goals, t)
+    later, _ = run_law_tick(model, law, estimate, goals, 0.1 + model.period)
     assert np.abs((later.planned - law.planned) / law.planned).max() < 0.05, (
         "still the friction of a winding cable"
     )

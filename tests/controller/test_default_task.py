@@ -13,7 +13,7 @@ from handctl.programs.default_task import default_scene, default_task, grasp_war
 from handctl.programs.task import ClosePhase, HoldPhase, load_task
 from handctl.programs.task_checks import check_task_for_hand
 from handctl.session.tasks import find_task
-from tests.hand.chains import SEEDS, random_tree
+from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, random_tree
 
 
 @pytest.mark.parametrize("name", packaged_hands())
@@ -70,7 +70,7 @@ def test_without_a_name_a_jamia_takes_its_grasp_and_another_hand_the_default() -
 
 
 def test_a_digit_that_carries_others_keeps_its_angle() -> None:
-    for seed in SEEDS:
+    for seed in RANDOM_CHAIN_SEEDS:
         hand = random_tree(seed)
         task, _ = default_task(hand)
         _, close, hold, _, opened = task.phase
@@ -79,7 +79,7 @@ def test_a_digit_that_carries_others_keeps_its_angle() -> None:
         assert set(opened.angle_deg) == set(hand.digit_names)  # type: ignore[union-attr, arg-type]
 
 
-def around_a_circle() -> Hand:
+def hand_around_a_circle() -> Hand:
     """Return a hand with the fingers of jamia as three equal fingers around a circle, without a thumb."""
     content = hand_content("jamia")
     for part in ("digit", "tendon", "motor"):
@@ -93,7 +93,7 @@ def around_a_circle() -> Hand:
 
 
 def test_fingers_around_a_circle_press_alike_and_take_a_ball() -> None:
-    hand = around_a_circle()
+    hand = hand_around_a_circle()
     hold = default_task(hand)[0].phase[2]
     assert isinstance(hold, HoldPhase)
     assert isinstance(hold.tension_N, dict)

@@ -18,9 +18,9 @@ from handctl.core.law.computed_torque import HOLD_MARGIN_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.safety.action import Action
-from tests.controller.goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, limit_of, step
-from tests.controller.synthetic import active_state, estimate_under_tension
+from tests.controller.digit_goals import holding_goals, moving_goals
+from tests.controller.law_runs import LawState, run_law_tick, tension_limits_of
+from tests.controller.synthetic_states import active_state, estimate_under_tension
 
 
 def limit_at(model: HandModel, temperatures: tuple[float, ...]) -> np.ndarray:
@@ -30,7 +30,7 @@ def limit_at(model: HandModel, temperatures: tuple[float, ...]) -> np.ndarray:
     """
     state = active_state(model)
     state.view("temperature")[...] = temperatures
-    return limit_of(model, state)
+    return tension_limits_of(model, state)
 
 
 @pytest.mark.parametrize(("temperature", "share"), [
@@ -55,16 +55,16 @@ def test_a_cool_hand_is_not_restrained(jamia: HandModel, temperatures: tuple[flo
 
 def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -> None:
     most, estimate = np.array([9.0, 140.0, 140.0, 12.0]), estimate_under_tension(jamia, 20.0)
-    state = LawState.idle(estimate.tension)
+    state = LawState.idle_at_tensions(estimate.tension)
     for _ in range(200):
-        state, command = step(jamia, state, estimate, holding_goals(jamia, 60.0), 0.0, most)
+        state, command = run_law_tick(jamia, state, estimate, holding_goals(jamia, 60.0), 0.0, most)
     assert command.tension.tolist() == pytest.approx([9.0, 60.0, 60.0, 12.0], abs=1e-9)
     force = command.torque / jamia.space.spool
     assert (force <= most + jamia.space.coulomb + 1e-9).all()
     assert force[1] > 30.0
-    _, command = step(
+    _, command = run_law_tick(
         jamia,
-        LawState.idle(estimate.tension),
+        LawState.idle_at_tensions(estimate.tension),
         estimate,
         moving_goals(jamia, 1.0, 1.0, 1.0),
         2.0,
@@ -76,10 +76,18 @@ def test_neither_loop_commands_more_than_the_allowed_tension(jamia: HandModel) -
 
 def test_a_goal_has_no_speed_while_its_time_is_stopped(jamia: HandModel) -> None:
     estimate, goals = estimate_under_tension(jamia, 20.0), moving_goals(jamia, 0.0, 1.5, 1.0)
-    law, held = step(
-        jamia, LawState.idle(estimate.tension), estimate, goals, 0.5, None, np.full(4, 300.0)
+    law, held = run_law_tick(
+        jamia,
+        LawState.idle_at_tensions(estimate.tension),
+        estimate,
+        goals,
+        0.5,
+        None,
+        np.full(4, 300.0),
     )
-    _, going = step(jamia, LawState.idle(estimate.tension), estimate, goals, 0.5)
+    _, going = run_law_tick(
+        jamia, LawState.idle_at_tensions(estimate.tension), estimate, goals, 0.5
+    )
     assert held.q.tolist() == going.q.tolist()
     assert (going.dq > 1.0).all()
     assert not held.dq.any()
@@ -121,7 +129,7 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     state, controller = warm_grasp.state.copy(), warm_grasp.controller
     tension = np.array(warm_grasp.peer.truth()["tension"])
 
-    def restrained(
+    def state_of_limited_goals(
         before: State, action: Action, tension: np.ndarray, mode: Mode = Mode.ACTIVE
     ) -> State:
         after = before.copy()
@@ -130,15 +138,15 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         stages.evaluate_goals(after.block, after.layout.places, *controller._constants, int(action))
         return after
 
-    held = restrained(state, Action.HOLD, tension)
+    held = state_of_limited_goals(state, Action.HOLD, tension)
     assert held.whole(s.HOLDING)
     assert held.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
-    again = restrained(held, Action.HOLD, tension + 50.0)
+    again = state_of_limited_goals(held, Action.HOLD, tension + 50.0)
     np.testing.assert_array_equal(again.view("limit_held"), held.view("limit_held"))
-    assert (limit_of(controller.model, again) <= held.view("limit_held")).all()
+    assert (tension_limits_of(controller.model, again) <= held.view("limit_held")).all()
     for action in (Action.PASS, Action.WARN, Action.RELAX):
-        assert not restrained(again, action, tension).whole(s.HOLDING)
-    assert not restrained(again, Action.HOLD, tension, Mode.RELAX).whole(s.HOLDING)
+        assert not state_of_limited_goals(again, action, tension).whole(s.HOLDING)
+    assert not state_of_limited_goals(again, Action.HOLD, tension, Mode.RELAX).whole(s.HOLDING)
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:

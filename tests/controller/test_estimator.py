@@ -7,34 +7,38 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime
 from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
+from tests.controller.filter_oracle import FILTER_STATE_UNITS
 from tests.controller.filter_runs import (
     FilterState,
     all_in_regime,
     no_contact,
     noiseless_readings,
-    start,
+    run_filter_tick,
+    run_unplanned_filter_tick,
+    state_after_first_readings,
     state_at_rest,
-    step,
-    tick,
 )
-from tests.controller.oracle import SCALE
-from tests.controller.synthetic import (
-    Readings,
+from tests.controller.synthetic_states import (
+    SensorReadings,
     active_state,
-    constants,
     empty_readings,
     load_statics,
+    stage_constants,
 )
 
 
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
     state = all_in_regime(model, TendonRegime.FREE, x)
-    after, estimate = step(model, state, empty_readings(model), force, no_contact(model))
-    for i, row in enumerate(after.x.reshape(-1, STATE_COUNT)):
+    after, estimate = run_unplanned_filter_tick(
+        model, state, empty_readings(model), force, no_contact(model)
+    )
+    for i, row in enumerate(after.filter_states.reshape(-1, STATE_COUNT)):
         block = model.filter.blocks[i][TendonRegime.FREE]
         np.testing.assert_allclose(
-            row / SCALE, (block.F @ x[i] + block.B @ [force[i], 0.0]) / SCALE, atol=1e-9
+            row / FILTER_STATE_UNITS,
+            (block.F @ x[i] + block.B @ [force[i], 0.0]) / FILTER_STATE_UNITS,
+            atol=1e-9,
         )
     assert np.isnan(estimate.innovation).all()
     assert np.isnan(estimate.nis).all()
@@ -47,7 +51,9 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
     holed = whole._replace(tension=whole.tension.copy())
     holed.tension[1] = np.nan
     results = [
-        step(model, all_in_regime(model, TendonRegime.FREE, x), m, force, no_contact(model))[0].x
+        run_unplanned_filter_tick(
+            model, all_in_regime(model, TendonRegime.FREE, x), m, force, no_contact(model)
+        )[0].filter_states
         for m in (whole, holed)
     ]
     changed = np.abs(results[0] - results[1]).reshape(-1, STATE_COUNT).max(axis=1) > 1e-12
@@ -59,8 +65,12 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
 def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
     n = model.tendon_count
     travel, cell = np.linspace(-3e-3, 2e-3, n), np.zeros(n)
-    state, estimate = step(
-        model, FilterState.initial(n), readings_of(model, travel, cell), cell, no_contact(model)
+    state, estimate = run_unplanned_filter_tick(
+        model,
+        FilterState.before_first_reading(n),
+        readings_of(model, travel, cell),
+        cell,
+        no_contact(model),
     )
     assert not state.started, "not by itself"
     for unknown in (estimate.innovation, estimate.nis):
@@ -68,16 +78,18 @@ def test_filter_starts_when_every_encoder_was_read(model: HandModel) -> None:
         assert np.isnan(unknown).all()
     partial = travel.copy()
     partial[n - 1] = np.nan
-    assert not start(model, state, partial).started
-    assert not start(model, state, travel, cells=False).started
-    state = start(model, state, travel)
+    assert not state_after_first_readings(model, state, partial).started
+    assert not state_after_first_readings(model, state, travel, cells=False).started
+    state = state_after_first_readings(model, state, travel)
     assert state.started
-    state, estimate = step(model, state, readings_of(model, partial, cell), cell, no_contact(model))
+    state, estimate = run_unplanned_filter_tick(
+        model, state, readings_of(model, partial, cell), cell, no_contact(model)
+    )
     np.testing.assert_allclose(estimate.travel, travel, atol=1e-6)
     np.testing.assert_allclose(estimate.tension, 0.0, atol=1e-9)
 
 
-def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Readings:
+def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> SensorReadings:
     return empty_readings(model)._replace(travel=travel, tension=cell)
 
 
@@ -87,9 +99,9 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
     A drive reports its position only after its registers were read.
     """
     n = model.tendon_count
-    cell, state = np.full(n, 5.0), FilterState.initial(n)
+    cell, state = np.full(n, 5.0), FilterState.before_first_reading(n)
     for _ in range(20):
-        state, _ = step(
+        state, _ = run_unplanned_filter_tick(
             model,
             state,
             empty_readings(model)._replace(tension=cell),
@@ -97,9 +109,9 @@ def test_load_cells_may_reply_before_the_encoders_of_a_taut_hand(model: HandMode
             no_contact(model),
         )
     whole = readings_of(model, np.full(n, 2e-3), cell)
-    state = start(model, state, whole.travel)
+    state = state_after_first_readings(model, state, whole.travel)
     for k in range(20):
-        state, estimate = step(model, state, whole, cell, no_contact(model))
+        state, estimate = run_unplanned_filter_tick(model, state, whole, cell, no_contact(model))
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k
 
 
@@ -114,7 +126,7 @@ def regimes_of_readings(model: HandModel, cells: list[float]) -> list[set[int]]:
     met = []
     for cell in cells:
         measured = noiseless_readings(model, x, np.full(n, cell))
-        state, _ = step(
+        state, _ = run_unplanned_filter_tick(
             model,
             state,
             measured,
@@ -158,7 +170,7 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
     cell = np.full(n, 4.0)
     estimates = []
     for _ in range(60):
-        state, estimate = step(
+        state, estimate = run_unplanned_filter_tick(
             model, state, noiseless_readings(model, x, cell), cell, no_contact(model)
         )
         estimates.append(estimate.tension)
@@ -180,7 +192,7 @@ def test_a_stretch_offset_is_kept(model: HandModel) -> None:
     x[:, X] = 2e-3
     state = all_in_regime(model, TendonRegime.SLACK, x)._replace(stopped=(True,) * n)
     for _ in range(round(1.5 / model.period)):
-        state, estimate = step(
+        state, estimate = run_unplanned_filter_tick(
             model, state, noiseless_readings(model, x, cell), cell, no_contact(model)
         )
     np.testing.assert_allclose(estimate.excursion, 0.0, atol=2e-6)
@@ -194,10 +206,10 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
         balance = load_statics(model, x, x[:, X] - x[:, S]).resistance
         x[:, X] = x[:, S] + balance / model.space.stiffness
     measured = noiseless_readings(model, x, balance)
-    free, before = step(
+    free, before = run_unplanned_filter_tick(
         model, all_in_regime(model, TendonRegime.FREE, x), measured, balance, no_contact(model)
     )
-    held, after = step(
+    held, after = run_unplanned_filter_tick(
         model,
         all_in_regime(model, TendonRegime.FREE, x),
         measured,
@@ -209,7 +221,9 @@ def test_contact_holds_a_digit_without_a_jump(model: HandModel) -> None:
     assert np.abs(after.tension - before.tension).max() < 0.2
     assert np.abs(after.excursion - before.excursion).max() < 1e-6
     for state, contact, measured_now in ((held, (True,), measured), (held, (False,), measured)):
-        estimate, now = step(model, state, measured_now, balance, contact * len(model.digits))
+        estimate, now = run_unplanned_filter_tick(
+            model, state, measured_now, balance, contact * len(model.digits)
+        )
         assert np.abs(now.tension - balance).max() < 0.4
         assert set(estimate.regimes) == {TendonRegime.HELD if contact[0] else TendonRegime.FREE}
     assert n == len(after.tension)
@@ -224,7 +238,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     x[:, X] = x[:, S] + tension / model.space.stiffness
     state = all_in_regime(model, TendonRegime.HELD, x)
     for _ in range(40):
-        state, estimate = step(
+        state, estimate = run_unplanned_filter_tick(
             model,
             state,
             noiseless_readings(model, x, tension),
@@ -235,7 +249,7 @@ def test_load_of_an_object_is_external_tension(model: HandModel) -> None:
     x0, rest = np.zeros((n, STATE_COUNT)), np.full(n, 4.0)
     x0[:, X] = rest / model.space.stiffness
     state = all_in_regime(model, TendonRegime.HELD, x0)._replace(stopped=(True,) * n)
-    state, estimate = step(
+    state, estimate = run_unplanned_filter_tick(
         model, state, noiseless_readings(model, x0, rest), rest, no_contact(model)
     )
     np.testing.assert_allclose(estimate.external, 0.0, err_msg="the open stop is no contact")
@@ -259,7 +273,9 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
             measured = noiseless_readings(
                 jamia11, x, balance, excursion=with_encoders and k % 4 == 0
             )
-            state, estimate = step(jamia11, state, measured, balance, (True,) * len(jamia11.digits))
+            state, estimate = run_unplanned_filter_tick(
+                jamia11, state, measured, balance, (True,) * len(jamia11.digits)
+            )
         ends[with_encoders] = np.abs(estimate.excursion - x[:, S])
     assert (ends[True] < 0.35 * ends[False]).all()
 
@@ -270,7 +286,7 @@ def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
     state.mode = Mode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joints)
     state.view("joint_angle")[...] = joints
-    stages.observe_tick(state.block, state.layout.places, *constants(model))
+    stages.observe_tick(state.block, state.layout.places, *stage_constants(model))
     return state.view("measured_excursion")
 
 
@@ -289,14 +305,19 @@ def test_the_filter_step_changes_none_of_its_arguments(model: HandModel) -> None
         all_in_regime(model, TendonRegime.FREE, x),
         noiseless_readings(model, x, np.full(len(x), 0.2)),
     )
-    copies = [state.x.copy(), measured.travel.copy(), measured.tension.copy(), force.copy()]
-    first = step(model, state, measured, force, no_contact(model))[0]
-    second = step(model, state, measured, force, no_contact(model))[0]
+    copies = [
+        state.filter_states.copy(),
+        measured.travel.copy(),
+        measured.tension.copy(),
+        force.copy(),
+    ]
+    first = run_unplanned_filter_tick(model, state, measured, force, no_contact(model))[0]
+    second = run_unplanned_filter_tick(model, state, measured, force, no_contact(model))[0]
     for now, before in zip(
-        (state.x, measured.travel, measured.tension, force), copies, strict=True
+        (state.filter_states, measured.travel, measured.tension, force), copies, strict=True
     ):
         np.testing.assert_array_equal(now, before)
-    np.testing.assert_array_equal(first.x, second.x)
+    np.testing.assert_array_equal(first.filter_states, second.filter_states)
     assert first.regimes == second.regimes
 
 
@@ -309,7 +330,7 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
     x[:, S] = 1e-5
     cell = 0.9 * load_statics(model, x, np.zeros(len(x))).resistance
     x[:, X] = x[:, S] + cell / model.space.stiffness
-    state, _ = step(
+    state, _ = run_unplanned_filter_tick(
         model,
         all_in_regime(model, TendonRegime.FREE, x),
         noiseless_readings(model, x, cell),
@@ -325,7 +346,7 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
     x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3
     cell = np.full(len(x), 4.0)
     x[:, X] = x[:, S] + x[:, O] + cell / model.space.stiffness
-    state, estimate = step(
+    state, estimate = run_unplanned_filter_tick(
         model,
         all_in_regime(model, TendonRegime.HELD, x),
         noiseless_readings(model, x, cell),
@@ -333,7 +354,7 @@ def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandMode
         no_contact(model),
     )
     assert all(state.stopped)
-    table = state.x.reshape(-1, STATE_COUNT)
+    table = state.filter_states.reshape(-1, STATE_COUNT)
     np.testing.assert_allclose(table[:, O], -2.5e-5, atol=2e-6)
     np.testing.assert_allclose(table[:, S], 0.0, atol=1e-9)
     np.testing.assert_allclose(table[:, W], 0.0, atol=1e-9)
@@ -347,9 +368,9 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
     for direction in (None, 1.0, -1.0):
         known = None if direction is None else np.full(model.tendon_count, direction)
         args = (model, state, noiseless_readings(model, x, force), force, none)
-        after, estimate = tick(*args, no_contact(model), friction_state=known)
+        after, estimate = run_filter_tick(*args, no_contact(model), friction_state=known)
         assert set(after.regimes) == {TendonRegime.FREE}
-        touching, other = tick(*args, (True,) * len(model.digits), friction_state=known)
+        touching, other = run_filter_tick(*args, (True,) * len(model.digits), friction_state=known)
         assert set(touching.regimes) == {TendonRegime.HELD}
         np.testing.assert_allclose(other.external, estimate.external, atol=0.02)
         pull = load_statics(model, x, force, known).pull
@@ -364,6 +385,10 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
 
 def test_evidence_of_slack_is_cleared_once_a_tendon_is_taut(model: HandModel) -> None:
     x, force = state_at_rest(model, 25.0, 0.6)
-    state = all_in_regime(model, TendonRegime.FREE, x)._replace(turning=(1,) * model.tendon_count)
-    after, _ = step(model, state, noiseless_readings(model, x, force), force, no_contact(model))
-    assert after.turning == (0,) * model.tendon_count
+    state = all_in_regime(model, TendonRegime.FREE, x)._replace(
+        turning_evidence=(1,) * model.tendon_count
+    )
+    after, _ = run_unplanned_filter_tick(
+        model, state, noiseless_readings(model, x, force), force, no_contact(model)
+    )
+    assert after.turning_evidence == (0,) * model.tendon_count

@@ -24,34 +24,34 @@ from handctl.core.estimation.kalman import _is_measurement_missing
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.load import hand_content, hand_from_content
+from tests.controller.filter_oracle import (
+    FILTER_STATE_UNITS,
+    assert_same_covariance,
+    assumed_measurements,
+    integrate_one_period,
+    joseph_update,
+    measurement_noise,
+)
 from tests.controller.filter_runs import (
     all_in_regime,
     corrected_state,
+    design_arrays_by_tendon,
     no_contact,
     noiseless_readings,
-    parts,
+    run_filter_tick,
+    run_unplanned_filter_tick,
     state_at_rest,
-    step,
-    tick,
 )
-from tests.controller.oracle import (
-    SCALE,
-    assert_same_covariance,
-    assumed_measurements,
-    joseph_update,
-    measurement_noise,
-    over_one_period,
-)
-from tests.controller.synthetic import (
-    Readings,
+from tests.controller.synthetic_states import (
+    SensorReadings,
     active_state,
-    constants,
     empty_readings,
-    interpreted,
+    stage_constants,
+    uncompiled_function,
 )
 
 
-def plain_hand(name: str, rate_hz: float) -> HandModel:
+def frictionless_model_of(name: str, rate_hz: float) -> HandModel:
     """Return a hand without friction and weight, for which the filter's model is exact."""
     content = hand_content(name)
     content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
@@ -61,25 +61,25 @@ def plain_hand(name: str, rate_hz: float) -> HandModel:
 
 
 @pytest.fixture(scope="module")
-def plain_jamia() -> HandModel:
-    return plain_hand("jamia", 500.0)
+def frictionless_jamia() -> HandModel:
+    return frictionless_model_of("jamia", 500.0)
 
 
 @pytest.fixture(scope="module")
-def plain_jamia11() -> HandModel:
-    return plain_hand("jamia11", 200.0)
+def frictionless_jamia11() -> HandModel:
+    return frictionless_model_of("jamia11", 200.0)
 
 
 @pytest.fixture(params=["jamia", "jamia11"])
-def plain(request: pytest.FixtureRequest) -> HandModel:
-    found: HandModel = request.getfixturevalue(f"plain_{request.param}")
+def frictionless_model(request: pytest.FixtureRequest) -> HandModel:
+    found: HandModel = request.getfixturevalue(f"frictionless_{request.param}")
     return found
 
 
-Missing = Callable[[int, np.random.Generator], np.ndarray]
+MissingMeasurements = Callable[[int, np.random.Generator], np.ndarray]
 
 
-class Course(NamedTuple):
+class FilterRun(NamedTuple):
     """Errors and deviations of a filter run after the filter has settled. Each array has the shape (ticks, N)."""
 
     error: np.ndarray
@@ -89,20 +89,31 @@ class Course(NamedTuple):
     regimes: set[tuple[int, ...]]
 
 
-def monte_carlo(
-    model: HandModel, regime: TendonRegime, ticks: int, seed: int, missing: Missing | None = None
-) -> Course:
+def run_monte_carlo(
+    model: HandModel,
+    regime: TendonRegime,
+    ticks: int,
+    seed: int,
+    missing: MissingMeasurements | None = None,
+) -> FilterRun:
     """Draw a true trajectory from the filter's own model in one regime, and run the filter on it.
 
     ``missing`` returns for a tick the encoders (first row) and load cells (second row) that are not
     read in it, (2, N).
     """
     rng, n = np.random.default_rng(seed), model.tendon_count
-    parts = [over_one_period(model, i, regime) for i in range(n)]
-    root = np.array([np.linalg.cholesky(Q + 1e-18 * np.eye(STATE_COUNT)) for _, _, Q in parts])
+    design_arrays_by_tendon = [integrate_one_period(model, i, regime) for i in range(n)]
+    root = np.array(
+        [np.linalg.cholesky(Q + 1e-18 * np.eye(STATE_COUNT)) for _, _, Q in design_arrays_by_tendon]
+    )
     root[:, E] = 0.0
-    F = np.array([F * SCALE[:, None] / SCALE for F, _, _ in parts])
-    B = np.array([G * SCALE[:, None] for _, G, _ in parts])
+    F = np.array(
+        [
+            F * FILTER_STATE_UNITS[:, None] / FILTER_STATE_UNITS
+            for F, _, _ in design_arrays_by_tendon
+        ]
+    )
+    B = np.array([G * FILTER_STATE_UNITS[:, None] for _, G, _ in design_arrays_by_tendon])
     sigma = np.array([[*measurement_noise(model, i), 0.0] for i in range(n)])
     closed, free = 0.5, regime == TendonRegime.FREE
     truth, _ = state_at_rest(model, 40.0, closed)
@@ -128,22 +139,26 @@ def monte_carlo(
         if missing is not None:
             z[:, :2][missing(k, rng).T] = np.nan
         measured = empty_readings(model)._replace(travel=z[:, 0], tension=z[:, 1])
-        state, estimate = tick(model, state, measured, force, rate, contact)
-        noise = (root @ rng.normal(size=(n, STATE_COUNT, 1)))[..., 0] * SCALE
+        state, estimate = run_filter_tick(model, state, measured, force, rate, contact)
+        noise = (root @ rng.normal(size=(n, STATE_COUNT, 1)))[..., 0] * FILTER_STATE_UNITS
         inputs = np.column_stack((force, rate))
         truth = (F @ truth[..., None])[..., 0] + (B @ inputs[..., None])[..., 0] + noise
         error = estimate.tension - (tension_rows * truth).sum(axis=1)
         rows.append((error, estimate.sigma, estimate.innovation, estimate.nis))
         regimes.add(state.regimes)
     kept = rows[ticks // 10 :]
-    return Course(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
+    return FilterRun(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
 
 
 @pytest.mark.parametrize("regime", [TendonRegime.FREE, TendonRegime.HELD])
-def test_estimator_is_consistent_with_its_own_model(plain: HandModel, regime: TendonRegime) -> None:
-    course = monte_carlo(plain, regime, 2500, seed=5)
-    assert course.regimes == {(int(regime),) * plain.tendon_count}, "the run stayed in its regime"
-    gains = plain.gains.filter
+def test_estimator_is_consistent_with_its_own_model(
+    frictionless_model: HandModel, regime: TendonRegime
+) -> None:
+    course = run_monte_carlo(frictionless_model, regime, 2500, seed=5)
+    assert course.regimes == {(int(regime),) * frictionless_model.tendon_count}, (
+        "the run stayed in its regime"
+    )
+    gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
     ratio = np.sqrt((course.error**2).mean() / (course.sigma**2 - drift).mean())
     assert 0.9 < ratio < 1.1
@@ -153,7 +168,7 @@ def test_estimator_is_consistent_with_its_own_model(plain: HandModel, regime: Te
     assert (course.sigma**2 - drift).mean() < 0.5**2, "better than the load cell alone"
 
 
-SPARSE: dict[str, Missing] = {
+SPARSE_MEASUREMENTS: dict[str, MissingMeasurements] = {
     "every second position": lambda k, rng: np.array([[k % 2 == 1], [False]]),
     "every fourth position": lambda k, rng: np.array([[k % 4 > 0], [False]]),
     "every third load cell": lambda k, rng: np.array([[False], [k % 3 > 0]]),
@@ -162,20 +177,20 @@ SPARSE: dict[str, Missing] = {
 
 
 @pytest.mark.parametrize("regime", [TendonRegime.FREE, TendonRegime.HELD])
-@pytest.mark.parametrize("what", SPARSE)
+@pytest.mark.parametrize("missing_pattern", SPARSE_MEASUREMENTS)
 def test_consistent_with_its_own_model_though_measurements_are_missing(
-    plain: HandModel, regime: TendonRegime, what: str
+    frictionless_model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
     """The filter's error has the size that its covariance predicts, within the uncertainty of the sample."""
-    missing = SPARSE[what]
-    course = monte_carlo(
-        plain,
+    missing = SPARSE_MEASUREMENTS[missing_pattern]
+    course = run_monte_carlo(
+        frictionless_model,
         regime,
         2500,
         5,
-        lambda k, rng: np.broadcast_to(missing(k, rng), (2, plain.tendon_count)),
+        lambda k, rng: np.broadcast_to(missing(k, rng), (2, frictionless_model.tendon_count)),
     )
-    gains = plain.gains.filter
+    gains = frictionless_model.gains.filter
     drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
     ratio = np.sqrt((course.error**2).mean() / (course.sigma**2 - drift).mean())
     assert 0.85 < ratio < 1.15
@@ -189,11 +204,13 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
         measured = noiseless_readings(model, x, np.full(model.tendon_count, 25.0))
         if 20 <= k < 25:
             measured.travel[0] = np.nan
-        state, estimate = step(model, state, measured, force, no_contact(model))
+        state, estimate = run_unplanned_filter_tick(
+            model, state, measured, force, no_contact(model)
+        )
         if state.covariance is not None:
             assert k == 20 + len(sigma), "in one piece, from the first that is missing on"
             sigma.append(estimate.sigma)
-    steady = np.sqrt(parts(model, state.regimes, "tension_variance"))
+    steady = np.sqrt(design_arrays_by_tendon(model, state.regimes, "tension_variance"))
     assert 5 < len(sigma) < 200
     assert sigma[4][0] > 1.01 * steady[0]
     assert max(each[0] for each in sigma) == max(sigma[4][0], sigma[5][0]), (
@@ -217,9 +234,11 @@ def test_missing_measurement_is_detected_in_each_regime(
         z[-1, column] = np.nan
     state = active_state(model)
     state.view("regime")[-1] = regime
-    x = interpreted(state_tables)(state.block, state.layout.places)
+    x = uncompiled_function(state_tables)(state.block, state.layout.places)
     assert (
-        interpreted(_is_measurement_missing)(x, interpreted(constant_tables)(*constants(model)), z)
+        uncompiled_function(_is_measurement_missing)(
+            x, uncompiled_function(constant_tables)(*stage_constants(model)), z
+        )
         is counts
     )
 
@@ -229,7 +248,7 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     x, force = state_at_rest(model, 25.0, 0.6)
     state, touched = all_in_regime(model, TendonRegime.FREE, x), (True, *no_contact(model)[1:])
     unread, none = empty_readings(model)._replace(tension=force), np.zeros(model.tendon_count)
-    after, _ = tick(model, state, unread, force, none, touched, missed=4)
+    after, _ = run_filter_tick(model, state, unread, force, none, touched, missed=4)
     first, last = 0, model.tendon_count - 1
     assert (after.regimes[first], after.regimes[last]) == (
         int(TendonRegime.HELD),
@@ -238,14 +257,14 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     assert after.covariance is not None
     steady = [model.filter.blocks[n][after.regimes[n]].P for n in range(model.tendon_count)]
     np.testing.assert_array_equal(after.covariance[first], steady[first])
-    once, _ = tick(model, state, unread, force, none, touched)
+    once, _ = run_filter_tick(model, state, unread, force, none, touched)
     assert once.covariance is not None
     grown = [after.covariance[last, X, X], once.covariance[last, X, X], steady[last][X, X]]
     assert grown == sorted(grown, reverse=True), "what is not read is known less with every period"
     assert grown[0] > grown[1] > grown[2]
     answers = []
     for covariance in (after.covariance, None):
-        here = after._replace(x=x.ravel(), covariance=covariance)
+        here = after._replace(filter_states=x.ravel(), covariance=covariance)
         samples = (
             noiseless_readings(model, x, force)._replace(travel=x[:, X] + way)
             for way in (0.0, 1e-7)
@@ -256,7 +275,7 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     assert answers[0][last] > answers[1][last], "and a reading is believed more"
 
 
-MISSING_SAMPLES: dict[str, Missing] = {
+MISSING_SAMPLES: dict[str, MissingMeasurements] = {
     "an encoder": lambda k, rng: np.array([[k < 3], [False]]),
     "a load cell": lambda k, rng: np.array([[False], [k < 3]]),
     "both": lambda k, rng: np.array([[k < 3], [k < 3]]),
@@ -266,9 +285,9 @@ MISSING_SAMPLES: dict[str, Missing] = {
 
 
 @pytest.mark.parametrize("regime", TendonRegime)
-@pytest.mark.parametrize("what", MISSING_SAMPLES)
+@pytest.mark.parametrize("missing_pattern", MISSING_SAMPLES)
 def test_the_covariance_is_that_of_a_plain_joseph_update(
-    model: HandModel, regime: TendonRegime, what: str
+    model: HandModel, regime: TendonRegime, missing_pattern: str
 ) -> None:
     """The filter agrees with numpy for as long as it updates the covariances.
 
@@ -278,15 +297,15 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
     slack = regime == TendonRegime.SLACK
     x, force = state_at_rest(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
     x[:, X] -= slack * 1e-3
-    state = all_in_regime(model, regime, x)._replace(measured=(True,) * n)
+    state = all_in_regime(model, regime, x)._replace(length_known=(True,) * n)
     blocks = [own[regime] for own in model.filter.blocks]
     P, compared = np.array([block.P for block in blocks]), 0
     for k in range(40):
-        missing = np.broadcast_to(MISSING_SAMPLES[what](k, rng), (2, n))
+        missing = np.broadcast_to(MISSING_SAMPLES[missing_pattern](k, rng), (2, n))
         z = np.where(missing, np.nan, (x[:, X], force))
         read = noiseless_readings(model, x, z[1])._replace(travel=z[0])
         before = state
-        state, _ = step(
+        state, _ = run_unplanned_filter_tick(
             model, state, read, force, (regime == TendonRegime.HELD,) * len(model.digits)
         )
         assert set(state.regimes) == {regime}
@@ -300,7 +319,7 @@ def test_the_covariance_is_that_of_a_plain_joseph_update(
             continue
         assert_same_covariance(state.covariance, P)
         compared += 1
-    assert compared == 0 if slack and what == "a load cell" else compared >= 3
+    assert compared == 0 if slack and missing_pattern == "a load cell" else compared >= 3
 
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
@@ -311,9 +330,11 @@ def test_covariance_grows_over_skipped_ticks(
     x, force = state_at_rest(model, 25.0, 0.6)
     measured, none = noiseless_readings(model, x, force), np.zeros(model.tendon_count)
     state = all_in_regime(model, TendonRegime.FREE, x)
-    after, _ = tick(model, state, measured, force, none, no_contact(model), missed=missed)
+    after, _ = run_filter_tick(
+        model, state, measured, force, none, no_contact(model), missed=missed
+    )
     assert set(after.regimes) == {TendonRegime.FREE}
-    F, Q = (parts(model, after.regimes, name) for name in "FQ")
+    F, Q = (design_arrays_by_tendon(model, after.regimes, name) for name in "FQ")
     read = np.zeros(2, dtype=bool)
     P = np.array(
         [
@@ -340,8 +361,12 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
         z += rng.normal(size=(n, 3)) * [1e-7, 0.02, 1e-6]
         z[rng.random((n, 3)) < 0.15] = np.nan
         push = force + 0.1 * rng.normal(size=n)
-        state, _ = step(
-            model, state, Readings(*z.T, empty_readings(model).joints), push, no_contact(model)
+        state, _ = run_unplanned_filter_tick(
+            model,
+            state,
+            SensorReadings(*z.T, empty_readings(model).joints),
+            push,
+            no_contact(model),
         )
         if set(state.regimes) != {TendonRegime.FREE}:
             break
@@ -361,7 +386,10 @@ def test_an_independent_filter_agrees_over_gaps(model: HandModel) -> None:
         if state.covariance is None:
             P = [block.P.copy() for block in blocks]
         np.testing.assert_allclose(
-            state.x.reshape(n, -1) / SCALE, second / SCALE, rtol=1e-7, atol=1e-7
+            state.filter_states.reshape(n, -1) / FILTER_STATE_UNITS,
+            second / FILTER_STATE_UNITS,
+            rtol=1e-7,
+            atol=1e-7,
         )
         compared += 1
     assert compared > 50

@@ -8,105 +8,114 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, E, S, TendonRegime
 from handctl.core.estimation.kalman import MEAN_NIS_S, SLACK_LENGTH_M
 from handctl.core.model import HandModel
 from handctl.core.types import TickEvent
-from tests.controller.filter_runs import FilterState, parts, state_of, tick
-from tests.controller.synthetic import Estimate, empty_readings
+from tests.controller.filter_runs import (
+    FilterState,
+    design_arrays_by_tendon,
+    run_filter_tick,
+    state_of,
+)
+from tests.controller.synthetic_states import SyntheticEstimate, empty_readings
 
-TENSION = 20.0
+HELD_TENSION_N = 20.0
 
 
-class Held:
+class HeldHand:
     """A hand whose tendons have a constant tension. Its filter gets one sample per call."""
 
     def __init__(self, model: HandModel, regime: TendonRegime = TendonRegime.HELD) -> None:
         self.model, n = model, model.tendon_count
         x = np.zeros((n, STATE_COUNT))
         x[:, 2] = 2e-3
-        x[:, X] = x[:, 2] + TENSION / model.space.stiffness
+        x[:, X] = x[:, 2] + HELD_TENSION_N / model.space.stiffness
         self.travel = x[:, X]
-        self.state = FilterState.of(x.ravel(), regime, stopped=False)
+        self.state = FilterState.in_regime(x.ravel(), regime, stopped=False)
 
-    def sample(
+    def run_sample(
         self, cell: float, *, saturated: tuple[int, ...] = (), travel: float = 0.0
-    ) -> Estimate:
+    ) -> SyntheticEstimate:
         """Run one tick in which the load cell of tendon 0 reads ``cell`` [N]."""
         model, n = self.model, self.model.tendon_count
         read = empty_readings(model)._replace(
-            travel=self.travel + travel, tension=np.full(n, TENSION)
+            travel=self.travel + travel, tension=np.full(n, HELD_TENSION_N)
         )
         read = read._replace(saturated=saturated)
         read.tension[0] = cell
-        push, still, contact = np.full(n, TENSION), np.zeros(n), (True,) * len(model.digits)
-        self.state, estimate = tick(model, self.state, read, push, still, contact)
+        push, still, contact = np.full(n, HELD_TENSION_N), np.zeros(n), (True,) * len(model.digits)
+        self.state, estimate = run_filter_tick(model, self.state, read, push, still, contact)
         return estimate
 
-    def settled(self) -> "Held":
+    def settle(self) -> "HeldHand":
         """Return the hand after 200 samples without errors."""
         for _ in range(200):
-            self.sample(TENSION)
+            self.run_sample(HELD_TENSION_N)
         return self
 
 
 def test_single_outlier_is_rejected(model: HandModel) -> None:
-    quiet, hit = Held(model).settled(), Held(model).settled()
-    before = quiet.sample(TENSION).tension
-    after = hit.sample(TENSION + 60.0)
+    quiet, hit = HeldHand(model).settle(), HeldHand(model).settle()
+    before = quiet.run_sample(HELD_TENSION_N).tension
+    after = hit.run_sample(HELD_TENSION_N + 60.0)
     np.testing.assert_allclose(after.tension, before, atol=0.02)
     assert after.innovation[0] != after.innovation[0], "as if it had not come"
     np.testing.assert_allclose(
-        hit.sample(TENSION).tension, quiet.sample(TENSION).tension, atol=0.02
+        hit.run_sample(HELD_TENSION_N).tension, quiet.run_sample(HELD_TENSION_N).tension, atol=0.02
     )
 
 
 @pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
 def test_two_outliers_in_a_row_are_accepted(model: HandModel, jump: float) -> None:
     """Two equal outliers are an impact and no error, so the filter follows the second sample at once."""
-    hand = Held(model).settled()
-    hand.sample(TENSION + jump)
-    estimate = hand.sample(TENSION + jump)
-    assert abs(estimate.tension[0] - (TENSION + jump)) < 0.35 * abs(jump)
-    assert abs(estimate.tension[1] - TENSION) < 0.1, "the others are left alone"
+    hand = HeldHand(model).settle()
+    hand.run_sample(HELD_TENSION_N + jump)
+    estimate = hand.run_sample(HELD_TENSION_N + jump)
+    assert abs(estimate.tension[0] - (HELD_TENSION_N + jump)) < 0.35 * abs(jump)
+    assert abs(estimate.tension[1] - HELD_TENSION_N) < 0.1, "the others are left alone"
 
 
 def test_two_outliers_on_opposite_sides_are_rejected(model: HandModel) -> None:
-    hand = Held(model).settled()
+    hand = HeldHand(model).settle()
     for k in range(6):
-        estimate = hand.sample(TENSION + (-1) ** k * 30.0)
-        assert abs(estimate.tension[0] - TENSION) < 0.1
+        estimate = hand.run_sample(HELD_TENSION_N + (-1) ** k * 30.0)
+        assert abs(estimate.tension[0] - HELD_TENSION_N) < 0.1
 
 
 def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
-    hand = Held(model).settled()
+    hand = HeldHand(model).settle()
     for _ in range(20):
-        estimate = hand.sample(243.9, saturated=(0,))
+        estimate = hand.run_sample(243.9, saturated=(0,))
         assert np.isnan(estimate.innovation[0])
-        assert abs(estimate.tension[0] - TENSION) < 0.5
+        assert abs(estimate.tension[0] - HELD_TENSION_N) < 0.5
     assert not np.isnan(estimate.innovation[1:]).any()
 
 
-def slack_state(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
+def slack_state(
+    hand: HeldHand, error: float, slack_length_m: float, seconds: float
+) -> SyntheticEstimate:
     """Return the estimate of slack tendons.
 
     The load cell of tendon 0 reads ``error`` [N] where there is no tension.
     """
     model = hand.model
     x = np.zeros((model.tendon_count, STATE_COUNT))
-    hand.travel = np.full(model.tendon_count, -loose)
+    hand.travel = np.full(model.tendon_count, -slack_length_m)
     x[:, X] = hand.travel
     known = (True,) * model.tendon_count
-    hand.state = FilterState.of(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(
-        measured=known
+    hand.state = FilterState.in_regime(x.ravel(), TendonRegime.SLACK, stopped=True)._replace(
+        length_known=known
     )
     for _ in range(round(seconds / model.period)):
         n = model.tendon_count
         read = empty_readings(model)._replace(travel=hand.travel, tension=np.zeros(n))
         read.tension[0] = error
         untouched = (False,) * len(model.digits)
-        hand.state, estimate = tick(model, hand.state, read, np.zeros(n), np.zeros(n), untouched)
+        hand.state, estimate = run_filter_tick(
+            model, hand.state, read, np.zeros(n), np.zeros(n), untouched
+        )
     return estimate
 
 
 def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> None:
-    hand = Held(model)
+    hand = HeldHand(model)
     estimate = slack_state(hand, 0.8, 2 * SLACK_LENGTH_M, 2.0)
     np.testing.assert_allclose(
         estimate.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02
@@ -116,32 +125,32 @@ def test_a_slack_tendon_reveals_the_error_of_its_load_cell(model: HandModel) -> 
 
 
 def test_a_nearly_taut_tendon_does_not_update_the_load_cell_error(model: HandModel) -> None:
-    assert not slack_state(Held(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0).cell_error.any()
+    assert not slack_state(HeldHand(model), 0.8, 0.5 * SLACK_LENGTH_M, 1.0).cell_error.any()
 
 
 def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> None:
-    hand = Held(model)
-    x = hand.state.x.copy()
+    hand = HeldHand(model)
+    x = hand.state.filter_states.copy()
     x[E] = 0.7
-    hand.state = hand.state._replace(x=x)
+    hand.state = hand.state._replace(filter_states=x)
     for _ in range(300):
-        estimate = hand.sample(TENSION + 0.7)
+        estimate = hand.run_sample(HELD_TENSION_N + 0.7)
     np.testing.assert_allclose(estimate.cell_error[0], 0.7, atol=1e-3)
-    np.testing.assert_allclose(estimate.tension, TENSION, atol=0.1)
+    np.testing.assert_allclose(estimate.tension, HELD_TENSION_N, atol=0.1)
 
 
 def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
-    hand = Held(model).settled()
+    hand = HeldHand(model).settle()
     names, events = model.hand.tendon_names, list[TickEvent]()
     for k in range(round(3 * MEAN_NIS_S / model.period)):
         before = hand.state
-        hand.sample(TENSION, travel=4e-5 * (-1) ** k)
+        hand.run_sample(HELD_TENSION_N, travel=4e-5 * (-1) ** k)
         events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
     assert sorted(event.where for event in events) == sorted(names), "every tendon, each once"
     assert {event.level for event in events} == {"warn"}
     for _ in range(round(5 * MEAN_NIS_S / model.period)):
         before = hand.state
-        hand.sample(TENSION)
+        hand.run_sample(HELD_TENSION_N)
         events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
     assert [event.level for event in events].count("info") == len(names)
     assert len(events) == 2 * len(names)
@@ -159,17 +168,19 @@ def test_the_filter_predicts_every_tick_that_was_skipped(
     """
     state, force = winding_state(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
-    after, estimate = tick(model, state, empty_readings(model), force, rate, nowhere, missed=missed)
-    once, _ = tick(model, state, empty_readings(model), force, rate, nowhere)
-    F, B = (parts(model, once.regimes, name) for name in "FB")
+    after, estimate = run_filter_tick(
+        model, state, empty_readings(model), force, rate, nowhere, missed=missed
+    )
+    once, _ = run_filter_tick(model, state, empty_readings(model), force, rate, nowhere)
+    F, B = (design_arrays_by_tendon(model, once.regimes, name) for name in "FB")
     x, inputs = (
-        once.x.reshape(-1, STATE_COUNT, 1),
+        once.filter_states.reshape(-1, STATE_COUNT, 1),
         np.column_stack((force, np.zeros(model.tendon_count)))[..., None],
     )
     for _ in range(missed if predicted_s is None else round(predicted_s / model.period)):
         x = F @ x + B @ inputs
-    np.testing.assert_allclose(after.x, x.ravel(), rtol=1e-12, atol=1e-15)
-    np.testing.assert_array_equal(estimate.travel, after.x[X::STATE_COUNT])
+    np.testing.assert_allclose(after.filter_states, x.ravel(), rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(estimate.travel, after.filter_states[X::STATE_COUNT])
     assert after[1:5] == once[1:5], "nothing else is judged of what nobody saw"
 
 
@@ -178,7 +189,7 @@ def winding_state(model: HandModel) -> tuple[FilterState, np.ndarray]:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
     x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
-    return FilterState.of(x.ravel(), TendonRegime.HELD, stopped=False), np.full(
+    return FilterState.in_regime(x.ravel(), TendonRegime.HELD, stopped=False), np.full(
         model.tendon_count, 20.0
     )
 
@@ -191,13 +202,13 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
 
     After a reset, a drive sent its position only in every 11th tick.
     """
-    held = Held(jamia).settled()
+    held = HeldHand(jamia).settle()
     chance = np.random.default_rng(7)
     for k in range(100 * every):
         travel = 2e-5 * chance.standard_normal() if k % every == 0 else np.nan
-        estimate = held.sample(TENSION, travel=travel)
+        estimate = held.run_sample(HELD_TENSION_N, travel=travel)
         assert np.abs(estimate.travel - held.travel).max() < 0.05, k
     for _ in range(200):
-        estimate = held.sample(TENSION)
+        estimate = held.run_sample(HELD_TENSION_N)
     np.testing.assert_allclose(estimate.travel, held.travel, atol=1e-4)
     np.testing.assert_allclose(estimate.speed, 0.0, atol=2e-3)

@@ -30,13 +30,18 @@ from tests.controller.filter_runs import (
     FilterState,
     corrected_state,
     filter_state_of,
-    read,
+    run_unplanned_filter_tick,
     state_of,
-    step,
+    write_readings,
 )
-from tests.controller.synthetic import Estimate, Readings, empty_readings, interpreted
+from tests.controller.synthetic_states import (
+    SensorReadings,
+    SyntheticEstimate,
+    empty_readings,
+    uncompiled_function,
+)
 
-EVIDENCE = (
+SLACK_EVIDENCE_POINTS = (
     (TAUT_ABOVE_N, POINTS_AT_ONCE),
     (LIKELY_ABOVE_N, POINTS_LIKELY),
     (POSSIBLE_ABOVE_N, POINTS_POSSIBLE),
@@ -50,7 +55,7 @@ def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> N
         if was
         else (STOP_BAND_REST_M, 10.0 * STOP_PULL_REST)
     )
-    at_stop = interpreted(_is_at_stop)
+    at_stop = uncompiled_function(_is_at_stop)
     assert at_stop(was, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
     assert not at_stop(was, band, 0.0, 10.0)
     assert not at_stop(was, 0.0, most, 10.0)
@@ -64,18 +69,18 @@ def filter_state(model: HandModel, regime: TendonRegime, **columns: float) -> Fi
     x = np.zeros((model.tendon_count, STATE_COUNT))
     for name, value in columns.items():
         x[:, {"X": X, "S": S, "W": W, "O": O}[name]] = value
-    return FilterState.of(x.ravel(), regime, stopped=False)
+    return FilterState.in_regime(x.ravel(), regime, stopped=False)
 
 
 def explained_by_contact(model: HandModel, regime: TendonRegime, rate: float) -> np.ndarray:
     """Return the part of 20 N that contact explains while the digits move at a rate [m/s], without readings."""
     stretch = (20.0 + model.space.damping * rate) / model.space.stiffness
     state = filter_state(model, regime, S=2e-3, W=rate)
-    x = state.x.reshape(-1, STATE_COUNT).copy()
+    x = state.filter_states.reshape(-1, STATE_COUNT).copy()
     x[:, X] = x[:, S] + stretch
-    return corrected_state(model, state._replace(x=x.ravel()), empty_readings(model)).view(
-        "external"
-    )
+    return corrected_state(
+        model, state._replace(filter_states=x.ravel()), empty_readings(model)
+    ).view("external")
 
 
 def test_damping_of_a_moving_digit_is_no_contact(model: HandModel) -> None:
@@ -88,12 +93,12 @@ def test_a_slack_tendon_bears_no_contact_wherever_its_digit_is(model: HandModel)
     assert not explained_by_contact(model, TendonRegime.SLACK, 0.0).any()
 
 
-def used_measurements(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray:
+def used_measurements(model: HandModel, state: FilterState, measured: SensorReadings) -> np.ndarray:
     """Return the measurements (N, 3) that the filter uses in a state, NaN where it uses none."""
     run = state_of(model, state)
-    read(run, measured)
-    return interpreted(_usable_measurements)(
-        interpreted(state_tables)(run.block, run.layout.places)
+    write_readings(run, measured)
+    return uncompiled_function(_usable_measurements)(
+        uncompiled_function(state_tables)(run.block, run.layout.places)
     )
 
 
@@ -108,7 +113,7 @@ def test_slack_length_is_digit_excursion_minus_spool_travel(
     measured = empty_readings(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
     for more, usable in ((0.0, True), (SLACK_LENGTH_M + 1e-5, False)):
         state = filter_state(model, TendonRegime.SLACK, X=x + more, S=s, O=o)._replace(
-            measured=(True,) * n
+            length_known=(True,) * n
         )
         assert np.isfinite(used_measurements(model, state, measured)[:, 1]).all() == usable
     state = filter_state(model, TendonRegime.SLACK, X=x, S=s, O=o)
@@ -139,39 +144,48 @@ def test_a_tendon_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
     """
     n = model.tendon_count
     above = next(
-        above for above, worth in EVIDENCE if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth
+        above
+        for above, worth in SLACK_EVIDENCE_POINTS
+        if worth * NEARLY_TAUT_FACTOR >= POINTS_OF_TAUT > worth
     )
     state = filter_state(model, TendonRegime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(
-        measured=(known,) * n
+        length_known=(known,) * n
     )
     after = regimes_after_sample(model, state, above + 1e-6)
     assert after.regimes == ((TendonRegime.FREE if turns else TendonRegime.SLACK),) * n
-    assert (after.turning == (0,) * n) == turns
-    assert after.measured == (known,) * n
+    assert (after.turning_evidence == (0,) * n) == turns
+    assert after.length_known == (known,) * n
 
 
 def test_a_tendon_that_became_taut_has_a_known_length(model: HandModel) -> None:
     n = model.tendon_count
     state = filter_state(model, TendonRegime.SLACK, S=2e-3)
     for _ in range(POINTS_OF_TAUT):
-        state = regimes_after_sample(model, state, EVIDENCE[0][0] + 1.0)
-    assert (state.regimes, state.measured) == ((TendonRegime.FREE,) * n, (True,) * n)
+        state = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1.0)
+    assert (state.regimes, state.length_known) == ((TendonRegime.FREE,) * n, (True,) * n)
 
 
 def test_a_digit_on_its_stop_is_at_zero_when_its_tendon_becomes_taut(model: HandModel) -> None:
     state = filter_state(model, TendonRegime.SLACK, S=1e-4)._replace(
         stopped=(True,) * model.tendon_count
     )
-    after = regimes_after_sample(model, state, EVIDENCE[0][0] + 1e-6)
+    after = regimes_after_sample(model, state, SLACK_EVIDENCE_POINTS[0][0] + 1e-6)
     assert after.stopped == state.stopped
-    assert (after.x[S::STATE_COUNT] == 0.0).all()
-    assert (state.x[S::STATE_COUNT] == 1e-4).all(), "of the state before nothing is changed"
+    assert (after.filter_states[S::STATE_COUNT] == 0.0).all()
+    assert (state.filter_states[S::STATE_COUNT] == 1e-4).all(), (
+        "of the state before nothing is changed"
+    )
 
 
 def test_an_estimate_has_every_column_before_the_first_reading(model: HandModel) -> None:
     n, j = model.tendon_count, len(model.hand.joints)
     no = (False,) * len(model.digits)
-    _, estimate = step(model, FilterState.initial(n), empty_readings(model), np.zeros(n), no)
-    shapes = {name: np.shape(value) for name, value in zip(Estimate._fields, estimate, strict=True)}
+    _, estimate = run_unplanned_filter_tick(
+        model, FilterState.before_first_reading(n), empty_readings(model), np.zeros(n), no
+    )
+    shapes = {
+        name: np.shape(value)
+        for name, value in zip(SyntheticEstimate._fields, estimate, strict=True)
+    }
     assert {name for name, shape in shapes.items() if shape == (j,)} >= {"q", "dq"}
     assert all(shape in ((n,), (j,), (len(model.digits),)) for shape in shapes.values()), shapes

@@ -27,18 +27,18 @@ from tests.controller.filter_runs import (
     all_in_regime,
     no_contact,
     noiseless_readings,
+    run_unplanned_filter_tick,
     state_at_rest,
-    step,
 )
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic import active_state, constants, interpreted
+from tests.controller.synthetic_states import active_state, stage_constants, uncompiled_function
 
-HANDS = ("jamia", "jamia11", "jamia_bench")
-FRICTION = (0.5, 1.0, 1.5, 2.0)
-LATER_S = 1.2
+TESTED_HANDS = ("jamia", "jamia11", "jamia_bench")
+FRICTION_FACTORS = (0.5, 1.0, 1.5, 2.0)
+EVALUATED_AFTER_S = 1.2
 """Time at which slack is taken up and the filter has noticed the wrong friction [s]."""
 TAUT_N = 0.5
-MOVES = {
+BACK_AND_FORTH_TASK = {
     "schema": 1,
     "name": "back and forth",
     "phase": [
@@ -46,32 +46,33 @@ MOVES = {
         for n, angle in enumerate((20.0, 50.0, 15.0, 55.0, 20.0, 50.0, 15.0))
     ],
 }
-seeds = pytest.mark.parametrize(
+with_each_seed = pytest.mark.parametrize(
     "seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 20))]
 )
 
 
 def run_with_friction(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
     """Run a simulated hand that closes and opens. Its friction is ``friction`` times that of the hand file."""
-    program = TaskProgram(validate_content(MOVES, Task, "moves"))
+    program = TaskProgram(validate_content(BACK_AND_FORTH_TASK, Task, "moves"))
     return run_on_plant(hand, program, None, folder, 3.0, seed, friction=friction)
 
 
 def estimate_and_raw_rmse(run: PlantRun) -> tuple[float, float]:
     """Return the tension RMSE [N] of the estimate and of the raw load cell, over taut tendons while the hand moves."""
-    real, later = np.array(run.real), np.array(run.t) > LATER_S
-    raw = np.array(run.cell)
+    real, later = np.array(run.true_tension), np.array(run.time_s) > EVALUATED_AFTER_S
+    raw = np.array(run.measured_tension)
     kept = later[:, None] & (real > TAUT_N) & np.isfinite(raw)
     assert np.count_nonzero(kept) > 500
     estimate, cell = (
-        float(np.sqrt(np.mean(np.square(way - real)[kept]))) for way in (np.array(run.tension), raw)
+        float(np.sqrt(np.mean(np.square(way - real)[kept])))
+        for way in (np.array(run.estimated_tension), raw)
     )
     return estimate, cell
 
 
-@seeds
-@pytest.mark.parametrize("friction", FRICTION)
-@pytest.mark.parametrize("hand", HANDS)
+@with_each_seed
+@pytest.mark.parametrize("friction", FRICTION_FACTORS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
     hand: str, friction: float, seed: int, tmp_path: Path
 ) -> None:
@@ -80,7 +81,7 @@ def test_estimate_is_no_worse_than_the_raw_load_cell_with_wrong_friction(
     assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
 
 
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     """A filter in doubt explains its innovations better.
 
@@ -90,28 +91,33 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     x, force = state_at_rest(model, 20.0, 0.5)
     read = noiseless_readings(model, x, np.full(model.tendon_count, 21.0))
     sure = all_in_regime(model, TendonRegime.FREE, x)
-    doubting = sure._replace(wary=np.full(model.tendon_count, MAX_ADDED_NOISE_S))
+    doubting = sure._replace(doubt_time_s=np.full(model.tendon_count, MAX_ADDED_NOISE_S))
     (after, estimate), (after_doubt, estimate_doubt) = (
-        step(model, state, read, force, no_contact(model)) for state in (sure, doubting)
+        run_unplanned_filter_tick(model, state, read, force, no_contact(model))
+        for state in (sure, doubting)
     )
-    assert after.nis == pytest.approx(after_doubt.nis)
-    assert after.lately == pytest.approx(after_doubt.lately)
+    assert after.nis_mean == pytest.approx(after_doubt.nis_mean)
+    assert after.nis_lately == pytest.approx(after_doubt.nis_lately)
     assert (estimate_doubt.nis < estimate.nis).all()
     assert (estimate_doubt.sigma > estimate.sigma).all()
     assert (estimate_doubt.tension > estimate.tension + 0.05).all(), "the load cell counts for more"
 
 
 @kernel("block", "layout", "constants", "layout", "matrix", "matrix")
-def _judge(
+def _judge_innovations(
     block: BlockArray,
     at: TablePlaces,
-    of: BlockArray,
-    of_at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
     innovation: np.ndarray,
     information: np.ndarray,
 ) -> None:
     kalman._judge_consistency(
-        state_tables(block, at), constant_tables(of, of_at), innovation, information, True
+        state_tables(block, at),
+        constant_tables(constants, constants_at),
+        innovation,
+        information,
+        True,
     )
 
 
@@ -122,7 +128,9 @@ def averages_and_doubts(
     state, n = active_state(model), model.tendon_count
     state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
     innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
-    _judge(state.block, state.layout.places, *constants(model), innovation, np.ones((n, 3)))
+    _judge_innovations(
+        state.block, state.layout.places, *stage_constants(model), innovation, np.ones((n, 3))
+    )
     return state.view("nis_lately").copy(), state.view("wary").copy()
 
 
@@ -169,15 +177,15 @@ def test_doubt_ends_and_missing_samples_do_not_change_it(jamia11: HandModel) -> 
     assert not wary.any()
     state = active_state(jamia11)
     state.view("regime")[...] = regimes = np.arange(n) % len(TendonRegime)
-    x = interpreted(state_tables)(state.block, state.layout.places)
-    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()
+    x = uncompiled_function(state_tables)(state.block, state.layout.places)
+    assert [uncompiled_function(kalman.filter_kind)(x, i) for i in range(n)] == regimes.tolist()
     state.view("wary")[...] = 1e-9
-    assert [interpreted(kalman.filter_kind)(x, i) for i in range(n)] == (
+    assert [uncompiled_function(kalman.filter_kind)(x, i) for i in range(n)] == (
         regimes + len(TendonRegime)
     ).tolist()
 
 
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_the_filter_in_doubt_is_stable(hand: str) -> None:
     """For every taut tendon, the errors of all estimated states decay while the filter is in doubt."""
     for blocks in model_of(hand).filter.blocks:

@@ -21,23 +21,23 @@ from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import FilterGains, Gains
 from handctl.core.model import HandModel, _joint_period
 from handctl.hand.load import load_hand
-from tests.controller.oracle import (
-    SCALE,
+from tests.controller.filter_oracle import (
+    FILTER_STATE_UNITS,
     assumed_measurements,
     covariance_by_doubling,
+    integrate_one_period,
     measurement_noise,
-    over_one_period,
 )
-from tests.controller.synthetic import constant_tables_of
+from tests.controller.synthetic_states import constant_tables_of
 
 
-class DesignParts:
+class FilterDesigns:
     """Filter designs of the packaged hands at any control rate."""
 
     def __init__(self, models: dict[str, HandModel]) -> None:
         self.models = models
 
-    def design(self, name: str, rate_hz: float) -> FilterDesign:
+    def design_of(self, name: str, rate_hz: float) -> FilterDesign:
         model = self.models[name]
         return design_filter(
             model.space, FilterGains(), 1.0 / rate_hz, _joint_period(model.hand, 1.0 / rate_hz)
@@ -45,11 +45,11 @@ class DesignParts:
 
 
 @pytest.fixture
-def model_parts(jamia: HandModel, jamia11: HandModel) -> DesignParts:
-    return DesignParts({"jamia": jamia, "jamia11": jamia11})
+def filter_designs(jamia: HandModel, jamia11: HandModel) -> FilterDesigns:
+    return FilterDesigns({"jamia": jamia, "jamia11": jamia11})
 
 
-def one_of_each(model: HandModel) -> list[int]:
+def first_and_last_tendon(model: HandModel) -> list[int]:
     """Return the indices of the first finger's first tendon and of the thumb's last tendon."""
     return [0, model.tendon_count - 1]
 
@@ -58,13 +58,15 @@ def one_of_each(model: HandModel) -> list[int]:
 def test_discrete_model_and_gains_agree_with_the_differential_equations(
     model: HandModel, regime: TendonRegime
 ) -> None:
-    for i in one_of_each(model):
+    for i in first_and_last_tendon(model):
         block = model.filter.blocks[i][regime]
-        F, G, Q = over_one_period(model, i, regime)
-        np.testing.assert_allclose(block.F * SCALE / SCALE[:, None], F, rtol=1e-7, atol=1e-8)
-        np.testing.assert_allclose(block.B / SCALE[:, None], G, rtol=1e-7, atol=1e-8)
+        F, G, Q = integrate_one_period(model, i, regime)
+        np.testing.assert_allclose(
+            block.F * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], F, rtol=1e-7, atol=1e-8
+        )
+        np.testing.assert_allclose(block.B / FILTER_STATE_UNITS[:, None], G, rtol=1e-7, atol=1e-8)
         H, R = (
-            assumed_measurements(block, regime) * SCALE,
+            assumed_measurements(block, regime) * FILTER_STATE_UNITS,
             np.diag(measurement_noise(model, i) ** 2),
         )
         P = covariance_by_doubling(F, H, Q, R)
@@ -72,9 +74,12 @@ def test_discrete_model_and_gains_agree_with_the_differential_equations(
         gain = np.linalg.solve(innovation, H @ P).T
         gain[E] *= regime == TendonRegime.SLACK
         np.testing.assert_allclose(
-            block.K[:, :2] / SCALE[:, None], gain, rtol=1e-5, atol=1e-6 * np.abs(gain).max()
+            block.K[:, :2] / FILTER_STATE_UNITS[:, None],
+            gain,
+            rtol=1e-5,
+            atol=1e-6 * np.abs(gain).max(),
         )
-        row, gains = block.tension_row * SCALE, model.gains.filter
+        row, gains = block.tension_row * FILTER_STATE_UNITS, model.gains.filter
         drift = (
             0.0
             if regime == TendonRegime.SLACK
@@ -102,9 +107,9 @@ def test_measurement_rows_predict_the_measurements(model: HandModel, regime: Ten
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0, 250.0, 400.0, 500.0, 1000.0])
 @pytest.mark.parametrize("name", ["jamia", "jamia11"])
 def test_every_regime_is_stable_at_every_rate(
-    name: str, rate_hz: float, model_parts: DesignParts
+    name: str, rate_hz: float, filter_designs: FilterDesigns
 ) -> None:
-    design = model_parts.design(name, rate_hz)
+    design = filter_designs.design_of(name, rate_hz)
     for blocks in design.blocks:
         for block in blocks:
             error = block.F @ (np.eye(STATE_COUNT) - block.K @ block.H)

@@ -10,16 +10,16 @@ from handctl.core.model import HandModel
 from handctl.document import validate_content
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
-from tests.controller.goals import moving_goals
-from tests.controller.law_runs import LawState, step
-from tests.controller.plant_run import RATE_HZ, run_on_plant
-from tests.controller.synthetic import estimate_under_tension, interpreted
+from tests.controller.digit_goals import moving_goals
+from tests.controller.law_runs import LawState, run_law_tick
+from tests.controller.plant_run import CONTROL_RATE_HZ, run_on_plant
+from tests.controller.synthetic_states import estimate_under_tension, uncompiled_function
 
-MOVE_S = 0.3
-TURN_S = 0.05
+MOVE_DURATION_S = 0.3
+TIME_AROUND_REVERSAL_S = 0.05
 
 
-def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
+def tensions_at_speeds(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     """Return the tensions (ticks, N) expected at given winding speeds.
 
     The command is 12 N, and friction takes 20 %.
@@ -29,7 +29,7 @@ def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     for speed in speeds:
         wound = speed * model.period
         now = [
-            interpreted(tension_after_period)(tension, 12.0, 0.8, wound, stiffness, crept)
+            uncompiled_function(tension_after_period)(tension, 12.0, 0.8, wound, stiffness, crept)
             for tension, stiffness in zip(now, model.space.stiffness, strict=True)
         ]
         found.append(now)
@@ -37,13 +37,13 @@ def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
 
 
 def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> None:
-    np.testing.assert_allclose(follow(model, [0.1] * 50, 12.0)[-1], 12.0 / 0.8)
-    np.testing.assert_allclose(follow(model, [-0.1] * 50, 12.0)[-1], 12.0 * 0.8)
+    np.testing.assert_allclose(tensions_at_speeds(model, [0.1] * 50, 12.0)[-1], 12.0 / 0.8)
+    np.testing.assert_allclose(tensions_at_speeds(model, [-0.1] * 50, 12.0)[-1], 12.0 * 0.8)
 
 
 def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> None:
     """The fall from 15 to 9.6 N at 100 N/mm and 5 mm/s takes 11 ms, and slightly less because the tendon creeps."""
-    turned = follow(model, [-5e-3] * 40, 15.0)
+    turned = tensions_at_speeds(model, [-5e-3] * 40, 15.0)
     ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
     way = 5.4 / model.space.stiffness[0] / 5e-3
     assert 0.6 * way - model.period <= ticks * model.period <= way + model.period
@@ -51,14 +51,14 @@ def test_reversal_takes_the_travel_of_the_friction_band(model: HandModel) -> Non
 
 
 def test_expected_tension_at_rest_approaches_the_load(model: HandModel) -> None:
-    rest = follow(model, [0.0] * round(0.5 / model.period), 15.0)
+    rest = tensions_at_speeds(model, [0.0] * round(0.5 / model.period), 15.0)
     np.testing.assert_allclose(rest[-1], 12.0, atol=0.01)
 
 
 def test_a_tendon_with_almost_no_expected_tension_pays_out(model: HandModel) -> None:
     n = model.tendon_count
-    before = LawState.initial(n)._replace(planned=np.full(n, 5e-324))
-    law, _ = step(
+    before = LawState.before_first_command(n)._replace(planned=np.full(n, 5e-324))
+    law, _ = run_law_tick(
         model, before, estimate_under_tension(model, 1.0), moving_goals(model, 0.6, 0.7, 1.0), 0.5
     )
     assert (law.friction_state == -1.0).all()
@@ -70,7 +70,8 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
 ) -> None:
     angles = (40.0, 15.0, 45.0, 10.0, 35.0, 12.0)
     moves = [
-        {"kind": "move", "angle_deg": {"index": a, "ring": a}, "duration_s": MOVE_S} for a in angles
+        {"kind": "move", "angle_deg": {"index": a, "ring": a}, "duration_s": MOVE_DURATION_S}
+        for a in angles
     ]
     task = TaskProgram(
         validate_content({"schema": 1, "name": "turns", "phase": moves}, Task, "test")
@@ -80,10 +81,17 @@ def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(
     assert len(starts) == len(angles) - 1
     tendons = [0, 2] if hand == "jamia" else [0, 1, 2, 6, 7, 8]
     real, estimate, cell = (
-        np.array(table)[:, tendons] for table in (run.real, run.tension, run.cell)
+        np.array(table)[:, tendons]
+        for table in (run.true_tension, run.estimated_tension, run.measured_tension)
     )
-    ticks = [k for k, t in enumerate(run.t) if any(0.0 <= t - start < TURN_S for start in starts)]
-    assert len(ticks) == pytest.approx(len(starts) * TURN_S * RATE_HZ, abs=len(starts))
+    ticks = [
+        k
+        for k, t in enumerate(run.time_s)
+        if any(0.0 <= t - start < TIME_AROUND_REVERSAL_S for start in starts)
+    ]
+    assert len(ticks) == pytest.approx(
+        len(starts) * TIME_AROUND_REVERSAL_S * CONTROL_RATE_HZ, abs=len(starts)
+    )
     mine, raw = (np.sqrt(((table - real)[ticks] ** 2).mean()) for table in (estimate, cell))
     assert mine < raw
     assert np.abs(estimate - real)[ticks].max() < 2.5, "[N]"

@@ -7,7 +7,7 @@ from handctl.controller.state import State
 from handctl.core import stages
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
-from tests.controller.synthetic import active_state, constants
+from tests.controller.synthetic_states import active_state, stage_constants
 
 
 def arms_of(model: HandModel) -> np.ndarray:
@@ -35,40 +35,44 @@ def targets_after_command(
     state = before.copy()
     state.view("q_goal")[...] = angle
     state.view("excursion")[...] = at_goal
-    stages.store_commands(state.block, state.layout.places, *constants(model))
+    stages.store_commands(state.block, state.layout.places, *stage_constants(model))
     return state
 
 
-def goal(state: State) -> np.ndarray:
+def filtered_goal_of(state: State) -> np.ndarray:
     return state.view("followed")
 
 
-def target_motion(state: State) -> np.ndarray:
+def target_motion_of(state: State) -> np.ndarray:
     """Return how far the targets have moved [m] since the readings of the motors became constant."""
-    return np.abs(goal(state) - state.view("motor_anchor")[0])
+    return np.abs(filtered_goal_of(state) - state.view("motor_anchor")[0])
 
 
 def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
     arms, armed = arms_of(jamia), hand_with_equal_readings(jamia, np.nan, 1)
 
-    def goals(angle: float, ticks: int, state: State = armed) -> State:
+    def state_after_goals(angle: float, ticks: int, state: State = armed) -> State:
         for _ in range(ticks):
             state = targets_after_command(jamia, state, angle)
         return state
 
-    begun = goals(0.2, 1)
-    assert goal(begun) == pytest.approx(arms * 0.2), "the first goal is taken as it is"
+    begun = state_after_goals(0.2, 1)
+    assert filtered_goal_of(begun) == pytest.approx(arms * 0.2), "the first goal is taken as it is"
     seconds = 0.1
-    after = goals(0.4, round(seconds / jamia.period), begun)
-    assert goal(after) == pytest.approx(arms * (0.4 - 0.2 * np.exp(-1.0)), rel=0.02)
-    assert goal(goals(0.4, 1000, after)) == pytest.approx(arms * 0.4, rel=1e-6)
-    slow = goals(0.4 + 1e-5, 1, goals(0.4, 1000, after))
-    assert goal(slow) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), (
+    after = state_after_goals(0.4, round(seconds / jamia.period), begun)
+    assert filtered_goal_of(after) == pytest.approx(arms * (0.4 - 0.2 * np.exp(-1.0)), rel=0.02)
+    assert filtered_goal_of(state_after_goals(0.4, 1000, after)) == pytest.approx(
+        arms * 0.4, rel=1e-6
+    )
+    slow = state_after_goals(0.4 + 1e-5, 1, state_after_goals(0.4, 1000, after))
+    assert filtered_goal_of(slow) == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), (
         "what goes slowly is followed at once"
     )
     limp = targets_after_command(jamia, after, np.nan)
-    assert np.isnan(goal(limp)).all()
-    assert goal(goals(0.1, 1, limp)) == pytest.approx(arms * 0.1), "after a hold it begins anew"
+    assert np.isnan(filtered_goal_of(limp)).all()
+    assert filtered_goal_of(state_after_goals(0.1, 1, limp)) == pytest.approx(arms * 0.1), (
+        "after a hold it begins anew"
+    )
 
 
 def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
@@ -82,11 +86,11 @@ def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(
     then = targets_after_command(
         jamia, hand_with_equal_readings(jamia, arms * 0.1, 0), 0.4, arms * 0.3
     )
-    np.testing.assert_allclose(goal(then), arms * 0.4)
+    np.testing.assert_allclose(filtered_goal_of(then), arms * 0.4)
     standing = then.copy()
     standing.view("motor_stuck")[...] = 1
     later = targets_after_command(jamia, standing, 0.4, arms * 0.3)
-    np.testing.assert_array_equal(goal(later), goal(then))
+    np.testing.assert_array_equal(filtered_goal_of(later), filtered_goal_of(then))
 
 
 def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
@@ -95,11 +99,18 @@ def test_motor_at_rest_at_its_goal_is_not_stuck(jamia: HandModel) -> None:
     at_goal, lagging = arms * 0.4, hand_with_equal_readings(jamia, arms * 0.2, 0)
     lagging.view("motor_anchor")[...] = 1e-3
     resting = targets_after_command(jamia, lagging, 0.4, at_goal)
-    np.testing.assert_array_equal(goal(resting), at_goal, "while it still moves, as it arrives")
+    np.testing.assert_array_equal(
+        filtered_goal_of(resting), at_goal, "while it still moves, as it arrives"
+    )
     np.testing.assert_allclose(
-        target_motion(resting), target_motion(lagging), atol=1e-12, err_msg="a leap moved no motor"
+        target_motion_of(resting),
+        target_motion_of(lagging),
+        atol=1e-12,
+        err_msg="a leap moved no motor",
     )
     later = targets_after_command(jamia, resting, 0.4, at_goal)
-    np.testing.assert_array_equal(goal(later), goal(resting))
+    np.testing.assert_array_equal(filtered_goal_of(later), filtered_goal_of(resting))
     stuck = targets_after_command(jamia, lagging, 0.4, arms * 0.1)
-    assert (goal(stuck) > goal(lagging)).all(), "one that is elsewhere is judged as before"
+    assert (filtered_goal_of(stuck) > filtered_goal_of(lagging)).all(), (
+        "one that is elsewhere is judged as before"
+    )

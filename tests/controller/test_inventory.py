@@ -16,42 +16,42 @@ from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
-from tests.controller.bench import Bench, bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
-READ, WRITTEN = 0x33, 0x55
+READ_REGISTER, WRITE_REGISTER = 0x33, 0x55
 """Third byte of a drive's reply to the reading and to the writing of a register."""
 
 
 @pytest.fixture
-def hand(jamia: HandModel) -> Bench:
-    return bench(jamia, LiveProgram())
+def hand_bench(jamia: HandModel) -> ControllerBench:
+    return make_controller_bench(jamia, LiveProgram())
 
 
-def test_motors_that_reply_in_alternate_ticks_are_armed(hand: Bench) -> None:
+def test_motors_that_reply_in_alternate_ticks_are_armed(hand_bench: ControllerBench) -> None:
     """Some drives reply only in every fourth tick. The filter starts when each drive has been read once."""
     motors = range(0x11, 0x15)
 
-    def in_turn(frame: Frame) -> bool:
+    def replies_in_this_tick(frame: Frame) -> bool:
         return (
             frame.can_id not in motors
-            or frame.can_id == motors[hand.k % 4]
-            or frame.data[2] in (READ, WRITTEN)
+            or frame.can_id == motors[hand_bench.k % 4]
+            or frame.data[2] in (READ_REGISTER, WRITE_REGISTER)
         )
 
-    hand.to_host = lambda frames: [frame for frame in frames if in_turn(frame)]
-    hand.until(Mode.READY)
-    assert hand.state.failure == ""
-    hand.to_host = lambda frames: frames
-    hand.until(Mode.ACTIVE)
+    hand_bench.to_host = lambda frames: [frame for frame in frames if replies_in_this_tick(frame)]
+    hand_bench.run_until_mode(Mode.READY)
+    assert hand_bench.state.failure == ""
+    hand_bench.to_host = lambda frames: frames
+    hand_bench.run_until_mode(Mode.ACTIVE)
 
 
 def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     jamia11: HandModel,
 ) -> None:
-    run = bench(jamia11, LiveProgram())
+    run = make_controller_bench(jamia11, LiveProgram())
     first, *others = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in others]
-    run.until(Mode.INVENTORY)
+    run.run_until_mode(Mode.INVENTORY)
     run.run(0.5)
     assert not run.state.started
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id != first]
@@ -60,19 +60,19 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     assert run.state.started
 
 
-def hand_in_inventory(hand: Bench, seconds: float) -> State:
+def hand_in_inventory(hand_bench: ControllerBench, seconds: float) -> State:
     """Return the state of a complete hand some time after its inventory started. Tests then remove parts of it."""
-    hand.until(Mode.READY)
-    state = hand.state.copy()
+    hand_bench.run_until_mode(Mode.READY)
+    state = hand_bench.state.copy()
     state.mode, state.mode_since = Mode.INVENTORY, -seconds
     return state
 
 
-def decided(hand: Bench, state: State) -> tuple[Mode, str]:
+def mode_after_inventory(hand_bench: ControllerBench, state: State) -> tuple[Mode, str]:
     after = state.copy()
     next_mode(
-        hand.controller.model,
-        hand.controller.drives,
+        hand_bench.controller.model,
+        hand_bench.controller.drives,
         after,
         Action.PASS,
         OperatorRequests(),
@@ -82,19 +82,24 @@ def decided(hand: Bench, state: State) -> tuple[Mode, str]:
     return after.mode, after.failure
 
 
-def test_a_ready_drive_that_never_reports_its_position_is_named(hand: Bench) -> None:
+def test_a_ready_drive_that_never_reports_its_position_is_named(
+    hand_bench: ControllerBench,
+) -> None:
     """A drive may be ready without a position.
 
     The heartbeat of an ODrive comes even if its encoder messages are disabled.
     """
-    known = hand_in_inventory(hand, INVENTORY_TIMEOUT_S + 0.1)
+    known = hand_in_inventory(hand_bench, INVENTORY_TIMEOUT_S + 0.1)
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
-    hand.controller.keep(unread, 1, blind)
+    hand_bench.controller.keep(unread, 1, blind)
     unread.set_whole(s.FILTER_STARTED, 0)
-    assert decided(hand, unread) == (Mode.DONE, "no position from middle_motor")
+    assert mode_after_inventory(hand_bench, unread) == (Mode.DONE, "no position from middle_motor")
     late = unread.copy()
-    hand.controller.keep(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
-    assert decided(hand, late) == (Mode.DONE, "middle_motor: not configured in time")
+    hand_bench.controller.keep(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
+    assert mode_after_inventory(hand_bench, late) == (
+        Mode.DONE,
+        "middle_motor: not configured in time",
+    )
     unread.mode_since = 0.0
-    assert decided(hand, unread)[0] == Mode.INVENTORY
-    assert decided(hand, known) == (Mode.READY, "")
+    assert mode_after_inventory(hand_bench, unread)[0] == Mode.INVENTORY
+    assert mode_after_inventory(hand_bench, known) == (Mode.READY, "")

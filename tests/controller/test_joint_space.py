@@ -19,18 +19,18 @@ from handctl.programs.task_checks import check_task_for_hand
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.plant_run import model_of
 
-SETTLED_DEG = 2.0
+SETTLED_ERROR_DEG = 2.0
 
 
-def task(*phases: dict[str, Any]) -> Task:
+def task_of_phases(*phases: dict[str, Any]) -> Task:
     return validate_content({"schema": 1, "name": "t", "phase": list(phases)}, Task, "t")
 
 
-def move(angles: dict[str, Any], seconds: float = 0.4) -> dict[str, Any]:
+def move_phase(angles: dict[str, Any], seconds: float = 0.4) -> dict[str, Any]:
     return {"kind": "move", "angle_deg": angles, "duration_s": seconds}
 
 
-def end_of(hand: str, program: Task, seconds: float) -> dict[str, float]:
+def final_joint_angles(hand: str, program: Task, seconds: float) -> dict[str, float]:
     """Return the true joint angles [deg] of a simulated hand after a task."""
     check_task_for_hand(program, load_hand(hand), "t")
     with SimulatorSettings(hand, None, 0, homed=True).against(
@@ -47,10 +47,15 @@ def end_of(hand: str, program: Task, seconds: float) -> dict[str, float]:
 
 
 def test_a_move_of_one_joint_leaves_the_others() -> None:
-    wait = move({"thumb_j2": 10.0})
-    angles = end_of(
+    wait = move_phase({"thumb_j2": 10.0})
+    angles = final_joint_angles(
         "jamia11",
-        task(move({"index": 20.0}), move({"index_j2": 30.0, "thumb_j2": 10.0}), wait, wait),
+        task_of_phases(
+            move_phase({"index": 20.0}),
+            move_phase({"index_j2": 30.0, "thumb_j2": 10.0}),
+            wait,
+            wait,
+        ),
         6.0,
     )
     wanted = {
@@ -61,7 +66,7 @@ def test_a_move_of_one_joint_leaves_the_others() -> None:
         "thumb_j2": 10.0,
         "ring_j1": 0.0,
     }
-    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_DEG)
+    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_ERROR_DEG)
 
 
 def test_a_trajectory_can_name_single_joints() -> None:
@@ -81,7 +86,9 @@ def test_a_trajectory_can_name_single_joints() -> None:
         "angle_deg": {"index_j1": 30.0, "index_j2": 20.0},
         "duration_s": 0.5,
     }
-    angles = end_of("jamia11", task(*[phase.model_dump() for phase in program.phase], wait), 8.0)
+    angles = final_joint_angles(
+        "jamia11", task_of_phases(*[phase.model_dump() for phase in program.phase], wait), 8.0
+    )
     wanted = {
         "index_j1": 30.0,
         "index_j2": 20.0,
@@ -89,7 +96,7 @@ def test_a_trajectory_can_name_single_joints() -> None:
         "thumb_j1": 20.0,
         "thumb_j2": 20.0,
     }
-    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_DEG)
+    assert {name: angles[name] for name in wanted} == pytest.approx(wanted, abs=SETTLED_ERROR_DEG)
 
 
 def test_a_joint_of_a_one_tendon_digit_stands_for_all() -> None:
@@ -134,7 +141,7 @@ def test_a_curve_for_each_coordinate_is_that_of_each() -> None:
 )
 def test_joint_angles_that_a_hand_cannot_have(hand: str, angles: dict[str, Any], line: str) -> None:
     with pytest.raises(ConfigError, match=rf"t: phase\[0\]\.angle_deg: .*{line}"):
-        check_task_for_hand(task(move(angles)), load_hand(hand), "t")
+        check_task_for_hand(task_of_phases(move_phase(angles)), load_hand(hand), "t")
 
 
 def test_a_curve_of_a_joint_is_checked_at_every_time() -> None:
@@ -144,4 +151,4 @@ def test_a_curve_of_a_joint_is_checked_at_every_time() -> None:
         "angle_deg": {"index_j1": (0.0, 110.0, 0.0)},
     }
     with pytest.raises(ConfigError, match="110 deg for index_j1; expected 0 to 100 deg"):
-        check_task_for_hand(task(follow), load_hand("jamia11"), "t")
+        check_task_for_hand(task_of_phases(follow), load_hand("jamia11"), "t")

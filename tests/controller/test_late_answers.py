@@ -12,26 +12,26 @@ from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
-from tests.controller.bench import Bench, bench
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
 
 
 def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
     """The host reads the replies of one tick two ticks later, together with replies of the following ticks."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(0.5)
     held: list[list[Frame]] = []
 
-    def nothing(frames: list[Frame]) -> list[Frame]:
+    def drop_all(frames: list[Frame]) -> list[Frame]:
         held.append(list(frames))
         return []
 
-    def those_before(frames: list[Frame]) -> list[Frame]:
+    def frames_sent_before(frames: list[Frame]) -> list[Frame]:
         held.append(list(frames))
         return [frame._replace(t_ns=frame.t_ns + int(1.85 * run.period_ns)) for frame in held[0]]
 
     fault_texts = []
-    for run.to_host in (nothing, those_before, lambda frames: [*held[1], *frames]):
+    for run.to_host in (drop_all, frames_sent_before, lambda frames: [*held[1], *frames]):
         out = run.tick()
         fault_texts += [event.text for event in out.events if event.name == "fault"]
     assert any("B01" in text for text in fault_texts)
@@ -44,19 +44,19 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
 
     After a pause, the simulator replies to two ticks at once.
     """
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     waiting: list[Frame] = []
 
-    def taken_off(frames: list[Frame]) -> list[Frame]:
+    def remove_stamps(frames: list[Frame]) -> list[Frame]:
         now_ns = run.k * run.period_ns + 30_000
         return [frame._replace(t_ns=now_ns) for frame in frames]
 
-    run.to_host = taken_off
+    run.to_host = remove_stamps
     run.run(0.5)
     run.to_host = lambda frames: waiting.extend(frames) or []
     run.tick()
-    run.to_host = lambda frames: taken_off([*waiting, *frames])
+    run.to_host = lambda frames: remove_stamps([*waiting, *frames])
     out = run.tick()
     assert not [
         event.text
@@ -64,7 +64,7 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
         if event.name == "fault" and ("B05" in event.text or "B06" in event.text)
     ]
     assert out.mode == Mode.ACTIVE
-    run.to_host = lambda frames: taken_off([*frames, *[f for f in frames if f.can_id == 0x11]])
+    run.to_host = lambda frames: remove_stamps([*frames, *[f for f in frames if f.can_id == 0x11]])
     out = run.tick()
     assert any("B05" in event.text for event in out.events), "positive control: one answer too many"
 
@@ -78,25 +78,25 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(be
         run.tick()
     run.to_host = lambda frames: waiting.extend(frames) or []
     run.run(2 * run.period_ns * 1e-9)
-    run.to_host = lambda frames: stamped(run, [*waiting, *frames])
-    assert not second_answers(run.tick())
+    run.to_host = lambda frames: with_time_stamps(run, [*waiting, *frames])
+    assert not second_node_reports(run.tick())
     assert run.state.mode == Mode.ACTIVE
 
 
-def active_on_a_bus_without_stamps() -> Bench:
+def active_on_a_bus_without_stamps() -> ControllerBench:
     """Return a bench whose hand is active. Its frames get their time stamps only when the host reads them."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
-    run.until(Mode.ACTIVE)
-    run.to_host = lambda frames: stamped(run, frames)
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
+    run.to_host = lambda frames: with_time_stamps(run, frames)
     run.run(0.5)
     return run
 
 
-def stamped(run: Bench, frames: list[Frame]) -> list[Frame]:
+def with_time_stamps(run: ControllerBench, frames: list[Frame]) -> list[Frame]:
     return [frame._replace(t_ns=run.k * run.period_ns + 30_000) for frame in frames]
 
 
-def second_answers(out: TickOut) -> list[str]:
+def second_node_reports(out: TickOut) -> list[str]:
     return [
         event.text
         for event in out.events
@@ -115,38 +115,44 @@ def test_replies_may_be_in_time_again_after_many_late_ones() -> None:
     def a_tick_late(frames: list[Frame]) -> list[Frame]:
         motors = [frame for frame in frames if frame.can_id in range(0x11, 0x15)]
         held.append(motors)
-        return stamped(run, [*held[-2], *[frame for frame in frames if frame not in motors]])
+        return with_time_stamps(
+            run, [*held[-2], *[frame for frame in frames if frame not in motors]]
+        )
 
     run.to_host = a_tick_late
-    reported = [text for _ in range(50) for text in second_answers(run.tick())]
-    run.to_host = lambda frames: stamped(run, [*held[-1], *frames])
-    reported += second_answers(run.tick())
+    reported = [text for _ in range(50) for text in second_node_reports(run.tick())]
+    run.to_host = lambda frames: with_time_stamps(run, [*held[-1], *frames])
+    reported += second_node_reports(run.tick())
     assert not reported
-    run.to_host = lambda frames: stamped(run, [*frames, *frames])
-    assert second_answers(run.tick()), "positive control"
+    run.to_host = lambda frames: with_time_stamps(run, [*frames, *frames])
+    assert second_node_reports(run.tick()), "positive control"
 
 
 def test_a_lost_answer_excuses_one_duplicate_and_no_second_node() -> None:
     run = active_on_a_bus_without_stamps()
-    run.to_host = lambda frames: stamped(run, [frame for frame in frames if frame.can_id != 0x11])
+    run.to_host = lambda frames: with_time_stamps(
+        run, [frame for frame in frames if frame.can_id != 0x11]
+    )
     run.tick()
-    run.to_host = lambda frames: stamped(
+    run.to_host = lambda frames: with_time_stamps(
         run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]]
     )
-    assert not second_answers(run.tick())
-    assert [text[:3] for text in second_answers(run.tick())] == ["B05"]
+    assert not second_node_reports(run.tick())
+    assert [text[:3] for text in second_node_reports(run.tick())] == ["B05"]
     run.tick()
-    assert "N13" in [text[:3] for text in second_answers(run.tick())]
+    assert "N13" in [text[:3] for text in second_node_reports(run.tick())]
 
 
 def test_missing_replies_excuse_one_duplicate_over_a_long_time() -> None:
     run = active_on_a_bus_without_stamps()
-    run.to_host = lambda frames: stamped(run, [frame for frame in frames if frame.can_id != 0x11])
+    run.to_host = lambda frames: with_time_stamps(
+        run, [frame for frame in frames if frame.can_id != 0x11]
+    )
     run.run(3 * run.period_ns * 1e-9)
-    run.to_host = lambda frames: stamped(run, frames)
+    run.to_host = lambda frames: with_time_stamps(run, frames)
     run.run(2 * LOSS_WINDOW_TICKS * run.period_ns * 1e-9)
-    run.to_host = lambda frames: stamped(
+    run.to_host = lambda frames: with_time_stamps(
         run, [*frames, *[frame for frame in frames if frame.can_id == 0x11]]
     )
-    assert not second_answers(run.tick())
-    assert [text[:3] for text in second_answers(run.tick())] == ["B05"]
+    assert not second_node_reports(run.tick())
+    assert [text[:3] for text in second_node_reports(run.tick())] == ["B05"]

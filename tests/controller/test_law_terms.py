@@ -12,64 +12,72 @@ from handctl.core.law.goal import DigitGoal, GoalKind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from tests.controller.goals import holding_goals, moving_goals
-from tests.controller.law_runs import LawState, command_of, law_state_of, step
-from tests.controller.synthetic import (
-    Estimate,
+from tests.controller.digit_goals import holding_goals, moving_goals
+from tests.controller.law_runs import LawState, command_of, law_state_of, run_law_tick
+from tests.controller.synthetic_states import (
+    SyntheticEstimate,
     active_state,
     balanced_state,
-    constants,
     estimate_under_tension,
     exact_estimate,
-    slack,
+    slack_hand_estimate,
+    stage_constants,
 )
 
-EVALUATED_S = 0.25
+EVALUATION_TIME_S = 0.25
 """Time in a motion of one second at which the control law is evaluated [s]. The motion still accelerates then."""
 
 
-def force(model: HandModel, estimate: Estimate, goals: tuple[DigitGoal, ...]) -> np.ndarray:
+def motor_force_of(
+    model: HandModel, estimate: SyntheticEstimate, goals: tuple[DigitGoal, ...]
+) -> np.ndarray:
     """Return the motor force (N,) [N] that the control law commands for an estimate and goals."""
-    state = LawState.idle(estimate.tension)
-    return step(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
+    state = LawState.idle_at_tensions(estimate.tension)
+    return (
+        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+    )
 
 
 @pytest.fixture
-def way(model: HandModel) -> tuple[DigitGoal, ...]:
+def motion_goals(model: HandModel) -> tuple[DigitGoal, ...]:
     return moving_goals(model, 0.4, 0.6, 1.0)
 
 
 @pytest.fixture
-def estimate(model: HandModel) -> Estimate:
+def estimate(model: HandModel) -> SyntheticEstimate:
     return exact_estimate(model, balanced_state(model, 0.42))
 
 
 def test_motion_feedback_applies_each_gain(
-    model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
+    model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
     space, gains, design = model.space, model.gains.motion, model.motion
     mass = space.motor_mass + space.load_mass
-    before = force(model, estimate, way)
+    before = motor_force_of(model, estimate, motion_goals)
     for name, size, slope in (
         ("disturbance", 0.5, -gains.disturbance_rejection),
         ("tension", 0.4, -gains.tension_feedback),
         ("speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
         ("excursion", 2e-5, -mass * design.stiffness),
     ):
-        after = force(model, estimate._replace(**{name: getattr(estimate, name) + size}), way)
+        after = motor_force_of(
+            model, estimate._replace(**{name: getattr(estimate, name) + size}), motion_goals
+        )
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, atol=1e-9, err_msg=name)
 
 
 def test_the_planned_acceleration_is_fed_forward(
-    model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
+    model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
     """Without the feedforward of rotor inertia, the commanded force decreases by inertia times planned acceleration."""
     without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
-    for digit, tendons, goal in zip(model.digits, model.digit_tendons, way, strict=True):
-        acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(EVALUATED_S)[2]
-    found = force(model, estimate, way) - force(other, estimate, way)
+    for digit, tendons, goal in zip(model.digits, model.digit_tendons, motion_goals, strict=True):
+        acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(EVALUATION_TIME_S)[2]
+    found = motor_force_of(model, estimate, motion_goals) - motor_force_of(
+        other, estimate, motion_goals
+    )
     assert (acceleration > 0.0).all()
     np.testing.assert_allclose(
         found, model.gains.motion.inertia_share * model.space.motor_mass * acceleration, rtol=1e-9
@@ -79,7 +87,7 @@ def test_the_planned_acceleration_is_fed_forward(
 def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 20.0)
     off = estimate._replace(disturbance=np.full(model.tendon_count, 0.5))
-    change = force(model, off, holding_goals(model, 20.0)) - force(
+    change = motor_force_of(model, off, holding_goals(model, 20.0)) - motor_force_of(
         model, estimate, holding_goals(model, 20.0)
     )
     np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
@@ -103,7 +111,9 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     state.set_whole(s.TRIMMED, 1)
     state.set_whole(s.HOLDING, 1)
     state.mode = Mode.READY
-    stages.compute_motor_torques(state.block, state.layout.places, *constants(model), 0.0, 0, 1)
+    stages.compute_motor_torques(
+        state.block, state.layout.places, *stage_constants(model), 0.0, 0, 1
+    )
     law, command = law_state_of(state), command_of(state)
     np.testing.assert_array_equal(law.setpoint, tension)
     for part in law[1:5]:
@@ -120,8 +130,12 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
 
 def test_a_holding_hand_has_no_goal_angles(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 20.0)
-    command = step(
-        model, LawState.idle(estimate.tension), estimate, holding_goals(model, 20.0), EVALUATED_S
+    command = run_law_tick(
+        model,
+        LawState.idle_at_tensions(estimate.tension),
+        estimate,
+        holding_goals(model, 20.0),
+        EVALUATION_TIME_S,
     )[1]
     joints = len(model.hand.joints)
     assert [np.isnan(goal).tolist() for goal in (command.q, command.dq)] == [[True] * joints] * 2
@@ -134,15 +148,19 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
         holding_goals(model, 20.0),
         model.motion,
     )
-    state = LawState.idle(estimate.tension)
-    before = step(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
+    state = LawState.idle_at_tensions(estimate.tension)
+    before = (
+        run_law_tick(model, state, estimate, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+    )
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
         ("speed", 1e-3, -design.tension_speed),
         ("tension", 0.4, -design.tension * integral),
     ):
         off = estimate._replace(**{name: getattr(estimate, name) + size})
-        after = step(model, state, off, goals, EVALUATED_S)[1].torque / model.space.spool
+        after = (
+            run_law_tick(model, state, off, goals, EVALUATION_TIME_S)[1].torque / model.space.spool
+        )
         np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, err_msg=name)
 
 
@@ -160,15 +178,17 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     speed, acceleration = np.zeros((2, model.tendon_count))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, ways, strict=True):
         speed[tendons], acceleration[tendons] = (
-            one.at(EVALUATED_S - since)[1:] @ digit.reduced_moment_arms.T
+            one.at(EVALUATION_TIME_S - since)[1:] @ digit.reduced_moment_arms.T
         )
     needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
     needed += (model.motion.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(
-        force(model, estimate, goals) - force(model, estimate, still), needed, rtol=1e-9
+        motor_force_of(model, estimate, goals) - motor_force_of(model, estimate, still),
+        needed,
+        rtol=1e-9,
     )
     one_only = (goals[0], *still[1:])
-    change = force(model, estimate, one_only) - force(model, estimate, still)
+    change = motor_force_of(model, estimate, one_only) - motor_force_of(model, estimate, still)
     first = model.digit_tendons[0]
     np.testing.assert_allclose(change[first], needed[first], rtol=1e-9)
     assert not np.delete(change, first).any(), "no other digit is in motion"
@@ -177,40 +197,48 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
 def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     model: HandModel,
 ) -> None:
-    slack_estimate = slack(model)
+    slack_estimate = slack_hand_estimate(model)
     taut_estimate = slack_estimate._replace(slack=np.zeros(model.tendon_count, dtype=bool))
-    state = LawState.idle(np.full(model.tendon_count, 0.5))
+    state = LawState.idle_at_tensions(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
-    loose = step(model, state, slack_estimate, goals, EVALUATED_S)[1].torque
-    taut = step(model, state, taut_estimate, goals, EVALUATED_S)[1].torque
+    loose = run_law_tick(model, state, slack_estimate, goals, EVALUATION_TIME_S)[1].torque
+    taut = run_law_tick(model, state, taut_estimate, goals, EVALUATION_TIME_S)[1].torque
     np.testing.assert_allclose((loose - taut) / model.space.spool, model.space.coulomb, rtol=0.02)
 
 
 def test_the_goal_tension_of_a_motion_stays_within_its_limit(
-    model: HandModel, way: tuple[DigitGoal, ...], estimate: Estimate
+    model: HandModel, motion_goals: tuple[DigitGoal, ...], estimate: SyntheticEstimate
 ) -> None:
-    free = step(model, LawState.idle(estimate.tension), estimate, way, EVALUATED_S)[1].tension
-    state, most = LawState.idle(estimate.tension), np.maximum(0.5 * free, model.floor)
-    held = step(model, state, estimate, way, EVALUATED_S, most)[1].tension
+    free = run_law_tick(
+        model,
+        LawState.idle_at_tensions(estimate.tension),
+        estimate,
+        motion_goals,
+        EVALUATION_TIME_S,
+    )[1].tension
+    state, most = LawState.idle_at_tensions(estimate.tension), np.maximum(0.5 * free, model.floor)
+    held = run_law_tick(model, state, estimate, motion_goals, EVALUATION_TIME_S, most)[1].tension
     np.testing.assert_allclose(held, most)
 
 
 def test_a_limp_hand_has_no_joint_torque_and_no_goal_tension(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 10.0)
-    command = step(
+    command = run_law_tick(
         model,
-        LawState.idle(estimate.tension),
+        LawState.idle_at_tensions(estimate.tension),
         estimate,
         (DigitGoal(),) * len(model.digits),
-        EVALUATED_S,
+        EVALUATION_TIME_S,
     )[1]
     assert not command.joint_torque.any()
     assert np.isnan(command.tension).all()
 
 
-def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: Estimate) -> None:
+def test_only_moving_digits_have_goal_angles(model: HandModel, estimate: SyntheticEstimate) -> None:
     goals = (*moving_goals(model, 0.4, 0.6, 1.0)[:2], *holding_goals(model, 12.0)[2:])
-    law, command = step(model, LawState.idle(estimate.tension), estimate, goals, EVALUATED_S)
+    law, command = run_law_tick(
+        model, LawState.idle_at_tensions(estimate.tension), estimate, goals, EVALUATION_TIME_S
+    )
     tendons, joints = model.digit_tendons[1].stop, model.digits[1].joints.stop
     for angles in (command.q, command.dq):
         assert np.isfinite(angles[:joints]).all()

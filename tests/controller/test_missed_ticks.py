@@ -8,28 +8,30 @@ import pytest
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram
-from tests.controller.bench import bench
+from tests.controller.controller_bench import make_controller_bench
 
 FAST_RAD_S = 28.0
 """Speed of a rotor that pays out its tendon [rad/s]. The drive can report speeds up to 30 rad/s."""
 
 
-@pytest.mark.parametrize("skip", [0, 1, 4])
-def test_a_fast_rotor_does_not_jump_because_ticks_were_skipped(jamia: HandModel, skip: int) -> None:
-    run = bench(jamia, LiveProgram())
-    run.until(Mode.ACTIVE)
+@pytest.mark.parametrize("missed_ticks", [0, 1, 4])
+def test_a_fast_rotor_does_not_jump_because_ticks_were_skipped(
+    jamia: HandModel, missed_ticks: int
+) -> None:
+    run = make_controller_bench(jamia, LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
     run.run(0.2)
-    moved = run.peer._move
+    advance_tendons = run.peer._advance_tendons
 
-    def paying_out() -> None:
-        moved()
-        run.peer.x[0] -= FAST_RAD_S * run.peer.spool[0] * run.peer.period_s
+    def pay_out_and_advance() -> None:
+        advance_tendons()
+        run.peer.spool_travel[0] -= FAST_RAD_S * run.peer.spool_radius[0] * run.peer.period_s
 
-    run.peer._move = paying_out  # type: ignore[method-assign]
-    for before in (0, 0, skip, 0, 0):
-        run.tick(skip=before)
+    run.peer._advance_tendons = pay_out_and_advance  # type: ignore[method-assign]
+    for before in (0, 0, missed_ticks, 0, 0):
+        run.tick(missed_ticks=before)
     assert not [event.text for event in run.events if event.text[:3] == "N05"]
-    run.peer.x[0] -= 3.0 * FAST_RAD_S * run.peer.spool[0] * run.peer.period_s
+    run.peer.spool_travel[0] -= 3.0 * FAST_RAD_S * run.peer.spool_radius[0] * run.peer.period_s
     run.tick()
     run.tick()
     assert [event for event in run.events if event.text[:4] == "N05a"], (

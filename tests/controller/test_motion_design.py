@@ -11,7 +11,7 @@ from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.core.gains.motion_design import design_motion
 from handctl.core.model import HandModel
 
-RATES = [200.0, 500.0, 1000.0]
+CONTROL_RATES_HZ = [200.0, 500.0, 1000.0]
 
 
 def motion_plant(mass: float, period: float) -> tuple[np.ndarray, np.ndarray]:
@@ -36,7 +36,7 @@ def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, 
     return F, G
 
 
-def loops(
+def control_loops(
     model: HandModel, gains: Gains, period: float
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return (F, G, K) of both control loops of the first and of the last tendon, with force = -K state."""
@@ -54,19 +54,19 @@ def loops(
     return found
 
 
-def radius(matrix: np.ndarray) -> float:
+def spectral_radius(matrix: np.ndarray) -> float:
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
-@pytest.mark.parametrize("rate_hz", RATES)
+@pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)
 def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) -> None:
     """The loops are stable with 0.5 and 1.5 times their gain.
 
     The phase margin at each gain crossover is above 30 degrees.
     """
-    for F, G, K in loops(model, Gains(), 1.0 / rate_hz):
+    for F, G, K in control_loops(model, Gains(), 1.0 / rate_hz):
         for factor in (0.5, 1.0, 1.5):
-            assert radius(F - factor * G @ K) < 1.0
+            assert spectral_radius(F - factor * G @ K) < 1.0
         w = np.linspace(1e-3, np.pi, 4000)
         z = np.exp(1j * w)
         turn = np.array([(K @ np.linalg.solve(one * np.eye(2) - F, G))[0, 0] for one in z])
@@ -80,11 +80,11 @@ def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) ->
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0])
 def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
     """At a control rate near a tendon's natural frequency, the loops lose the LQR margins but stay stable."""
-    for F, G, K in loops(model, Gains(), 1.0 / rate_hz):
-        assert radius(F - G @ K) < 1.0
+    for F, G, K in control_loops(model, Gains(), 1.0 / rate_hz):
+        assert spectral_radius(F - G @ K) < 1.0
 
 
-@pytest.mark.parametrize("rate_hz", RATES)
+@pytest.mark.parametrize("rate_hz", CONTROL_RATES_HZ)
 def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
     """No gains close to the designed gains have a lower cost, from any of several initial states.
 
@@ -100,7 +100,7 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
         ),
     ]
 
-    def cost(
+    def lqr_cost(
         F: np.ndarray, G: np.ndarray, K: np.ndarray, weight: tuple[float, float, float]
     ) -> float:
         closed = F - G @ K
@@ -114,10 +114,10 @@ def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
         scale = np.diag(weight[:2])
         return float(np.trace(scale @ total @ scale))
 
-    for which, (F, G, K) in enumerate(loops(model, gains, 1.0 / rate_hz)[:2]):
-        best = cost(F, G, K, weights[which])
+    for which, (F, G, K) in enumerate(control_loops(model, gains, 1.0 / rate_hz)[:2]):
+        best = lqr_cost(F, G, K, weights[which])
         for change in ((1.02, 1.0), (0.98, 1.0), (1.0, 1.02), (1.0, 0.98)):
-            assert cost(F, G, K * np.array(change), weights[which]) > best
+            assert lqr_cost(F, G, K * np.array(change), weights[which]) > best
 
 
 def test_each_weight_changes_the_gain_of_its_name(jamia: HandModel) -> None:

@@ -19,11 +19,11 @@ from handctl.programs.task import Task
 from handctl.session.simulate import SimulatorSettings
 from tests.conftest import NIGHTLY
 
-RATES_HZ = (250.0, 300.0, 333.0, 400.0, 450.0, 500.0, 640.0, 1000.0)
-SEEDS = range(20 if NIGHTLY else 1)
-RUNS = [(hand, rate) for hand in ("jamia", "jamia11") for rate in RATES_HZ]
-SAMPLE = [("jamia", 300.0), ("jamia", 640.0), ("jamia11", 450.0)]
-WAY = {
+CONTROL_RATES_HZ = (250.0, 300.0, 333.0, 400.0, 450.0, 500.0, 640.0, 1000.0)
+SIMULATOR_SEEDS = range(20 if NIGHTLY else 1)
+HANDS_AND_RATES = [(hand, rate) for hand in ("jamia", "jamia11") for rate in CONTROL_RATES_HZ]
+SAMPLED_HANDS_AND_RATES = [("jamia", 300.0), ("jamia", 640.0), ("jamia11", 450.0)]
+TO_AND_FRO_TASK = {
     "schema": 1,
     "name": "to and fro",
     "phase": [
@@ -36,11 +36,11 @@ WAY = {
 @cache
 def controller_at(hand: str, rate_hz: float) -> Controller:
     """Return a controller at ``rate_hz`` that moves every digit of a hand to and fro."""
-    program = TaskProgram(validate_content(WAY, Task, "test"))
+    program = TaskProgram(validate_content(TO_AND_FRO_TASK, Task, "test"))
     return make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
 
 
-def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
+def mean_nis_and_events(hand: str, rate_hz: float, seed: int) -> tuple[float, list[TickEvent]]:
     """Return the mean NIS per degree of freedom in a free motion, and the events about estimates and faults.
 
     NIS is the normalised innovation squared. The mean is over tendons and ticks.
@@ -58,10 +58,12 @@ def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[TickE
     return float(np.nanmean(nis)) / 2.0, events
 
 
-@pytest.mark.parametrize(("hand", "rate_hz"), RUNS if NIGHTLY else SAMPLE)
+@pytest.mark.parametrize(
+    ("hand", "rate_hz"), HANDS_AND_RATES if NIGHTLY else SAMPLED_HANDS_AND_RATES
+)
 def test_innovations_have_their_predicted_variance_at_any_rate(hand: str, rate_hz: float) -> None:
     """Regression: samples that were up to 0.5 ms early gave a mean NIS of 3 to 5 at 300, 450 and 640 Hz."""
-    for seed in SEEDS:
-        nis, events = innovations(hand, rate_hz, seed)
+    for seed in SIMULATOR_SEEDS:
+        nis, events = mean_nis_and_events(hand, rate_hz, seed)
         assert 0.7 < nis < 1.3, (seed, nis)
         assert not events, (seed, events)

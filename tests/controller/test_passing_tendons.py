@@ -13,21 +13,21 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
-from tests.hand.wrist import on_wrist
+from tests.hand.hand_on_wrist import mount_on_wrist
 
 RATE_HZ = 400.0
-SEEDS = range(20) if NIGHTLY else range(1)
-LIMITS_DEG = {"jamia": 0.6, "n_plus_1": 0.6, "jamia11": 1.3}
+SIMULATOR_SEEDS = range(20) if NIGHTLY else range(1)
+TRACKING_LIMITS_DEG = {"jamia": 0.6, "n_plus_1": 0.6, "jamia11": 1.3}
 """Limit of the tracking error of each hand [deg].
 
 If the tendons pass through the axis of the wrist, the errors are 0.3, 0.15 and 1.0 deg.
 """
-HANDS = tuple(LIMITS_DEG) if NIGHTLY else ("jamia", "n_plus_1")
-ANGLES = ((30.0, 0.0), (45.0, 20.0), (45.0, -20.0), (20.0, 10.0), (50.0, 10.0))
+TESTED_HANDS = tuple(TRACKING_LIMITS_DEG) if NIGHTLY else ("jamia", "n_plus_1")
+WAVE_ANGLES_DEG = ((30.0, 0.0), (45.0, 20.0), (45.0, -20.0), (20.0, 10.0), (50.0, 10.0))
 """Angle of all digit joints and angle of the wrist at the end of each phase of the task [deg]."""
 
 
-class Errors(NamedTuple):
+class ControlErrors(NamedTuple):
     """Errors of the controller in a simulated run.
 
     Attributes:
@@ -36,15 +36,15 @@ class Errors(NamedTuple):
         external_N: mean unexplained tension of the wrist's tendon [N].
     """
 
-    tracking_deg: float
-    wrist_deg: float
-    external_N: float
+    tracking_error_deg: float
+    wrist_error_deg: float
+    unexplained_tension_N: float
 
 
-def waving(hand: Hand) -> Task:
+def waving_task(hand: Hand) -> Task:
     """Return a task that moves the digits and the wrist of a hand in several phases."""
     phases = []
-    for i, (digits, wrist) in enumerate(ANGLES):
+    for i, (digits, wrist) in enumerate(WAVE_ANGLES_DEG):
         angles = dict.fromkeys(hand.digit_names, digits) | {"wrist": wrist}
         phases.append({"kind": "move", "name": f"move {i}", "angle_deg": angles, "duration_s": 0.6})
     return Task.model_validate(
@@ -52,7 +52,7 @@ def waving(hand: Hand) -> Task:
     )
 
 
-def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
+def simulate_control_errors(known: Hand, hand: Hand, seed: int) -> ControlErrors | None:
     """Simulate ``hand`` with a controller that knows the description ``known``, and return the errors of the motion.
 
     The result is None if a fault ended the run.
@@ -62,7 +62,7 @@ def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
     along = hand.own_arms / np.abs(hand.own_arms).sum(axis=1, keepdims=True)
     apart = list[np.ndarray]()
     external = list[float]()
-    controller = homed_controller(model, TaskProgram(waving(known)), hand)
+    controller = homed_controller(model, TaskProgram(waving_task(known)), hand)
     with SimulatorSettings(hand, None, seed, homed=True).against(controller) as run:
         run.record = False
         for _, out in run.ticks(10.0):
@@ -75,38 +75,38 @@ def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
                 external.append(run.state.view("external")[0])
         assert run.state.mode == Mode.DONE
     squares = np.mean(np.square(apart), axis=0)
-    return Errors(
+    return ControlErrors(
         float(np.sqrt(squares[1:].mean())),
         float(np.sqrt(squares[0])),
         float(np.mean(np.abs(external))),
     )
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
+@pytest.mark.parametrize("name", TESTED_HANDS)
 def test_a_digit_follows_while_the_wrist_turns(name: str, seed: int) -> None:
     """The error is more than four times as large if the controller assumes that tendons pass through the axis."""
-    hand = on_wrist(name)
-    aware = errors_of(hand, hand, seed)
+    hand = mount_on_wrist(name)
+    aware = simulate_control_errors(hand, hand, seed)
     assert aware is not None
-    assert aware.tracking_deg < LIMITS_DEG[name]
-    assert aware.wrist_deg < 1.0
-    blind = errors_of(on_wrist(name, 0.0), hand, seed)
-    assert blind is None or blind.tracking_deg > 4.0 * aware.tracking_deg
+    assert aware.tracking_error_deg < TRACKING_LIMITS_DEG[name]
+    assert aware.wrist_error_deg < 1.0
+    blind = simulate_control_errors(mount_on_wrist(name, 0.0), hand, seed)
+    assert blind is None or blind.tracking_error_deg > 4.0 * aware.tracking_error_deg
 
 
 def test_the_wrist_bears_the_tendons_that_pass_it() -> None:
     """If the controller neglects their torque, the tension of bent fingers looks like an object at the wrist."""
-    hand = on_wrist("jamia")
-    aware = errors_of(hand, hand, 0)
-    blind = errors_of(on_wrist("jamia", 0.0), hand, 0)
+    hand = mount_on_wrist("jamia")
+    aware = simulate_control_errors(hand, hand, 0)
+    blind = simulate_control_errors(mount_on_wrist("jamia", 0.0), hand, 0)
     assert aware is not None
     assert blind is not None
-    assert aware.external_N < 0.5 * blind.external_N
+    assert aware.unexplained_tension_N < 0.5 * blind.unexplained_tension_N
 
 
 def test_arms_are_divided_between_a_digit_and_its_carriers() -> None:
-    hand = on_wrist("jamia11")
+    hand = mount_on_wrist("jamia11")
     assert np.array_equal(hand.own_arms + hand.carrier_arms, hand.moment_arms)
     joints = hand.digit_joints["middle"]
     tendons = hand.digit_tendons["middle"]

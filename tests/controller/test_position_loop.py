@@ -37,17 +37,19 @@ from handctl.session.simulate import SimulatedRun, SimulatorSettings
 from tests.faults.test_relaxing import check_relaxing
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-SEEDS = range(20) if NIGHTLY else range(2)
+SIMULATOR_SEEDS = range(20) if NIGHTLY else range(2)
 MOTEUS_SEEDS = range(20) if NIGHTLY else range(3)
-RUNS = [("mit", seed) for seed in SEEDS] + [("moteus", seed) for seed in MOTEUS_SEEDS]
+PROTOCOLS_AND_SEEDS = [("mit", seed) for seed in SIMULATOR_SEEDS] + [
+    ("moteus", seed) for seed in MOTEUS_SEEDS
+]
 """Protocol and seed: drives that keep the commanded position, and drives that move it."""
 RATE_HZ = 500.0
-STIFF = 2.5
+STIFF_KP = 2.5
 """Stiffness of a tendon of ``jamia`` at its spool [N m/rad].
 
 It is the largest position gain that the hand file may have.
 """
-TRIP_N = 140.0
+TENSION_TRIP_N = 140.0
 
 
 def with_position_loop(hand: Hand, **changes: Any) -> Hand:
@@ -58,12 +60,14 @@ def with_position_loop(hand: Hand, **changes: Any) -> Hand:
     return hand.model_copy(update={"motor": motors})
 
 
-def loop_hand(name: str = "jamia", protocol: str = "mit", kp: float | None = STIFF) -> Hand:
+def hand_with_position_loop(
+    name: str = "jamia", protocol: str = "mit", kp: float | None = STIFF_KP
+) -> Hand:
     """Return a packaged hand whose drives close the position loop. A moteus gets both gains from the hand file."""
     hand = with_position_loop(hand_with_protocol(name, protocol), kp_N_m_per_rad=kp)
     if protocol != "moteus":
         return hand
-    other = loop_hand(name, "mit", kp)
+    other = hand_with_position_loop(name, "mit", kp)
     gains = servo_constants(HandModel.of(other, packaged_gains(name), RATE_HZ))
     stiffness, damping = (
         [float(gains[key][0])] * len(hand.motor) for key in ("servo_stiffness", "servo_damping")
@@ -75,7 +79,7 @@ def loop_hand(name: str = "jamia", protocol: str = "mit", kp: float | None = STI
     return hand.model_copy(update={"motor": motors})
 
 
-def to_and_fro(hand: Hand, moves: int, duration_s: float) -> TaskProgram:
+def to_and_fro_program(hand: Hand, moves: int, duration_s: float) -> TaskProgram:
     """Return a program that closes and opens all digits of a hand in turn."""
     ends = [dict.fromkeys(hand.digit_names, angle) for angle in (45.0, 15.0)]
     phases = [{"kind": "move", "name": "ready", "angle_deg": ends[1], "duration_s": 0.6}] + [
@@ -88,7 +92,7 @@ def to_and_fro(hand: Hand, moves: int, duration_s: float) -> TaskProgram:
 
 
 @contextmanager
-def moving(
+def begin_to_and_fro(
     hand: Hand, seed: int = 0, rate_hz: float = RATE_HZ, moves: int = 6
 ) -> Iterator[SimulatedRun]:
     """Yield the run of a simulated hand that moves to and fro. The run is at the start of its first move."""
@@ -96,7 +100,7 @@ def moving(
         hand,
         packaged_gains(hand.name),
         rate_hz,
-        to_and_fro(hand, moves, 0.6),
+        to_and_fro_program(hand, moves, 0.6),
         None,
         arm_at_once=True,
     )
@@ -105,7 +109,7 @@ def moving(
         yield run
 
 
-def stiffness_sent(run: SimulatedRun) -> np.ndarray:
+def sent_stiffness(run: SimulatedRun) -> np.ndarray:
     return run.state.view("servo_kp")
 
 
@@ -116,7 +120,7 @@ def mean_errors(hand: Hand, seed: int) -> tuple[np.ndarray, float]:
     joints.
     """
     errors, peak = list[np.ndarray](), 0.0
-    with moving(hand, seed, moves=2) as run:
+    with begin_to_and_fro(hand, seed, moves=2) as run:
         arms = run.controller.model.hand.own_arms
         plant: Any = run.peer.world.plant  # type: ignore[attr-defined]
         for _, out in run.ticks(8.0):
@@ -144,12 +148,12 @@ def moteus_command(data: bytes) -> tuple[float, ...]:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
     """The target moves with the velocity, so on average it is half a period of motion ahead of the command."""
-    hand = loop_hand(protocol="moteus")
+    hand = hand_with_position_loop(protocol="moteus")
     motors = tuple(
         motor.model_copy(update={"direction": direction, "zero_rad": 0.7}) for motor in hand.motor
     )
     hand = hand.model_copy(update={"motor": motors})
-    with moving(hand) as run:
+    with begin_to_and_fro(hand) as run:
         model, sent = run.controller.model, 0
         for _ in range(400):
             out = run.tick()
@@ -157,7 +161,7 @@ def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
                 frame.can_id & 0xFF: frame.data for frame in out.frames if len(frame.data) == 48
             }
             for n, motor in enumerate(hand.motor):
-                if stiffness_sent(run)[n] == 0.0:
+                if sent_stiffness(run)[n] == 0.0:
                     continue
                 position, velocity, added, kp, kd, limit = moteus_command(commands[motor.node_id])
                 assert 0.0 < kp <= 1.0
@@ -170,7 +174,7 @@ def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
                     + 0.5 * model.period * direction * velocity
                 )
                 ahead = p + run.controller.zero[n] + 0.5 * model.period * v
-                torque = STIFF * kp * (target - ahead) + direction * added
+                torque = STIFF_KP * kp * (target - ahead) + direction * added
                 torque += motor.kd_N_m_s_per_rad * kd * (direction * velocity - v)
                 torque_of_law = run.state.view("torque")[n]
                 # The gains are rounded to six digits, and the position is a float32.
@@ -184,8 +188,8 @@ def test_a_moteus_command_makes_the_predicted_torque(direction: int) -> None:
 
 
 def test_a_position_command_makes_the_predicted_torque() -> None:
-    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF)
-    with moving(hand) as run:
+    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP)
+    with begin_to_and_fro(hand) as run:
         model, ranges = run.controller.model, FrameRanges(12.5, 50.0, 0.8)
         sent = 0
         for _ in range(400):
@@ -210,11 +214,11 @@ def test_a_position_command_makes_the_predicted_torque() -> None:
         assert sent > 1500, "nearly all commands carry a position"
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_a_stiff_drive_follows_twice_as_well(seed: int) -> None:
     hand = load_hand("jamia")
     torque, _ = mean_errors(hand, seed)
-    position, peak = mean_errors(with_position_loop(hand, kp_N_m_per_rad=STIFF), seed)
+    position, peak = mean_errors(with_position_loop(hand, kp_N_m_per_rad=STIFF_KP), seed)
     assert position.mean() < 0.7 * torque.mean(), f"{position} against {torque} deg"
     assert (position < torque).all(), f"{position} against {torque} deg"
     assert peak < 40.0
@@ -222,7 +226,7 @@ def test_a_stiff_drive_follows_twice_as_well(seed: int) -> None:
     assert as_before.mean() < 1.1 * torque.mean(), f"{as_before} against {torque} deg"
 
 
-TRACKING = {"jamia": 0.75, "jamia11": 0.85, "t42": 1.01}
+LARGEST_ERROR_RATIO = {"jamia": 0.75, "jamia11": 0.85, "t42": 1.01}
 """Largest error with position loops as a fraction of that with torque commands.
 
 The springs of ``t42`` decide about its error.
@@ -230,11 +234,13 @@ The springs of ``t42`` decide about its error.
 
 
 @pytest.mark.parametrize("seed", MOTEUS_SEEDS)
-@pytest.mark.parametrize("name", TRACKING)
+@pytest.mark.parametrize("name", LARGEST_ERROR_RATIO)
 def test_a_stiff_moteus_follows_better(name: str, seed: int) -> None:
     torque, _ = mean_errors(hand_with_protocol(name, "moteus"), seed)
-    position, peak = mean_errors(loop_hand(name, "moteus"), seed)
-    assert position.mean() < TRACKING[name] * torque.mean(), f"{position} against {torque} deg"
+    position, peak = mean_errors(hand_with_position_loop(name, "moteus"), seed)
+    assert position.mean() < LARGEST_ERROR_RATIO[name] * torque.mean(), (
+        f"{position} against {torque} deg"
+    )
     assert peak < 40.0
 
 
@@ -251,28 +257,28 @@ def test_a_stiff_moteus_follows_better(name: str, seed: int) -> None:
 def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
     name: str, protocol: str
 ) -> None:
-    hand = loop_hand(name, protocol, None)
+    hand = hand_with_position_loop(name, protocol, None)
     with homed_run(hand, RATE_HZ, 0) as run:
         advance_to(run, FREE_STAGE)
-        assert (stiffness_sent(run) > 0.0).all()
+        assert (sent_stiffness(run) > 0.0).all()
         advance_to(run, GRASP_STAGE)
         run.tick()
-        assert not stiffness_sent(run).any()
+        assert not sent_stiffness(run).any()
         np.testing.assert_allclose(run.state.view("servo_torque"), run.state.view("torque"))
         for _ in range(round(RATE_HZ)):
             assert run.tick().mode == Mode.ACTIVE
-            assert not stiffness_sent(run).any()
+            assert not sent_stiffness(run).any()
         run.tick(requests=(STOP_REQUEST,))
         while run.state.mode != Mode.DONE:
             run.tick()
-            assert not stiffness_sent(run).any()
+            assert not sent_stiffness(run).any()
         assert run.state.latched == ()
 
 
-@pytest.mark.parametrize("kp", [None, STIFF])
-@pytest.mark.parametrize(("protocol", "seed"), RUNS)
+@pytest.mark.parametrize("kp", [None, STIFF_KP])
+@pytest.mark.parametrize(("protocol", "seed"), PROTOCOLS_AND_SEEDS)
 def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: int) -> None:
-    with moving(loop_hand("jamia", protocol, kp), seed) as run:
+    with begin_to_and_fro(hand_with_position_loop("jamia", protocol, kp), seed) as run:
         for _ in range(round((0.15 + 0.01 * seed) * RATE_HZ)):
             run.tick()
         run.peer.inject("block digit=index")
@@ -282,7 +288,7 @@ def test_an_obstacle_bounds_the_tension(kp: float | None, protocol: str, seed: i
             peak = max(peak, *run.peer.truth()["tension"])
             if run.state.view("blocked")[0]:
                 blocked = True
-                assert stiffness_sent(run)[0] == 0.0
+                assert sent_stiffness(run)[0] == 0.0
         assert blocked
         # A blocked digit presses with up to 30 N more than its motion needs, see touch.MAX_PRESS_N.
         assert peak < 60.0, f"{peak} N"
@@ -294,14 +300,14 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
     ahead_ms: int, seed: int
 ) -> None:
     """A moteus moves its target on until its watchdog fires after 50 ms. Without the limit it pulls 70 N here."""
-    with moving(loop_hand(protocol="moteus"), seed) as run:
+    with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
         for _ in range(round((0.1 + 0.06 * seed) * RATE_HZ)):
             run.tick()
         run.peer.inject("block digit=index")
         for _ in range(round(1e-3 * ahead_ms * RATE_HZ)):
             run.tick()
         motors: Any = run.peer.world.plant.motors  # type: ignore[attr-defined]
-        in_loop = stiffness_sent(run) > 0.0
+        in_loop = sent_stiffness(run) > 0.0
         forces = np.abs(run.state.view("torque")) / run.controller.model.space.spool
         limit = forces + LIMIT_MARGIN_N * in_loop
         sent = run.state.view("servo_limit") / run.controller.model.space.spool
@@ -323,7 +329,7 @@ def test_a_dead_host_at_an_obstacle_is_bounded_by_the_limit_in_the_command(
 @pytest.mark.parametrize("seed", MOTEUS_SEEDS)
 def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -> None:
     draw = np.random.default_rng(seed)
-    with moving(loop_hand(protocol="moteus"), seed) as run:
+    with begin_to_and_fro(hand_with_position_loop(protocol="moteus"), seed) as run:
         apart = []
         for _ in range(1200):
             run.tick(skip=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
@@ -333,17 +339,17 @@ def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -
         assert np.nanmax(np.abs(apart)) < 2.0
 
 
-@pytest.mark.parametrize(("protocol", "seed"), RUNS)
+@pytest.mark.parametrize(("protocol", "seed"), PROTOCOLS_AND_SEEDS)
 @pytest.mark.parametrize(
     "fault", ["", "swap node=index_motor with=thumb_motor", "disobey node=ring_motor size=1.6"]
 )
 def test_relaxing_from_a_position_loop_raises_no_command(
     fault: str, protocol: str, seed: int
 ) -> None:
-    with moving(loop_hand("jamia", protocol), seed) as run:
+    with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
         for _ in range(round((0.1 + 0.03 * seed) * RATE_HZ)):
             run.tick()
-        assert (stiffness_sent(run) > 0.0).any()
+        assert (sent_stiffness(run) > 0.0).any()
         if fault:
             run.peer.inject(fault)
         check_relaxing(run, run.k + 40, round(0.06 * RATE_HZ), fault)
@@ -357,7 +363,7 @@ def lose_gains(run: SimulatedRun, name: str) -> None:
     )
 
 
-FOUND = {
+EXPECTED_FAULTS = {
     "stuck encoder=index_motor": {"N04"},
     "swap node=index_motor with=thumb_motor": {"N05b", "N14", "N17"},
     "cross node=index_motor with=thumb_motor": {"N14", "N17", "N04", "T04b", "N05b"},
@@ -368,29 +374,29 @@ FOUND = {
 }
 
 
-@pytest.mark.parametrize(("protocol", "seed"), RUNS)
-@pytest.mark.parametrize("fault", FOUND)
+@pytest.mark.parametrize(("protocol", "seed"), PROTOCOLS_AND_SEEDS)
+@pytest.mark.parametrize("fault", EXPECTED_FAULTS)
 def test_faults_are_found_with_a_position_loop(fault: str, protocol: str, seed: int) -> None:
-    with moving(loop_hand("jamia", protocol), seed) as run:
+    with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
         for _ in range(round((0.1 + 0.02 * seed) * RATE_HZ)):
             run.tick()
         run.peer.inject(fault)
         peak = 0.0
         while run.tick().mode < Mode.DISARM and run.k < 5.0 * RATE_HZ:
             peak = max(peak, *run.peer.truth()["tension"])
-        assert {mark.id for mark in run.state.latched} & FOUND[fault], run.state.latched
-        assert peak < TRIP_N
+        assert {mark.id for mark in run.state.latched} & EXPECTED_FAULTS[fault], run.state.latched
+        assert peak < TENSION_TRIP_N
 
 
-@pytest.mark.parametrize(("protocol", "seed"), RUNS)
+@pytest.mark.parametrize(("protocol", "seed"), PROTOCOLS_AND_SEEDS)
 def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
-    with moving(loop_hand("jamia", protocol), seed) as run:
+    with begin_to_and_fro(hand_with_position_loop("jamia", protocol), seed) as run:
         lose_gains(run, "index_motor")
         peak = 0.0
         while run.tick().mode == Mode.ACTIVE and run.k < 6.0 * RATE_HZ:
             peak = max(peak, *run.peer.truth()["tension"])
         assert {mark.id for mark in run.state.latched} & {"N14", "N17"}
-        assert peak < TRIP_N
+        assert peak < TENSION_TRIP_N
 
 
 @pytest.mark.parametrize(
@@ -398,7 +404,7 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
 )
 def test_a_healthy_drive_reports_what_is_predicted(protocol: str, sigma: float) -> None:
     """The reported force of a drive agrees with the prediction. Detectors of disobedience compare these two."""
-    with moving(loop_hand("jamia", protocol)) as run:
+    with begin_to_and_fro(hand_with_position_loop("jamia", protocol)) as run:
         apart = []
         for _ in range(600):
             run.tick()
@@ -409,7 +415,7 @@ def test_a_healthy_drive_reports_what_is_predicted(protocol: str, sigma: float) 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_report_is_predicted_within_the_limit_of_its_command(sign: int) -> None:
-    with moving(loop_hand(protocol="moteus")) as run:
+    with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(20):
             run.tick()
         limit = float(run.state.view("servo_limit")[1]) / run.controller.model.space.spool[1]
@@ -436,7 +442,7 @@ def test_a_protocol_without_position_commands_is_refused(protocol: str, reason: 
 
 @pytest.mark.parametrize("key", ["kp_N_m_per_rad", "kd_N_m_s_per_rad"])
 def test_a_moteus_without_gains_is_refused(key: str) -> None:
-    hand = loop_hand(protocol="moteus")
+    hand = hand_with_position_loop(protocol="moteus")
     with pytest.raises(
         ConfigError,
         match=rf"motor\[index_motor\].{key}: missing; expected a number, because control",
@@ -448,10 +454,10 @@ def test_a_moteus_without_gains_is_refused(key: str) -> None:
 @pytest.mark.parametrize("gain", [0.9, 1.2])
 def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: float) -> None:
     """An identified torque per command below 1 requires more than the gains in the drive: kp and kd are limited."""
-    hand = loop_hand(protocol="moteus")
+    hand = hand_with_position_loop(protocol="moteus")
     model = HandModel.of(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
     controller = make_controller(
-        hand, packaged_gains("jamia"), rate_hz, to_and_fro(hand, 1, 1.0), None, True
+        hand, packaged_gains("jamia"), rate_hz, to_and_fro_program(hand, 1, 1.0), None, True
     )
     drives = make_drives(hand)
     steps, loop = servo_steps(model, drives), servo_constants(model)
@@ -488,11 +494,11 @@ def test_a_stiffness_below_one_count_is_refused() -> None:
 
 
 def test_a_low_rate_lowers_the_stiffness() -> None:
-    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF)
-    with moving(hand, rate_hz=100.0) as run:
+    hand = with_position_loop(load_hand("jamia"), kp_N_m_per_rad=STIFF_KP)
+    with begin_to_and_fro(hand, rate_hz=100.0) as run:
         for _ in range(20):
             run.tick()
-        assert stiffness_sent(run).max() == pytest.approx(500.0 / 4095.0)
+        assert sent_stiffness(run).max() == pytest.approx(500.0 / 4095.0)
 
 
 def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity() -> None:
@@ -502,7 +508,7 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
     assert "control" not in hand.to_toml()
     layouts = [
         make_controller(
-            one, packaged_gains("jamia"), RATE_HZ, to_and_fro(one, 1, 1.0), None, True
+            one, packaged_gains("jamia"), RATE_HZ, to_and_fro_program(one, 1, 1.0), None, True
         ).layout
         for one in (hand, loop)
     ]
@@ -512,11 +518,11 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
 
 def print_tracking(protocol: str, seeds: int) -> None:
     """Print the mean tracking error of each hand in each mode, its range over the seeds, and the largest tension."""
-    for name in TRACKING:
+    for name in LARGEST_ERROR_RATIO:
         hands = {
             "torque commands": hand_with_protocol(name, protocol),
-            "kp and kd of the gains": loop_hand(name, protocol, None),
-            f"kp = {STIFF} N m/rad": loop_hand(name, protocol),
+            "kp and kd of the gains": hand_with_position_loop(name, protocol, None),
+            f"kp = {STIFF_KP} N m/rad": hand_with_position_loop(name, protocol),
         }
         for mode, hand in hands.items():
             runs = [mean_errors(hand, seed) for seed in range(seeds)]

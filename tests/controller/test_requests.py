@@ -19,7 +19,7 @@ from handctl.programs.requests import (
 )
 from handctl.runtime.mailbox import MAX_REQUEST_BYTES
 
-GOOD = [
+VALID_REQUESTS = [
     ('{"do": "arm"}', ArmRequest),
     ('{"do": "stop"}', StopRequest),
     ('{"do": "cut"}', CutRequest),
@@ -29,7 +29,7 @@ GOOD = [
 ]
 
 
-@pytest.mark.parametrize(("text", "kind"), GOOD)
+@pytest.mark.parametrize(("text", "kind"), VALID_REQUESTS)
 def test_valid_requests_are_parsed(text: str, kind: type) -> None:
     assert isinstance(parse_request(text), kind)
 
@@ -43,7 +43,7 @@ def test_numbers_arrive_as_they_were_sent() -> None:
     assert request.duration_s == 2.5
 
 
-BAD = [
+INVALID_REQUESTS = [
     "",
     "stop",
     "[]",
@@ -81,7 +81,7 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize("text", BAD)
+@pytest.mark.parametrize("text", INVALID_REQUESTS)
 def test_bad_requests_become_one_printable_line(text: str) -> None:
     line = parse_request(text)
     assert isinstance(line, str)
@@ -91,26 +91,26 @@ def test_bad_requests_become_one_printable_line(text: str) -> None:
     line.encode()
 
 
-json_value = st.recursive(
+json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
     max_leaves=8,
 )
-likely = st.fixed_dictionaries(
+likely_requests = st.fixed_dictionaries(
     {"do": st.sampled_from(["arm", "stop", "cut", "clear", "move", "hold"])},
     optional={
-        "angle_deg": json_value,
-        "tension_N": json_value,
-        "duration_s": json_value,
-        "rate_N_per_s": json_value,
+        "angle_deg": json_values,
+        "tension_N": json_values,
+        "duration_s": json_values,
+        "rate_N_per_s": json_values,
     },
 )
 
 
 @given(
     st.text()
-    | json_value.map(json.dumps)
-    | likely.map(json.dumps)
+    | json_values.map(json.dumps)
+    | likely_requests.map(json.dumps)
     | st.binary().map(lambda b: b.decode("utf-8", "replace"))
 )
 def test_nothing_raises_and_every_number_is_finite(text: str) -> None:

@@ -9,13 +9,13 @@ from handctl.controller.shutdown import shutdown_step
 from handctl.core.types import Mode
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
-from tests.drives.protocol_bench import OPTIONS, hand_file
+from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
 
 PERIOD_NS = 2_000_000
 
 
 @pytest.mark.parametrize("broken", [False, True])
-@pytest.mark.parametrize("protocol", sorted(OPTIONS))
+@pytest.mark.parametrize("protocol", sorted(OPTIONS_TEXT_BY_PROTOCOL))
 def test_shutdown_waits_until_each_motor_reports_off(
     protocol: str, broken: bool, tmp_path: Path
 ) -> None:

@@ -36,17 +36,17 @@ from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents
 from handctl.programs.task import ClosePhase, HoldPhase, Task
 from handctl.session.calibration import homed_calibration
 from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
-from tests.controller.synthetic import interpreted
+from tests.controller.synthetic_states import uncompiled_function
 
 RATE_HZ = 500.0
-FILE = Path(__file__).with_name("spool_finger.toml")
-SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
+SPOOL_FINGER_FILE = Path(__file__).with_name("spool_finger.toml")
+SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 
 @cache
-def finger() -> Hand:
+def spool_finger() -> Hand:
     """Return a hand with one finger. Each of its two joints has a spool pair."""
-    return load_hand(FILE)
+    return load_hand(SPOOL_FINGER_FILE)
 
 
 # --- net tension and tendons --------------------------------------------------------------------------------------
@@ -56,10 +56,10 @@ def finger() -> Hand:
 def test_the_net_tension_is_the_difference_of_two_tensions_that_only_pull(seed: int) -> None:
     random = np.random.default_rng(seed)
     net, pretension = random.uniform(-60.0, 60.0), random.uniform(0.0, 20.0)
-    assert interpreted(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
+    assert uncompiled_function(net_tension_at_joint)(net, pretension, 1.0) == pytest.approx(net)
     # The net tension with half the first and twice the second tendon's tension gives a second
     # equation for both.
-    halved = interpreted(net_tension_at_joint)(net, pretension, 0.5)
+    halved = uncompiled_function(net_tension_at_joint)(net, pretension, 0.5)
     first = (2.0 * net - halved) / 1.5
     second = first - net
     assert min(first, second) >= -1e-9
@@ -75,19 +75,21 @@ def test_friction_of_both_tendons_is_subtracted_and_added_back(seed: int) -> Non
         random.uniform(0.0, 20.0),
         np.exp(random.uniform(-0.3, 0.3)),
     )
-    behind = interpreted(net_tension_at_joint)(net, pretension, passed)
-    assert interpreted(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(
+    behind = uncompiled_function(net_tension_at_joint)(net, pretension, passed)
+    assert uncompiled_function(net_tension_at_spool)(behind, pretension, passed) == pytest.approx(
         net, abs=1e-9
     )
     # Even without net tension, the pretension of a pair causes friction. The winding tendon loses
     # tension, the other one gains.
-    lost = net - interpreted(net_tension_at_joint)(net, pretension, min(passed, 1.0 / passed))
+    lost = net - uncompiled_function(net_tension_at_joint)(
+        net, pretension, min(passed, 1.0 / passed)
+    )
     assert lost >= 0.0
 
 
 def test_a_single_tendon_is_the_limit_of_a_pair_without_pretension() -> None:
-    assert interpreted(net_tension_at_joint)(10.0, 0.0, 0.8) == pytest.approx(8.0)
-    assert interpreted(net_tension_at_joint)(-10.0, 0.0, 0.8) == pytest.approx(-12.5)
+    assert uncompiled_function(net_tension_at_joint)(10.0, 0.0, 0.8) == pytest.approx(8.0)
+    assert uncompiled_function(net_tension_at_joint)(-10.0, 0.0, 0.8) == pytest.approx(-12.5)
 
 
 @pytest.mark.parametrize("stretch_mm", [0.0, 0.1, -0.1, 0.16, 0.4, -0.4])
@@ -96,10 +98,10 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
 
     Above, only one is taut.
     """
-    tendon, motor = finger().tendon[0], finger().motor[0]
+    tendon, motor = spool_finger().tendon[0], spool_finger().motor[0]
     pretension = tendon.pretension_N
     assert pretension is not None
-    with SimulatorSettings(finger(), None, 0, homed=True).peer(2_000_000) as peer:
+    with SimulatorSettings(spool_finger(), None, 0, homed=True).peer(2_000_000) as peer:
         plant = peer.world.plant
         plant.engine.set_joints([0.0, 0.0], [0.0, 0.0])
         plant.motors[motor.name].theta = stretch_mm * 1e-3 / motor.spool_radius_m
@@ -113,19 +115,23 @@ def test_the_simulated_spool_pulls_one_tendon_and_slackens_the_other(stretch_mm:
 # --- control ------------------------------------------------------------------------------------------------------
 
 
-def run_of(
-    peer: SimulatedHand, hand: Hand, program: Program, calibration: Calibration | None, first: int
+def begin_run(
+    peer: SimulatedHand,
+    hand: Hand,
+    program: Program,
+    calibration: Calibration | None,
+    first_tick: int,
 ) -> SimulatedRun:
-    """Begin a run of a program at tick ``first``. The simulated hand may have run before."""
+    """Begin a run of a program at tick ``first_tick``. The simulated hand may have run before."""
     controller = make_controller(hand, Gains(), RATE_HZ, program, calibration, arm_at_once=True)
     run = SimulatedRun.of(controller, peer)
-    run.k = first
+    run.k = first_tick
     run.record = False
-    run.state.set_whole(s.K, first - 1)
+    run.state.set_whole(s.K, first_tick - 1)
     return run
 
 
-MOVES = Task.model_validate(
+MOVES_TASK = Task.model_validate(
     {
         "schema": 1,
         "name": "moves",
@@ -140,16 +146,16 @@ MOVES = Task.model_validate(
 )
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
     """Commissioning finds the motor zeros of the simulator.
 
     Joints follow within a degree, and no tendon exceeds its limit.
     """
-    hand = finger()
+    hand = spool_finger()
     with SimulatorSettings(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
         plant = peer.world.plant
-        run = run_of(peer, hand, CommissionProgram(), None, 0)
+        run = begin_run(peer, hand, CommissionProgram(), None, 0)
         for _, out in run.ticks(60.0):
             assert not [event for event in out.events if event.level == "error"]
         assert not run.state.progress.failure
@@ -167,7 +173,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         found = (calibration.zero(hand) - offset) * run.controller.model.space.spool - wound
         np.testing.assert_allclose(found, 0.0, atol=1e-4)
 
-        run = run_of(peer, hand, TaskProgram(MOVES), calibration, run.k)
+        run = begin_run(peer, hand, TaskProgram(MOVES_TASK), calibration, run.k)
         errors = list[np.ndarray]()
         largest = 0.0
         for _, out in run.ticks(run.k / RATE_HZ + 30.0):
@@ -182,7 +188,7 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
 
 
 @dataclass(frozen=True)
-class Pull:
+class PullProgram:
     """Program that pulls both spool pairs of the finger with the same net tension [N]."""
 
     tension: float
@@ -210,10 +216,10 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
 
     A larger goal is limited to the limit of the hand minus sigma of an estimated tension.
     """
-    hand = finger()
+    hand = spool_finger()
     limit = hand.tendon[0].tension_max_N
     with SimulatorSettings(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
-        run = run_of(peer, hand, Pull(tension), homed_calibration(hand, {}), 0)
+        run = begin_run(peer, hand, PullProgram(tension), homed_calibration(hand, {}), 0)
         model = run.controller.model
         goal = np.clip(tension, model.floor, model.ceiling)
         for _, out in run.ticks(4.5):
@@ -227,9 +233,9 @@ def test_it_pulls_both_ways_and_never_above_the_limit(tension: float) -> None:
     ("tension", "tendon"), [(40.0, "finger_mcp"), (-40.0, "finger_mcp_antagonist")]
 )
 def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) -> None:
-    hand = finger()
+    hand = spool_finger()
     with SimulatorSettings(hand, None, 0, homed=True).peer(round(1e9 / RATE_HZ)) as peer:
-        run = run_of(peer, hand, Pull(tension), homed_calibration(hand, {}), 0)
+        run = begin_run(peer, hand, PullProgram(tension), homed_calibration(hand, {}), 0)
         peer.inject(f"snap tendon={tendon} at=2s")
         faults = [
             event.text
@@ -245,57 +251,57 @@ def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) ->
 # --- hand files ---------------------------------------------------------------------------------------------------
 
 
-def with_tendon(**values: object) -> dict[str, object]:
+def content_with_tendon(**values: object) -> dict[str, object]:
     """Return the content of the finger's hand file with other values of its first tendon."""
-    content = hand_content(FILE)
+    content = hand_content(SPOOL_FINGER_FILE)
     return content | {"tendon": [content["tendon"][0] | values, *content["tendon"][1:]]}
 
 
-def with_digit(**values: object) -> dict[str, object]:
+def content_with_digit(**values: object) -> dict[str, object]:
     """Return the content of the finger's hand file with other values of its digit."""
-    content = hand_content(FILE)
+    content = hand_content(SPOOL_FINGER_FILE)
     return content | {"digit": [content["digit"][0] | values]}
 
 
-def without_pretension() -> dict[str, object]:
-    content = with_tendon(tension_floor_N=2.0)
+def content_without_pretension() -> dict[str, object]:
+    content = content_with_tendon(tension_floor_N=2.0)
     del content["tendon"][0]["pretension_N"]  # type: ignore[index]
     return content
 
 
-MISTAKES = {
+HAND_FILE_MISTAKES = {
     "half the limit": (
-        with_tendon(pretension_N=31.0),
+        content_with_tendon(pretension_N=31.0),
         "pretension_N",
         "at most tension_max_N / 2 = 30 N",
     ),
-    "a floor": (with_tendon(tension_floor_N=2.0), "tension_floor_N", "0, or no such key"),
+    "a floor": (content_with_tendon(tension_floor_N=2.0), "tension_floor_N", "0, or no such key"),
     "one single": (
-        without_pretension(),
+        content_without_pretension(),
         "finger_mcp",
         "pretension_N on all tendons of finger, or on none",
     ),
     "one motor": (
-        with_tendon(motor="finger_pip"),
+        content_with_tendon(motor="finger_pip"),
         "finger_pip",
         "one tendon with pretension_N for both tendons",
     ),
     "coupling": (
-        with_digit(coupling=[[1.0], [1.0]]),
+        content_with_digit(coupling=[[1.0], [1.0]]),
         "digit[finger].tendon",
         "one spool pair per coordinate",
     ),
     "springs": (
-        with_digit(spring_stiffness_N_m_per_rad=[0.1, 0.1], spring_preload_rad=[0.1, 0.1]),
+        content_with_digit(spring_stiffness_N_m_per_rad=[0.1, 0.1], spring_preload_rad=[0.1, 0.1]),
         "spring_stiffness_N_m_per_rad",
         "no springs",
     ),
 }
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("mistake", HAND_FILE_MISTAKES)
 def test_a_mistake_is_one_line_that_names_the_key(mistake: str) -> None:
-    content, where, right = MISTAKES[mistake]
+    content, where, right = HAND_FILE_MISTAKES[mistake]
     hand, mistakes = validate_content(content)
     assert hand is None
     text = str(mistakes[0].error("x.toml"))
@@ -306,12 +312,12 @@ def test_a_mistake_is_one_line_that_names_the_key(mistake: str) -> None:
 
 def test_a_load_cell_on_a_pair_is_refused() -> None:
     node = hand_content("t42")["sensor_node"] | {"tendons": ["finger_mcp"]}
-    _, mistakes = validate_content(hand_content(FILE) | {"sensor_node": node})
+    _, mistakes = validate_content(hand_content(SPOOL_FINGER_FILE) | {"sensor_node": node})
     assert "finger_mcp is a spool pair" in str(mistakes[0].error("x.toml"))
 
 
 def test_a_hand_with_pairs_is_ready_and_reads_back_as_itself() -> None:
-    hand = finger()
+    hand = spool_finger()
     assert not list(reasons_not_ready(hand))
     assert [tendon.tension_floor_N for tendon in hand.tendon] == [0.0, 0.0]
     again = hand_from_content(hand.content, "again")

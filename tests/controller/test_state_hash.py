@@ -10,18 +10,18 @@ from handctl.core.identity_cache import IdentityCache, SequenceCache
 from handctl.core.plain import plain_bytes
 
 
-def bytes_of(value: object) -> bytes:
+def hashed_bytes(value: object) -> bytes:
     return repr(value).encode()
 
 
 def test_values_of_same_objects_are_taken_over() -> None:
     asked = list[object]()
 
-    def noted(item: object) -> bytes:
+    def noted_bytes(item: object) -> bytes:
         asked.append(item)
-        return bytes_of(item)
+        return hashed_bytes(item)
 
-    cache = SequenceCache[object](noted)
+    cache = SequenceCache[object](noted_bytes)
     one, two, three = [1], [2], [3]
     assert cache((one, two)) == [b"[1]", b"[2]"]
     assert cache((one, three)) == [b"[1]", b"[3]"]

@@ -15,7 +15,12 @@ from handctl.core.model import HandModel
 from handctl.core.schema import BlockArray, TablePlaces
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import forward_kinematics, tip_jacobian
-from tests.controller.synthetic import active_state, constants, efficiency, load_statics
+from tests.controller.synthetic_states import (
+    active_state,
+    load_statics,
+    stage_constants,
+    winding_efficiency_of,
+)
 
 
 @kernel("constants", "layout", "vector")
@@ -27,7 +32,7 @@ def _static_torque(block: BlockArray, at: TablePlaces, q: np.ndarray) -> np.ndar
 
 def static_torque_of(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Return the torque of gravity and springs at all joints, as the estimator computes it."""
-    return _static_torque(*constants(model), q)
+    return _static_torque(*stage_constants(model), q)
 
 
 def filter_table_at(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
@@ -112,7 +117,7 @@ def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> Non
 def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel) -> None:
     rng = np.random.default_rng(7)
     q = rng.uniform(0.0, 1.4, len(model.hand.joints))
-    found = efficiency(model, q)
+    found = winding_efficiency_of(model, q)
     for i, tendon in enumerate(model.hand.tendon):
         passed, shares, arms = tendon.wrap_angle_rad, 0.0, 0.0
         for joint, angle in zip(model.hand.joints, q, strict=True):
@@ -133,7 +138,7 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
         torque = static_torque_of(model, q)
         state = active_state(model)
         state.view("q")[...], state.view("external")[...] = q, external
-        stages.store_commands(state.block, state.layout.places, *constants(model))
+        stages.store_commands(state.block, state.layout.places, *stage_constants(model))
         force = state.view("tip_force")
         for d, digit in enumerate(model.digits):
             np.testing.assert_allclose(

@@ -11,14 +11,14 @@ from handctl.hand.load import load_hand, packaged_hands
 from handctl.programs.task import ClosePhase, FollowPhase, HoldPhase, MovePhase, ReleasePhase
 from handctl.session.tasks import find_task
 
-ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "reference" / "tasks.md").read_text("utf-8")
-BLOCKS = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
+REPOSITORY = Path(__file__).parents[2]
+TASKS_PAGE = (REPOSITORY / "docs" / "reference" / "tasks.md").read_text("utf-8")
+TOML_BLOCKS = re.findall(r"```toml\n(.*?)```", TASKS_PAGE, re.S)
 
 
 def test_the_example_suits_every_jamia(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(BLOCKS[0])
+    path.write_text(TOML_BLOCKS[0])
     for name in (name for name in packaged_hands() if name.startswith("jamia")):
         task, _ = find_task(path, load_hand(name))
         assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]
@@ -26,13 +26,13 @@ def test_the_example_suits_every_jamia(tmp_path: Path) -> None:
 
 def test_scene_of_the_page_is_valid(tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
-    path.write_text(BLOCKS[1])
+    path.write_text(TOML_BLOCKS[1])
     assert len(load_scene(str(path)).stages) == 1
 
 
 def test_every_packaged_task_and_its_scenes_are_named() -> None:
-    tasks = {path.stem for path in (ROOT / "src" / "handctl" / "tasks").glob("*.toml")}
-    rows = re.findall(r"^\| `([\w-]+)` \|.*\| (`.*`) \|$", PAGE, re.M)
+    tasks = {path.stem for path in (REPOSITORY / "src" / "handctl" / "tasks").glob("*.toml")}
+    rows = re.findall(r"^\| `([\w-]+)` \|.*\| (`.*`) \|$", TASKS_PAGE, re.M)
     assert {name for name, _ in rows} == tasks
     for _, scenes in rows:
         for scene in re.findall(r"`([\w:]+)`", scenes):
@@ -42,4 +42,4 @@ def test_every_packaged_task_and_its_scenes_are_named() -> None:
 def test_every_key_of_every_phase_is_named() -> None:
     for kind in (MovePhase, ClosePhase, HoldPhase, ReleasePhase, FollowPhase):
         for key in kind.model_fields.keys() - {"kind", "name"}:
-            assert f"`{key}`" in PAGE, (kind.__name__, key)
+            assert f"`{key}`" in TASKS_PAGE, (kind.__name__, key)

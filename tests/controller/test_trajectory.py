@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from handctl.core.law.trajectory import PEAK_SPEED, CurveTrajectory, MinimumJerk, duration_for
 from handctl.core.plain import plain_bytes
 
-angles = st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2).map(np.array)
-durations = st.floats(0.01, 100.0)
+angle_pairs = st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2).map(np.array)
+move_durations = st.floats(0.01, 100.0)
 
 
-@given(start=angles, end=angles, duration=durations)
+@given(start=angle_pairs, end=angle_pairs, duration=move_durations)
 def test_minimum_jerk_move_rests_at_both_ends(
     start: np.ndarray, end: np.ndarray, duration: float
 ) -> None:
@@ -24,7 +24,7 @@ def test_minimum_jerk_move_rests_at_both_ends(
         np.testing.assert_allclose(acceleration, 0.0, atol=1e-12)
 
 
-@given(start=angles, end=angles, duration=durations, share=st.floats(0.01, 0.99))
+@given(start=angle_pairs, end=angle_pairs, duration=move_durations, share=st.floats(0.01, 0.99))
 def test_trajectory_derivatives_match_differences(
     start: np.ndarray, end: np.ndarray, duration: float, share: float
 ) -> None:
@@ -37,7 +37,7 @@ def test_trajectory_derivatives_match_differences(
     )
 
 
-@given(start=angles, end=angles, duration=durations)
+@given(start=angle_pairs, end=angle_pairs, duration=move_durations)
 def test_move_stays_between_its_ends_and_below_its_peak_speed(
     start: np.ndarray, end: np.ndarray, duration: float
 ) -> None:
@@ -59,11 +59,11 @@ def test_no_admissible_bump_has_less_jerk() -> None:
     acceleration = np.array([move.at(one)[2][0] for one in t])
     bump = np.gradient(np.gradient(t**3 * (1 - t) ** 3, t), t)
 
-    def effort(a: np.ndarray) -> float:
+    def squared_jerk(a: np.ndarray) -> float:
         return float(np.trapezoid(np.gradient(a, t)[100:-100] ** 2, t[100:-100]))
 
     for size in (-0.5, 0.5):
-        assert effort(acceleration + size * bump) > effort(acceleration)
+        assert squared_jerk(acceleration + size * bump) > squared_jerk(acceleration)
 
 
 @pytest.mark.parametrize(("distance", "speed"), [(1.0, 2.0), (-0.5, 0.1), (0.0, 1.0)])
@@ -77,14 +77,14 @@ def test_duration_keeps_the_peak_speed(distance: float, speed: float) -> None:
         assert fastest == pytest.approx(speed, rel=1e-5)
 
 
-times = st.lists(st.floats(0.05, 2.0), min_size=1, max_size=6).map(
+curve_times = st.lists(st.floats(0.05, 2.0), min_size=1, max_size=6).map(
     lambda steps: (0.0, *np.cumsum(steps).tolist())
 )
 
 
 @given(data=st.data())
 def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) -> None:
-    when = data.draw(times)
+    when = data.draw(curve_times)
     points = tuple(
         data.draw(st.lists(st.floats(-0.5, 2.0), min_size=len(when), max_size=len(when)))
     )

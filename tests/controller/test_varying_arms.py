@@ -21,23 +21,23 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
-from tests.controller.synthetic import active_state
-from tests.hand.varied import with_varying_arms
+from tests.controller.synthetic_states import active_state
+from tests.hand.varying_arms import with_varying_arms
 
-HANDS = packaged_hands()
+PACKAGED_HANDS = packaged_hands()
 RATE_HZ = 400.0
-SEEDS = range(20) if NIGHTLY else range(2)
+SIMULATOR_SEEDS = range(20) if NIGHTLY else range(2)
 
 
 @kernel("block", "layout", "block", "layout")
-def _update(
+def _update_structure(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> None:
     structure.update_structure(state_tables(block, at), constant_tables(constants, constants_at))
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
-def _arm(
+def _arm_and_slope(
     block: BlockArray,
     at: TablePlaces,
     constants: BlockArray,
@@ -57,11 +57,11 @@ def model_of(name: str, fraction: float = 0.3) -> HandModel:
     return HandModel.of(with_varying_arms(name, fraction), Gains(), RATE_HZ)
 
 
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("name", PACKAGED_HANDS)
 def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None:
     model = model_of(name)
     constants = HandConstants(model, {})
-    for seed in SEEDS:
+    for seed in SIMULATOR_SEEDS:
         chance = np.random.default_rng(seed)
         state = active_state(model)
         q = np.zeros(len(model.hand.joints))
@@ -72,8 +72,10 @@ def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None
             q[digit.joints] = digit.coupling @ (digit.joints_to_coordinates @ q[digit.joints])
             state.view("excursion")[digit.tendons] = excursions(digit, q[digit.joints])
         state.view("q")[...] = np.nan if seed == 0 else chance.uniform(0.0, 1.0, len(q))
-        _update(state.block, state.layout.places, constants.block, constants.layout.places)
-        view = {field: constants.layout.view(constants.block, field) for field in FIELDS}
+        _update_structure(
+            state.block, state.layout.places, constants.block, constants.layout.places
+        )
+        view = {field: constants.layout.view(constants.block, field) for field in STRUCTURE_FIELDS}
         free = view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
         np.testing.assert_allclose(free, q, atol=1e-9)
         for digit in model.digits:
@@ -101,7 +103,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None
                 )
 
 
-FIELDS = (
+STRUCTURE_FIELDS = (
     "excursion_to_joints",
     "angle_offset",
     "moment_arms",
@@ -118,11 +120,13 @@ def test_arm_and_slope_are_derivatives_of_the_excursion() -> None:
     places = (state.block, state.layout.places, constants.block, constants.layout.places)
     for q in np.random.default_rng(3).uniform(-0.2, 2.0, 20).tolist():
         step = 1e-5
-        here, before, after = (_arm(*places, 2, 1, angle) for angle in (q, q - step, q + step))
+        here, before, after = (
+            _arm_and_slope(*places, 2, 1, angle) for angle in (q, q - step, q + step)
+        )
         np.testing.assert_allclose((after - before)[:2] / (2 * step), here[1:], atol=1e-8)
 
 
-def moves(*angles: tuple[float, float]) -> Task:
+def task_of_moves(*angles: tuple[float, float]) -> Task:
     """Return a task of moves. Each pair is the angle of all joints [deg] and the duration of a move [s]."""
     phases = [
         {"kind": "move", "name": f"move {i}", "angle_deg": angle, "duration_s": duration}
@@ -135,7 +139,9 @@ def moves(*angles: tuple[float, float]) -> Task:
 
 def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
     """Return the RMSE of true against commanded joint angles [deg] while a simulated hand moves."""
-    task = TaskProgram(moves((5.0, 0.5), (42.0, 0.7), (15.0, 0.6), (45.0, 0.6), (10.0, 0.6)))
+    task = TaskProgram(
+        task_of_moves((5.0, 0.5), (42.0, 0.7), (15.0, 0.6), (45.0, 0.6), (10.0, 0.6))
+    )
     errors = list[np.ndarray]()
     with SimulatorSettings(hand, None, seed, homed=True).against(
         homed_controller(model, task, hand)
@@ -149,7 +155,7 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 @pytest.mark.parametrize("name", ["jamia11", "n_plus_1"])
 def test_arms_by_angle_track_better_than_constant_arms(name: str, seed: int) -> None:
     """The moment arms in the simulator vary by 30 % with the joint angle.

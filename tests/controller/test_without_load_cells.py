@@ -25,11 +25,11 @@ from handctl.programs.task import Task
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 500.0
-SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
+SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 2)
 
 
 @cache
-def without(*tendons: str) -> Hand:
+def hand_without_cells(*tendons: str) -> Hand:
     """Return jamia without the load cells of the named tendons.
 
     If no tendon is named, it has no sensor node at all.
@@ -47,11 +47,11 @@ def without(*tendons: str) -> Hand:
 
 @cache
 def model_of(*tendons: str) -> HandModel:
-    """Return the model of the hand that ``without(*tendons)`` returns."""
-    return HandModel.of(without(*tendons), Gains(), RATE_HZ)
+    """Return the model of the hand that ``hand_without_cells(*tendons)`` returns."""
+    return HandModel.of(hand_without_cells(*tendons), Gains(), RATE_HZ)
 
 
-TASK = Task.model_validate(
+CYLINDER_TASK = Task.model_validate(
     {
         "schema": 1,
         "name": "close",
@@ -86,59 +86,59 @@ TASK = Task.model_validate(
 
 
 @dataclass
-class BlindRun:
+class RunWithoutCells:
     """Record of a run without load cells, with a row for each tick.
 
     A row has the phase, the estimated tension, its standard deviation and the true tension (N,)
     [N]. The record also has all events and the last height of the object.
     """
 
-    phase: list[str] = field(default_factory=list)
+    phase_name: list[str] = field(default_factory=list)
     tension: list[np.ndarray] = field(default_factory=list)
     sigma: list[np.ndarray] = field(default_factory=list)
-    true: list[np.ndarray] = field(default_factory=list)
+    true_tension: list[np.ndarray] = field(default_factory=list)
     events: list[TickEvent] = field(default_factory=list)
-    height: float = 0.0
+    object_height: float = 0.0
 
-    def error(self, *phases: str) -> np.ndarray:
+    def normalized_errors(self, *phases: str) -> np.ndarray:
         """Return the errors of the estimate in some phases, divided by the standard deviation of the estimate."""
-        rows = np.isin(self.phase, phases)
-        return (np.array(self.tension)[rows] - np.array(self.true)[rows]) / np.array(self.sigma)[
-            rows
-        ]
+        rows = np.isin(self.phase_name, phases)
+        return (np.array(self.tension)[rows] - np.array(self.true_tension)[rows]) / np.array(
+            self.sigma
+        )[rows]
 
 
 def run_without_sensors(
     program: Program, scene: str | None, seed: int, *faults: str, limit_s: float = 30.0
-) -> BlindRun:
+) -> RunWithoutCells:
     """Run a program on a hand without sensors whose motor zeros are known.
 
     Injected faults contain their own times.
     """
-    rows = BlindRun()
-    with SimulatorSettings(without(), scene, seed, homed=True).against(
+    rows = RunWithoutCells()
+    with SimulatorSettings(hand_without_cells(), scene, seed, homed=True).against(
         homed_controller(model_of(), program)
     ) as run:
         run.record = False
         for fault in faults:
             run.peer.inject(fault)
         for _, out in run.ticks(limit_s):
-            rows.phase.append(out.phase)
+            rows.phase_name.append(out.phase)
             rows.tension.append(run.state.view("tension").copy())
             rows.sigma.append(run.state.view("sigma").copy())
-            rows.true.append(np.array(run.peer.world.plant.tensions()))
+            rows.true_tension.append(np.array(run.peer.world.plant.tensions()))
             rows.events += out.events
             if run.state.progress.phase == "hold":
-                rows.height = run.peer.world.plant.engine.object_pose()[2]
+                rows.object_height = run.peer.world.plant.engine.object_pose()[2]
     return rows
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 @pytest.mark.parametrize("bare", [(), ("index_tendon", "thumb_tendon")])
 def test_hand_commissions_with_the_tares_of_its_load_cells(
     bare: tuple[str, ...], seed: int
 ) -> None:
-    hand = without(*bare)
+    hand = hand_without_cells(*bare)
     with SimulatorSettings(hand, None, seed).peer(round(1e9 / RATE_HZ)) as peer:
         run = SimulatedRun.of(
             make_controller(hand, Gains(), RATE_HZ, CommissionProgram(), None, True), peer
@@ -154,9 +154,9 @@ def test_hand_commissions_with_the_tares_of_its_load_cells(
         np.testing.assert_allclose(wrong, 0.0, atol=5e-5)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_it_grasps_holds_and_lets_go_and_the_error_is_within_its_sigma(seed: int) -> None:
-    rows = run_without_sensors(TaskProgram(TASK), "cylinder", seed)
+    rows = run_without_sensors(TaskProgram(CYLINDER_TASK), "cylinder", seed)
     assert not [event.text for event in rows.events if event.level == "error"]
     assert {event.where for event in rows.events if event.name == "contact"} == {
         "index",
@@ -164,28 +164,28 @@ def test_it_grasps_holds_and_lets_go_and_the_error_is_within_its_sigma(seed: int
         "ring",
         "thumb",
     }
-    assert rows.height == pytest.approx(0.0, abs=3e-3)
-    error = rows.error("home", "preshape", "close", "hold")
+    assert rows.object_height == pytest.approx(0.0, abs=3e-3)
+    error = rows.normalized_errors("home", "preshape", "close", "hold")
     assert np.sqrt(np.mean(error**2)) < 1.0, "the standard deviation is not too small"
     assert np.quantile(np.abs(error), 0.99) < 4.0, "an impact is seen late"
 
 
 def test_limits_are_stricter_by_the_sigma_of_the_estimate() -> None:
-    file = without()
+    file = hand_without_cells()
     bare = model_of("index_tendon")
     margin = bare.blind_margin
     assert margin[0] > 2.0
     assert not margin[1:].any()
     assert bare.ceiling[0] == file.tendon[0].tension_max_N - margin[0]
-    controller = homed_controller(bare, TaskProgram(TASK))
+    controller = homed_controller(bare, TaskProgram(CYLINDER_TASK))
     assert controller.limits.tension_trip[0] == file.tendon[0].tension_trip_N - margin[0]
     assert controller.limits.tension_trip[1] == file.tendon[1].tension_trip_N
     assert margin[0] == BLIND_SIGMAS * bare.filter.held_sigma[0]
 
 
 def test_a_hand_without_sensors_sends_no_sync() -> None:
-    hand = without()
-    controller = homed_controller(model_of(), TaskProgram(TASK))
+    hand = hand_without_cells()
+    controller = homed_controller(model_of(), TaskProgram(CYLINDER_TASK))
     with SimulatorSettings(hand, None, 0, homed=True).against(controller) as run:
         sync = (controller.sensors.bus, hand.sensor_node.sync_id)
         for _, out in run.ticks(1.0):
@@ -203,7 +203,7 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
     hand = hand_from_content(content, "cia402")
     model = HandModel.of(hand, Gains(), 250.0)
     with SimulatorSettings(hand, None, 0, homed=True).against(
-        homed_controller(model, TaskProgram(TASK))
+        homed_controller(model, TaskProgram(CYLINDER_TASK))
     ) as run:
         assert run.until(lambda out: out.mode == Mode.ACTIVE, 10.0)
 
@@ -217,6 +217,6 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
     ],
 )
 def test_faults_that_need_no_load_cell_are_found(fault: str, expected: tuple[str, ...]) -> None:
-    rows = run_without_sensors(TaskProgram(TASK), "cylinder", 0, fault)
+    rows = run_without_sensors(TaskProgram(CYLINDER_TASK), "cylinder", 0, fault)
     found = {event.text.split()[0] for event in rows.events if event.name == "fault"}
     assert found & set(expected), rows.events[-5:]

@@ -7,11 +7,11 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-READY_S = 60.0
+READY_TIMEOUT_S = 60.0
 
 
 @contextmanager
-def drives(bus: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
+def run_simulated_drives(bus: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
     """Run simulated drives on a bus until the block ends, and check their exit code.
 
     Args:
@@ -22,7 +22,7 @@ def drives(bus: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout
-        assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
+        assert select.select([process.stdout], [], [], READY_TIMEOUT_S)[0], "no ready line"
         assert process.stdout.readline().startswith("firmware_sim: ready")
         yield process
         process.send_signal(signal.SIGTERM)

@@ -9,13 +9,13 @@ import pytest
 from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
-from tests.drives.motor import ScriptedMotor
+from tests.drives.scripted_motor import ScriptedMotor
 
 PERIOD_NS = 2_000_000
 
 
 @dataclass(frozen=True)
-class Section:
+class MotorSection:
     """Content of a ``[[motor]]`` section of a hand file."""
 
     name: str = "index_motor"
@@ -38,25 +38,29 @@ class MotorRig:
     motor: ScriptedMotor
     state: DriveState
     t_ns: int = 0
-    sent: list[Frame] = field(default_factory=list)
-    pending: list[Frame] = field(default_factory=list)
+    sent_frames: list[Frame] = field(default_factory=list)
+    pending_replies: list[Frame] = field(default_factory=list)
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> DriveState:
         """Let the drive receive the motor's replies and advance by a tick.
 
         The motor then replies for the next tick.
         """
-        for frame in self.pending:
+        for frame in self.pending_replies:
             self.state = self.drive.receive(self.state, frame)
         self.state, frames = self.drive.advance(self.state, self.t_ns, target, torque)
-        self.sent += frames
-        self.pending = [
-            reply for frame in frames for reply in self.motor.answer(frame, self.t_ns + 300_000)
+        self.sent_frames += frames
+        self.pending_replies = [
+            reply
+            for frame in frames
+            for reply in self.motor.answer_frame(frame, self.t_ns + 300_000)
         ]
         self.t_ns += PERIOD_NS
         return self.state
 
-    def until(self, target: DriveTarget, *phases: DrivePhase, ticks: int = 300) -> DriveState:
+    def run_until_phase(
+        self, target: DriveTarget, *phases: DrivePhase, ticks: int = 300
+    ) -> DriveState:
         """Run ticks until the drive is in one of the given phases, or fail."""
         for _ in range(ticks):
             if self.tick(target).phase in phases:
@@ -68,9 +72,9 @@ class MotorRig:
 
 @pytest.fixture
 def rig() -> MotorRig:
-    drive = MitDrive.of(Section(), 0)
+    drive = MitDrive.of(MotorSection(), 0)
     return MotorRig(drive, ScriptedMotor(), drive.initial())
 
 
-def drive_of(**changes: object) -> MitDrive:
-    return MitDrive.of(replace(Section(), **changes), 0)  # type: ignore[arg-type]
+def mit_drive_of(**changes: object) -> MitDrive:
+    return MitDrive.of(replace(MotorSection(), **changes), 0)  # type: ignore[arg-type]

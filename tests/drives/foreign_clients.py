@@ -18,14 +18,14 @@ from odrive_can.odrive import DriveError, ODriveCAN
 
 from firmware_sim.nodes.cia402.dictionary import EDS_PATH
 
-WAIT_S = 20.0
-CST = "CYCLIC SYNCHRONOUS TORQUE"
+WAIT_TIMEOUT_S = 20.0
+CYCLIC_TORQUE_MODE = "CYCLIC SYNCHRONOUS TORQUE"
 
 
-def wait_for(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + WAIT_S
+def wait_for(condition: Callable[[], bool], expected_event: str) -> None:
+    end = time.monotonic() + WAIT_TIMEOUT_S
     while not condition():
-        assert time.monotonic() < end, f"never: {what}"
+        assert time.monotonic() < end, f"never: {expected_event}"
         time.sleep(0.005)
 
 
@@ -91,10 +91,10 @@ def use_damiao_modes(interface: str, channel: str, node: int = 2) -> None:
 
 def use_odrive_can(bus: can.BusABC, node: int = 1) -> None:
     """Use odrive-can: closed loop, a torque, a position, an emergency stop that is reported as an error, and clear."""
-    asyncio.run(_odrive(bus, node))
+    asyncio.run(_use_odrive(bus, node))
 
 
-async def _odrive(bus: can.BusABC, node: int) -> None:
+async def _use_odrive(bus: can.BusABC, node: int) -> None:
     """Use odrive-can in its event loop.
 
     Positions come by the cyclic message. A request for it by a remote frame can block the client
@@ -103,73 +103,77 @@ async def _odrive(bus: can.BusABC, node: int) -> None:
     drive = ODriveCAN(axis_id=node, can_bus=bus)
     seen = [0.0]
     drive.feedback_callback = lambda message, _: seen.append(message.data["Pos_Estimate"])
-    await asyncio.wait_for(drive.start(), WAIT_S)
+    await asyncio.wait_for(drive.start(), WAIT_TIMEOUT_S)
     drive.check_alive()
     drive.check_errors()
-    await _set(drive, "TORQUE_CONTROL", "CLOSED_LOOP_CONTROL")
+    await _set_control_mode(drive, "TORQUE_CONTROL", "CLOSED_LOOP_CONTROL")
     start = seen[-1]
     drive.set_input_torque(0.02)
-    await _for(lambda: seen[-1] > start + 0.5, "turned by a torque")
-    await _set(drive, "POSITION_CONTROL", "CLOSED_LOOP_CONTROL")
+    await _wait_for_async(lambda: seen[-1] > start + 0.5, "turned by a torque")
+    await _set_control_mode(drive, "POSITION_CONTROL", "CLOSED_LOOP_CONTROL")
     drive.set_input_pos(start - 1.0)
-    await _for(lambda: abs(seen[-1] - start + 1.0) < 0.05, "held at a position")
+    await _wait_for_async(lambda: abs(seen[-1] - start + 1.0) < 0.05, "held at a position")
     assert (await drive.get_bus_voltage_current())["Bus_Voltage"] == 24.0
     drive._send_message("Estop")
-    await _for(
-        lambda: _complains(drive, "ESTOP_REQUESTED") and drive.axis_state == "IDLE", "stopped"
+    await _wait_for_async(
+        lambda: _reports_error(drive, "ESTOP_REQUESTED") and drive.axis_state == "IDLE", "stopped"
     )
     drive.clear_errors()
-    await _for(lambda: not _complains(drive, ""), "cleared")
+    await _wait_for_async(lambda: not _reports_error(drive, ""), "cleared")
     drive.stop()
 
 
 def use_odrive_can_modes(bus: can.BusABC, node: int = 1) -> None:
     """Use odrive-can: command a velocity, then a trapezoidal trajectory with limits from the client."""
-    asyncio.run(_odrive_modes(bus, node))
+    asyncio.run(_use_odrive_modes(bus, node))
 
 
-async def _odrive_modes(bus: can.BusABC, node: int) -> None:
+async def _use_odrive_modes(bus: can.BusABC, node: int) -> None:
     drive = ODriveCAN(axis_id=node, can_bus=bus)
     seen = [(0.0, 0.0)]
     drive.feedback_callback = lambda message, _: seen.append(
         (message.data["Pos_Estimate"], message.data["Vel_Estimate"])
     )
-    await asyncio.wait_for(drive.start(), WAIT_S)
-    await _set(drive, "VELOCITY_CONTROL", "CLOSED_LOOP_CONTROL")
+    await asyncio.wait_for(drive.start(), WAIT_TIMEOUT_S)
+    await _set_control_mode(drive, "VELOCITY_CONTROL", "CLOSED_LOOP_CONTROL")
     drive.set_input_vel(2.0)
-    await _for(lambda: abs(seen[-1][1] - 2.0) < 0.05, "two turns per second")
-    await _set(drive, "POSITION_CONTROL", "CLOSED_LOOP_CONTROL", "TRAP_TRAJ")
+    await _wait_for_async(lambda: abs(seen[-1][1] - 2.0) < 0.05, "two turns per second")
+    await _set_control_mode(drive, "POSITION_CONTROL", "CLOSED_LOOP_CONTROL", "TRAP_TRAJ")
     start = seen[-1][0]
     drive.set_traj_vel_limit(1.0)
     drive.set_traj_accel_limits(2.0, 2.0)
     first = len(seen)
     drive.set_input_pos(start + 2.0)
-    await _for(lambda: abs(seen[-1][0] - start - 2.0) < 0.01, "at the end of the trajectory")
+    await _wait_for_async(
+        lambda: abs(seen[-1][0] - start - 2.0) < 0.01, "at the end of the trajectory"
+    )
     assert 0.9 < max(velocity for _, velocity in seen[first:]) < 1.1
-    await _set(drive, "TORQUE_CONTROL", "IDLE")
+    await _set_control_mode(drive, "TORQUE_CONTROL", "IDLE")
     drive.stop()
 
 
-async def _set(drive: ODriveCAN, mode: str, state: str, input_mode: str = "PASSTHROUGH") -> None:
+async def _set_control_mode(
+    drive: ODriveCAN, mode: str, state: str, input_mode: str = "PASSTHROUGH"
+) -> None:
     """Set the drive to idle, set a control mode, and set another state.
 
     The client's own wait functions give up after a second and are not used.
     """
     drive.set_axis_state_no_wait("IDLE")
-    await _for(lambda: drive.axis_state == "IDLE", "idle")
+    await _wait_for_async(lambda: drive.axis_state == "IDLE", "idle")
     drive.set_controller_mode(mode, input_mode)
     drive.set_axis_state_no_wait(state)
-    await _for(lambda: drive.axis_state == state, state)
+    await _wait_for_async(lambda: drive.axis_state == state, state)
 
 
-async def _for(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + WAIT_S
+async def _wait_for_async(condition: Callable[[], bool], expected_event: str) -> None:
+    end = time.monotonic() + WAIT_TIMEOUT_S
     while not condition():
-        assert time.monotonic() < end, f"never: {what}"
+        assert time.monotonic() < end, f"never: {expected_event}"
         await asyncio.sleep(0.01)
 
 
-def _complains(drive: ODriveCAN, word: str) -> bool:
+def _reports_error(drive: ODriveCAN, word: str) -> bool:
     try:
         drive.check_errors()
     except DriveError as error:
@@ -178,7 +182,7 @@ def _complains(drive: ODriveCAN, word: str) -> bool:
 
 
 @contextmanager
-def _network(interface: str, channel: str) -> Iterator[canopen.Network]:
+def _canopen_network(interface: str, channel: str) -> Iterator[canopen.Network]:
     network = canopen.Network()
     network.connect(interface=interface, channel=channel)
     try:
@@ -190,7 +194,7 @@ def _network(interface: str, channel: str) -> Iterator[canopen.Network]:
 
 def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
     """Use canopen: enable a drive with BaseNode402 and the packaged EDS file, command torques by PDO, and disable."""
-    with _network(interface, channel) as network:
+    with _canopen_network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)
         node.nmt.state = "RESET COMMUNICATION"
@@ -203,8 +207,8 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
         node.tpdo[1].save()
         network.sync.start(0.01)
         node.nmt.state = "OPERATIONAL"
-        node.op_mode = CST
-        assert node.op_mode == CST
+        node.op_mode = CYCLIC_TORQUE_MODE
+        assert node.op_mode == CYCLIC_TORQUE_MODE
         node.state = "OPERATION ENABLED"
         assert node.state == "OPERATION ENABLED"
         _turn_by_pdo(node)
@@ -214,7 +218,7 @@ def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
 
 def use_canopen_modes(interface: str, channel: str, node_id: int = 33) -> None:
     """Use canopen: home a drive with BaseNode402, then select profile position and cyclic velocity by their names."""
-    with _network(interface, channel) as network:
+    with _canopen_network(interface, channel) as network:
         node = BaseNode402(node_id, str(EDS_PATH))
         network.add_node(node)
         node.nmt.state = "RESET COMMUNICATION"

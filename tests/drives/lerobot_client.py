@@ -10,28 +10,33 @@ import pytest
 from lerobot.motors import Motor, MotorNormMode
 from lerobot.motors.robstride import RobstrideMotorsBus
 
-ANSWER_S = 0.5
+REPLY_TIMEOUT_S = 0.5
 """Time that the client waits for a reply [s].
 
 Its own limit of 1 ms is less than a process needs on a busy machine.
 """
-WAIT_S = 20.0
+WAIT_TIMEOUT_S = 20.0
 
 
 def use_lerobot_robstride(
     interface: str, channel: str, patch: pytest.MonkeyPatch, nodes: tuple[int, ...]
 ) -> None:
     """Use LeRobot: connect, enable, turn a motor by a torque, hold a position, disable, and read all motors."""
-    patch.setattr(RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, ANSWER_S))
-    patch.setattr(RobstrideMotorsBus._recv_status_via_clear_fault, "__defaults__", (None, ANSWER_S))
-    motors = {f"m{node}": _motor(node) for node in nodes}
+    patch.setattr(RobstrideMotorsBus._recv_motor_response, "__defaults__", (None, REPLY_TIMEOUT_S))
+    patch.setattr(
+        RobstrideMotorsBus._recv_status_via_clear_fault, "__defaults__", (None, REPLY_TIMEOUT_S)
+    )
+    motors = {f"m{node}": _lerobot_motor(node) for node in nodes}
     bus = RobstrideMotorsBus(channel, motors, can_interface=interface, use_can_fd=False)
     bus.connect()
     try:
         bus.configure_motors()
-        _turn(bus, f"m{nodes[0]}")
+        _turn_by_torque(bus, f"m{nodes[0]}")
         goal = float(bus.read("Present_Position", f"m{nodes[0]}")) - 20.0
-        _until(lambda: abs(_held(bus, f"m{nodes[0]}", goal) - goal) < 2.0, "held at a position")
+        _wait_until(
+            lambda: abs(_hold_position(bus, f"m{nodes[0]}", goal) - goal) < 2.0,
+            "held at a position",
+        )
         bus.disable_torque()
         assert set(bus.sync_read("Present_Position")) == set(motors)
         assert bus.read("Temperature_MOS", f"m{nodes[-1]}") == pytest.approx(25.0, abs=5.0)
@@ -39,31 +44,31 @@ def use_lerobot_robstride(
         bus.disconnect()
 
 
-def _motor(node: int) -> Motor:
+def _lerobot_motor(node: int) -> Motor:
     motor = Motor(id=node, model="robstride", norm_mode=MotorNormMode.DEGREES)
     motor.motor_type_str = "O5"
     motor.recv_id = node
     return motor
 
 
-def _turn(bus: RobstrideMotorsBus, name: str) -> None:
+def _turn_by_torque(bus: RobstrideMotorsBus, name: str) -> None:
     start = float(bus.read("Present_Position", name))
 
     def turned() -> bool:
         bus._mit_control(name, 0.0, 0.0, 0.0, 0.0, 0.1)
         return float(bus.read("Present_Position", name)) > start + 20.0
 
-    _until(turned, "turned by a torque")
+    _wait_until(turned, "turned by a torque")
     bus._mit_control(name, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
-def _held(bus: RobstrideMotorsBus, name: str, goal: float) -> float:
+def _hold_position(bus: RobstrideMotorsBus, name: str, goal: float) -> float:
     bus._mit_control(name, 10.0, 1.0, goal, 0.0, 0.0)
     return float(bus.read("Present_Position", name))
 
 
-def _until(reached: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + WAIT_S
+def _wait_until(reached: Callable[[], bool], expected_event: str) -> None:
+    end = time.monotonic() + WAIT_TIMEOUT_S
     while not reached():
-        assert time.monotonic() < end, f"never: {what}"
+        assert time.monotonic() < end, f"never: {expected_event}"
         time.sleep(0.005)

@@ -10,39 +10,39 @@ from typing import Any
 import moteus  # type: ignore[import-untyped,unused-ignore]
 from moteus.pythoncan_device import PythonCanDevice  # type: ignore[import-untyped,unused-ignore]
 
-TURNS = 0.1
-TRIES = 400
-PAUSE_S = 0.005
-WAIT_S = 60.0
-RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
+TRAVEL_TURNS = 0.1
+MAX_TRIES = 400
+TRY_INTERVAL_S = 0.005
+CLIENT_TIMEOUT_S = 60.0
+VALUE_RESOLUTIONS = (moteus.INT8, moteus.INT16, moteus.INT32, moteus.F32)
 
 
 def use_moteus(interface: str, channel: str, node: int = 2) -> None:
     """Use moteus: queries in every type, configuration, a torque, a position by the drive's gains, and stop."""
-    asyncio.run(asyncio.wait_for(_use(interface, channel, node), WAIT_S))
+    asyncio.run(asyncio.wait_for(_use_transport(interface, channel, node), CLIENT_TIMEOUT_S))
 
 
-async def _use(interface: str, channel: str, node: int) -> None:
+async def _use_transport(interface: str, channel: str, node: int) -> None:
     device = PythonCanDevice(interface=interface, channel=channel, fd=True)
     transport = moteus.Transport([device])
     try:
-        await _drive(moteus.Controller(id=node, transport=transport), transport, node)
+        await _use_controller(moteus.Controller(id=node, transport=transport), transport, node)
     finally:
         transport.close()
 
 
-async def _until(step: Any, reached: Any, what: str) -> Any:
-    for _ in range(TRIES):
+async def _step_until(step: Any, reached: Any, expected_event: str) -> Any:
+    for _ in range(MAX_TRIES):
         result = await step()
         if reached(result.values):
             return result.values
-        await asyncio.sleep(PAUSE_S)
-    raise AssertionError(f"never: {what}; {result.values}")
+        await asyncio.sleep(TRY_INTERVAL_S)
+    raise AssertionError(f"never: {expected_event}; {result.values}")
 
 
-async def _drive(controller: Any, transport: Any, node: int) -> None:
+async def _use_controller(controller: Any, transport: Any, node: int) -> None:
     register, mode = moteus.Register, moteus.Mode
-    for resolution in RESOLUTIONS:
+    for resolution in VALUE_RESOLUTIONS:
         query = moteus.QueryResolution()
         query.position = query.velocity = query.torque = query.temperature = resolution
         values = (await controller.query(query_override=query)).values
@@ -67,29 +67,31 @@ async def _drive(controller: Any, transport: Any, node: int) -> None:
             maximum_torque=0.1, watchdog_timeout=1.0, query=True,
         )  # fmt: skip
 
-    turned = await _until(pull, lambda seen: seen[register.POSITION] > TURNS, "turned by a torque")
+    turned = await _step_until(
+        pull, lambda seen: seen[register.POSITION] > TRAVEL_TURNS, "turned by a torque"
+    )
     assert turned[register.MODE] == mode.POSITION
     assert math.isclose(turned[register.TORQUE], 0.05, abs_tol=0.02)
-    goal = turned[register.POSITION] - TURNS
+    goal = turned[register.POSITION] - TRAVEL_TURNS
 
     async def hold() -> Any:
         return await controller.set_position(
             position=goal, velocity=0.0, maximum_torque=0.5, query=True
         )
 
-    held = await _until(hold, lambda seen: abs(seen[register.VELOCITY]) < 0.05, "stands")
-    for _ in range(TRIES):
+    held = await _step_until(hold, lambda seen: abs(seen[register.VELOCITY]) < 0.05, "stands")
+    for _ in range(MAX_TRIES):
         held = (await hold()).values
         if abs(held[register.POSITION] - goal) < 0.02 and abs(held[register.VELOCITY]) < 0.05:
             break
-        await asyncio.sleep(PAUSE_S)
+        await asyncio.sleep(TRY_INTERVAL_S)
     assert abs(held[register.POSITION] - goal) < 0.02, "held at a position"
     await controller.set_position(position=math.nan, watchdog_timeout=0.05, query=True)
     await asyncio.sleep(0.2)
-    late = await _until(
+    late = await _step_until(
         controller.query, lambda seen: seen[register.MODE] == mode.TIMEOUT, "the watchdog"
     )
     assert late[register.MODE] == mode.TIMEOUT
     assert (await hold()).values[register.MODE] == mode.TIMEOUT, "only the stop command leaves it"
     await controller.set_stop(query=True)
-    await _until(controller.query, lambda seen: seen[register.MODE] == mode.STOPPED, "stopped")
+    await _step_until(controller.query, lambda seen: seen[register.MODE] == mode.STOPPED, "stopped")

@@ -17,8 +17,8 @@ from handctl.hand.file.sections import Motor
 from handctl.hand.load import load_hand
 
 PERIOD_NS = 2_000_000
-FIRST_NODE = 0x10
-OPTIONS = {
+FIRST_NODE_ID = 0x10
+OPTIONS_TEXT_BY_PROTOCOL = {
     name: "[motor.options]\n"
     + "".join(f"{key} = {json.dumps(value)}\n" for key, value in traits.options.items())
     if traits.options
@@ -40,8 +40,8 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
     for i, text in enumerate(motors):
         protocol = protocols[min(i, len(protocols) - 1)]
         text = text.replace('"mit"', f'"{protocol}"')
-        text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", text)
-        options = OPTIONS[protocol] + extra
+        text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE_ID + i}", text)
+        options = OPTIONS_TEXT_BY_PROTOCOL[protocol] + extra
         if PROTOCOL_TRAITS[protocol].can_fd and "data_bitrate" not in head:
             head = head.replace(
                 "bitrate = 1000000\n", "bitrate = 1000000\ndata_bitrate = 5000000\n"
@@ -52,19 +52,21 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
     return path
 
 
-SECOND = '[[bus]]\nname = "second"\nbitrate = 1000000\n\n[sensor_node]'
+SECOND_BUS_SECTION = '[[bus]]\nname = "second"\nbitrate = 1000000\n\n[sensor_node]'
 
 
-def on_two_buses(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
+def move_to_second_bus(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
     """Move some motors of a hand file to a second bus, and return the path. The second bus has no load cells."""
-    head, *sections = path.read_text().replace("[sensor_node]", SECOND).split("[[motor]]")
+    head, *sections = (
+        path.read_text().replace("[sensor_node]", SECOND_BUS_SECTION).split("[[motor]]")
+    )
     for i in motors:
         sections[i] = sections[i].replace('bus = "main"', 'bus = "second"')
     path.write_text("[[motor]]".join([head, *sections]))
     return path
 
 
-class Bench:
+class ProtocolBench:
     """All drives and the sensor node of a hand, run together tick by tick against the simulator."""
 
     def __init__(
@@ -73,38 +75,41 @@ class Bench:
         """Start the simulator and the drives of a hand file."""
         self.hand = load_hand(str(path))
         self.period_ns = period_ns
-        self.rig = LockstepHand(str(path), seed=3, period_ns=period_ns, wire=wire)
+        self.simulated_hand = LockstepHand(str(path), seed=3, period_ns=period_ns, wire=wire)
         buses = self.hand.bus_names
         motors = [self.hand.motor_of(name) for name in self.hand.tendon_names]
         self.drives: list[Drive] = [make_drive(motor, buses.index(motor.bus)) for motor in motors]
         self.states: list[DriveState] = [drive.initial() for drive in self.drives]
         node = self.hand.sensor_node
-        self.node = SensorNode.of(
+        self.sensor_node = SensorNode.of(
             node, buses.index(node.bus), self.hand.tendon_names, self.hand.joints
         )
-        self.incoming: list[Frame] = []
-        self.sent: list[Frame] = []
+        self.received_frames: list[Frame] = []
+        self.sent_frames: list[Frame] = []
         self.k = 0
 
-    def tick(self, target: DriveTarget, torque: float = 0.0, extra: Sequence[Frame] = ()) -> None:
+    def tick(
+        self, target: DriveTarget, torque: float = 0.0, extra_frames: Sequence[Frame] = ()
+    ) -> None:
         """Receive the frames of the last tick, advance all drives by a tick, and let the simulator reply."""
-        for frame in self.incoming:
+        for frame in self.received_frames:
             self.states = [
                 d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)
             ]
-        outgoing = [self.node.sync(self.k), *extra]
+        outgoing = [self.sensor_node.sync(self.k), *extra_frames]
         for i, drive in enumerate(self.drives):
             self.states[i], frames = drive.advance(
                 self.states[i], self.k * self.period_ns, target, torque
             )
             outgoing += frames
-        self.sent = outgoing
-        self.incoming = [
-            Frame(*reply) for reply in self.rig.step(self.k * self.period_ns, list(outgoing))
+        self.sent_frames = outgoing
+        self.received_frames = [
+            Frame(*reply)
+            for reply in self.simulated_hand.step(self.k * self.period_ns, list(outgoing))
         ]
         self.k += 1
 
-    def until(self, target: DriveTarget, phase: DrivePhase, ticks: int = 400) -> None:
+    def run_until_phase(self, target: DriveTarget, phase: DrivePhase, ticks: int = 400) -> None:
         """Run ticks until all drives are in a phase, or fail."""
         for _ in range(ticks):
             self.tick(target)
@@ -120,7 +125,7 @@ class Bench:
         for i, drive in enumerate(self.drives):
             self.states[i], more = drive.clear(self.states[i])
             frames += more
-        self.tick(DriveTarget.POLL, extra=frames)
+        self.tick(DriveTarget.POLL, extra_frames=frames)
 
 
 def motor_on_bench(
@@ -138,6 +143,6 @@ def motor_on_bench(
     )  # fmt: skip
 
 
-def servo_torques(bench: Bench) -> list[float]:
+def servo_torques(bench: ProtocolBench) -> list[float]:
     """Return the torque commands that the simulated drives execute."""
-    return [motor.servo.torque for motor in bench.rig.world.plant.motors.values()]
+    return [motor.servo.torque for motor in bench.simulated_hand.world.plant.motors.values()]

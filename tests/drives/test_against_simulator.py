@@ -13,48 +13,52 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.load import load_hand
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import WiredDrives
 
 PERIOD_NS = 2_000_000
-HAND = load_hand("jamia")
+PACKAGED_HAND = load_hand("jamia")
 
 
-class Bench:
+class PackagedHandBench:
     """All drives and the sensor node of a hand, run together tick by tick against the simulator."""
 
     def __init__(self) -> None:
         """Start the simulator and the drives of the packaged hand."""
-        self.rig = LockstepHand("jamia", seed=3, period_ns=PERIOD_NS)
+        self.simulated_hand = LockstepHand("jamia", seed=3, period_ns=PERIOD_NS)
         self.drives: list[Drive] = [
-            make_drive(HAND.motor_of(name), 0) for name in HAND.tendon_names
+            make_drive(PACKAGED_HAND.motor_of(name), 0) for name in PACKAGED_HAND.tendon_names
         ]
         self.states: list[DriveState] = [drive.initial() for drive in self.drives]
-        self.node = SensorNode.of(HAND.sensor_node, 0, HAND.tendon_names, HAND.joints)
-        self.sensors = Wired((), self.node)
+        self.sensor_node = SensorNode.of(
+            PACKAGED_HAND.sensor_node, 0, PACKAGED_HAND.tendon_names, PACKAGED_HAND.joints
+        )
+        self.sensors = WiredDrives((), self.sensor_node)
         self.tensions: dict[int, float] = {}
-        self.incoming: list[Frame] = []
+        self.received_frames: list[Frame] = []
         self.k = 0
 
     def tick(self, target: DriveTarget, torque: float = 0.0) -> None:
         """Receive the frames of the last tick, advance all drives by a tick, and let the simulator reply."""
-        self.sensors.receive(frame for frame in self.incoming if frame.can_id in self.node.node_ids)
+        self.sensors.receive(
+            frame for frame in self.received_frames if frame.can_id in self.sensor_node.node_ids
+        )
         self.tensions = self.sensors.tensions
-        for frame in self.incoming:
+        for frame in self.received_frames:
             self.states = [
                 d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)
             ]
-        outgoing = [self.sensors.sync(self.k)]
+        outgoing = [self.sensors.begin_tick_with_sync(self.k)]
         for i, drive in enumerate(self.drives):
             self.states[i], frames = drive.advance(
                 self.states[i], self.k * PERIOD_NS, target, torque
             )
             outgoing += frames
-        self.incoming = [
-            Frame(*reply) for reply in self.rig.step(self.k * PERIOD_NS, list(outgoing))
+        self.received_frames = [
+            Frame(*reply) for reply in self.simulated_hand.step(self.k * PERIOD_NS, list(outgoing))
         ]
         self.k += 1
 
-    def until(self, target: DriveTarget, phase: DrivePhase, ticks: int = 200) -> None:
+    def run_until_phase(self, target: DriveTarget, phase: DrivePhase, ticks: int = 200) -> None:
         """Run ticks until all drives are in a phase, or fail."""
         for _ in range(ticks):
             self.tick(target)
@@ -66,15 +70,15 @@ class Bench:
 
 
 @pytest.fixture
-def bench() -> Iterator[Bench]:
-    made = Bench()
+def bench() -> Iterator[PackagedHandBench]:
+    made = PackagedHandBench()
     yield made
-    made.rig.close()
+    made.simulated_hand.close()
 
 
-def test_a_drive_goes_from_silent_to_enabled_and_back(bench: Bench) -> None:
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+def test_a_drive_goes_from_silent_to_enabled_and_back(bench: PackagedHandBench) -> None:
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
         bench.tick(DriveTarget.ENABLE, 0.05)
     assert sorted(bench.tensions) == [0, 1, 2, 3]
@@ -85,20 +89,22 @@ def test_a_drive_goes_from_silent_to_enabled_and_back(bench: Bench) -> None:
     bench.tick(DriveTarget.DISABLE)
     bench.tick(DriveTarget.DISABLE)
     assert [state.phase for state in bench.states] == [DrivePhase.READY] * 4
-    assert (bench.sensors.number("stale"), bench.sensors.misread) == (0, False)
+    assert (bench.sensors.field_number("stale"), bench.sensors.has_malformed_frame) == (0, False)
     assert [state.misread for state in bench.states] == [0] * 4
 
 
-def test_the_watchdog_fires_on_silence_and_clear_makes_the_drive_ready(bench: Bench) -> None:
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+def test_the_watchdog_fires_on_silence_and_clear_makes_the_drive_ready(
+    bench: PackagedHandBench,
+) -> None:
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(40):  # 80 ms, longer than the watchdog's 50 ms
         bench.tick(DriveTarget.LISTEN)
-    bench.until(DriveTarget.ENABLE, DrivePhase.FAULT, ticks=3)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT, ticks=3)
     assert {state.error_text for state in bench.states} == {
         "communication lost: the drive's watchdog fired"
     }
     for i, drive in enumerate(bench.drives):
         bench.states[i], frames = drive.clear(bench.states[i])
         assert len(frames) == 1
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert [state.error for state in bench.states] == [0] * 4

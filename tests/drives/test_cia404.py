@@ -23,27 +23,27 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_from_content, load_hand
 from handctl.runtime.diagnostics.scan import scan_bus
 from handctl.session.simulate import SimulatedRun
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import WiredDrives
 
-TENDONS = ("a", "b", "c")
+TENDON_NAMES = ("a", "b", "c")
 PERIOD_NS = 2_000_000
-ANSWER_NS = 300_000
+REPLY_DELAY_NS = 300_000
 """Time from the start of a tick to the arrival of a reply [ns]."""
-KEYS: dict[str, Any] = {
+AMPLIFIER_KEYS: dict[str, Any] = {
     "protocol": "cia404",
     "node_ids": [0x21, 0x22],
     "channels_per_node": 2,
     "range_N": 300.0,
 }
-OWN_KEYS = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
+KEYS_OF_SENSOR_NODE = ("base_id", "joints", "joint_decimation", "joint_noise_rad")
 
 
 @dataclass(frozen=True)
-class Section:
+class AmplifierSection:
     """Section of a hand file for three load cells on two amplifiers."""
 
     sync_id: int = 0x080
-    tendons: tuple[str, ...] = TENDONS
+    tendons: tuple[str, ...] = TENDON_NAMES
     node_ids: tuple[int, ...] = (0x21, 0x22)
     amplifier_channels: tuple[int, ...] = (2, 1)
     range_N: float = 300.0
@@ -51,60 +51,72 @@ class Section:
     decimal_digits: int = 3
 
 
-def with_amplifiers(name: str = "jamia", **changed: Any) -> Hand:
+def hand_with_amplifiers(name: str = "jamia", **changed: Any) -> Hand:
     """Return a packaged hand whose load cells are on CiA 404 amplifiers."""
     content = load_hand(name).content
-    node = {key: value for key, value in content["sensor_node"].items() if key not in OWN_KEYS}
-    return hand_from_content({**content, "sensor_node": {**node, **KEYS, **changed}}, name)
+    node = {
+        key: value
+        for key, value in content["sensor_node"].items()
+        if key not in KEYS_OF_SENSOR_NODE
+    }
+    return hand_from_content(
+        {**content, "sensor_node": {**node, **AMPLIFIER_KEYS, **changed}}, name
+    )
 
 
 # Frames of an amplifier.
 
 
 def test_hand_made_frames_become_newtons() -> None:
-    cells = Cia404LoadCells.of(Section(), 0, TENDONS)
+    cells = Cia404LoadCells.of(AmplifierSection(), 0, TENDON_NAMES)
     assert cells.ids == (0x1A1, 0x1A2)
-    wired = Wired((), cells)
-    assert wired.sync(7) == Frame(0x080, b"")
+    wired = WiredDrives((), cells)
+    assert wired.begin_tick_with_sync(7) == Frame(0x080, b"")
     # The first amplifier measures 12.345 N and -0.500 N, the second 299.999 N. A count is 0.001 N,
     # and the lowest byte is first.
     first, second = bytes.fromhex("39300000 0cfeffff"), bytes.fromhex("df930400")
-    wired.receive([Frame(0x1A1, first, t_ns=ANSWER_NS), Frame(0x1A2, second, t_ns=ANSWER_NS)])
+    wired.receive(
+        [Frame(0x1A1, first, t_ns=REPLY_DELAY_NS), Frame(0x1A2, second, t_ns=REPLY_DELAY_NS)]
+    )
     assert wired.tensions == pytest.approx({0: 12.345, 1: -0.5, 2: 299.999}, abs=1e-9)
-    assert (wired.number("stale"), wired.misread) == (0, False)
+    assert (wired.field_number("stale"), wired.has_malformed_frame) == (0, False)
 
 
 def test_a_float_is_read_as_it_is() -> None:
-    wired = Wired((), Cia404LoadCells.of(Section(process_value="real32"), 0, TENDONS))
-    wired.sync(0)
+    wired = WiredDrives(
+        (), Cia404LoadCells.of(AmplifierSection(process_value="real32"), 0, TENDON_NAMES)
+    )
+    wired.begin_tick_with_sync(0)
     first, second = struct.pack("<ff", 12.5, -0.25), struct.pack("<f", math.nan)
-    wired.receive([Frame(0x1A1, first, t_ns=ANSWER_NS), Frame(0x1A2, second, t_ns=ANSWER_NS)])
+    wired.receive(
+        [Frame(0x1A1, first, t_ns=REPLY_DELAY_NS), Frame(0x1A2, second, t_ns=REPLY_DELAY_NS)]
+    )
     assert [wired.tensions[i] for i in (0, 1)] == [12.5, -0.25]
     assert math.isnan(wired.tensions[2])
 
 
 @pytest.mark.parametrize("data", [b"", bytes(4), bytes(7)])
 def test_a_frame_of_another_length_is_malformed(data: bytes) -> None:
-    wired = Wired((), Cia404LoadCells.of(Section(), 0, TENDONS))
-    wired.sync(0)
-    wired.receive([Frame(0x1A1, data, t_ns=ANSWER_NS)])
-    assert (wired.tensions, wired.misread) == ({}, True)
+    wired = WiredDrives((), Cia404LoadCells.of(AmplifierSection(), 0, TENDON_NAMES))
+    wired.begin_tick_with_sync(0)
+    wired.receive([Frame(0x1A1, data, t_ns=REPLY_DELAY_NS)])
+    assert (wired.tensions, wired.has_malformed_frame) == ({}, True)
 
 
 def test_a_frame_before_any_answer_to_the_sync_is_stale() -> None:
-    cells = Cia404LoadCells.of(Section(), 0, TENDONS)
-    wired = Wired((), cells)
-    wired.view("t_ns")[...] = 10_000_000
-    wired.sync(0)
+    cells = Cia404LoadCells.of(AmplifierSection(), 0, TENDON_NAMES)
+    wired = WiredDrives((), cells)
+    wired.field_view("t_ns")[...] = 10_000_000
+    wired.begin_tick_with_sync(0)
     wired.receive([Frame(0x1A1, bytes(8), t_ns=10_000_000 + 99_999)])
-    assert (wired.number("stale"), wired.tensions) == (1, {})
+    assert (wired.field_number("stale"), wired.tensions) == (1, {})
     wired.receive([Frame(0x1A1, bytes(8), t_ns=10_000_000 + 126_000)])
-    assert (wired.number("stale"), wired.tensions) == (1, {0: 0.0, 1: 0.0})
+    assert (wired.field_number("stale"), wired.tensions) == (1, {0: 0.0, 1: 0.0})
 
 
 def test_channels_go_to_further_tpdos() -> None:
     names = tuple(f"t{i}" for i in range(7))
-    section = Section(tendons=names, node_ids=(5, 6), amplifier_channels=(5, 2))
+    section = AmplifierSection(tendons=names, node_ids=(5, 6), amplifier_channels=(5, 2))
     cells = Cia404LoadCells.of(section, 0, names)
     assert cells.ids == (0x185, 0x285, 0x385, 0x186)
     assert cells.channels == ((0, 1), (2, 3), (4,), (5, 6))
@@ -117,7 +129,7 @@ def test_channels_go_to_further_tpdos() -> None:
     [("int32", struct.pack("<ii", 1500, -2)), ("real32", struct.pack("<ff", 1.5, -2e-3))],
 )
 def test_the_dbc_decodes_the_same_tensions(value: str, raw: bytes) -> None:
-    hand = with_amplifiers(process_value=value)
+    hand = hand_with_amplifiers(process_value=value)
     text = dbc_of_bus(0, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
     database = cantools.database.load_string(text, "dbc", strict=True)
     decoded = database.decode_message(0x1A1, raw)  # type: ignore[union-attr]
@@ -127,22 +139,22 @@ def test_the_dbc_decodes_the_same_tensions(value: str, raw: bytes) -> None:
 # Set-up of the amplifiers.
 
 
-class Bench:
+class AmplifierBench:
     """The amplifiers of a hand, run against the simulator without the drives."""
 
     def __init__(self, hand: Hand, path: str) -> None:
         """Start the simulator of a hand file."""
-        self.rig = LockstepHand(path, seed=1, period_ns=PERIOD_NS)
+        self.simulated_hand = LockstepHand(path, seed=1, period_ns=PERIOD_NS)
         self.sensors = make_sensors(hand)
         self.states = [one.initial() for one in self.sensors.amplifiers]
         self.k = 0
-        self.sent: list[Frame] = []
+        self.sent_frames: list[Frame] = []
         self.answers: list[Frame] = []
 
     @property
-    def nodes(self) -> list[Any]:
+    def simulated_amplifiers(self) -> list[Any]:
         """Return the simulated amplifiers."""
-        return self.rig.world.sensor_nodes
+        return self.simulated_hand.world.sensor_nodes
 
     def tick(self, target: DriveTarget = DriveTarget.POLL, sync: bool = True) -> None:
         """Exchange the frames of one tick."""
@@ -150,16 +162,17 @@ class Bench:
         for i, amplifier in enumerate(self.sensors.amplifiers):
             self.states[i], frames = amplifier.advance(self.states[i], self.k * PERIOD_NS, target)
             out += frames
-        self.sent += out
+        self.sent_frames += out
         self.answers = [
-            Frame(*one) for one in self.rig.step(self.k * PERIOD_NS, [tuple(one) for one in out])
+            Frame(*one)
+            for one in self.simulated_hand.step(self.k * PERIOD_NS, [tuple(one) for one in out])
         ]
         for frame in self.answers:
             for i, amplifier in enumerate(self.sensors.amplifiers):
                 self.states[i] = amplifier.receive(self.states[i], frame)
         self.k += 1
 
-    def until(self, phase: DrivePhase, ticks: int = 400) -> None:
+    def run_until_phase(self, phase: DrivePhase, ticks: int = 400) -> None:
         """Run ticks until all amplifiers are in a phase, or fail."""
         for _ in range(ticks):
             self.tick()
@@ -169,23 +182,23 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path: Any) -> Iterator[Bench]:
+def bench(tmp_path: Any) -> Iterator[AmplifierBench]:
     made = make_bench(tmp_path)
     yield made
-    made.rig.close()
+    made.simulated_hand.close()
 
 
-def make_bench(folder: Any, **changed: Any) -> Bench:
+def make_bench(folder: Any, **changed: Any) -> AmplifierBench:
     """Return a bench of a hand whose sensor section has some keys changed."""
-    hand = with_amplifiers(**changed)
+    hand = hand_with_amplifiers(**changed)
     path = folder / "hand.toml"
     path.write_text(hand.to_toml())
-    return Bench(hand, str(path))
+    return AmplifierBench(hand, str(path))
 
 
-def test_the_set_up_reads_each_object_back_and_starts_the_amplifier(bench: Bench) -> None:
-    bench.until(DrivePhase.READY)
-    for node in bench.nodes:
+def test_the_set_up_reads_each_object_back_and_starts_the_amplifier(bench: AmplifierBench) -> None:
+    bench.run_until_phase(DrivePhase.READY)
+    for node in bench.simulated_amplifiers:
         objects = node.objects
         assert node.nmt == 0x05
         assert (objects[0x1800, 1], objects[0x1800, 2]) == (0x180 + node.node_id, 1)
@@ -196,62 +209,62 @@ def test_the_set_up_reads_each_object_back_and_starts_the_amplifier(bench: Bench
     assert {frame.can_id for frame in bench.answers} >= {0x1A1, 0x1A2}
 
 
-def test_a_unit_that_is_right_already_is_not_written(bench: Bench) -> None:
-    bench.until(DrivePhase.READY)
+def test_a_unit_that_is_right_already_is_not_written(bench: AmplifierBench) -> None:
+    bench.run_until_phase(DrivePhase.READY)
     written = [
         frame.data[1:4]
-        for frame in bench.sent
+        for frame in bench.sent_frames
         if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20
     ]
     assert bytes.fromhex("316101") in written
     bench.states = [one.initial() for one in bench.sensors.amplifiers]
-    bench.sent.clear()
-    bench.until(DrivePhase.READY)
+    bench.sent_frames.clear()
+    bench.run_until_phase(DrivePhase.READY)
     written = [
         frame.data[1:4]
-        for frame in bench.sent
+        for frame in bench.sent_frames
         if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20
     ]
     assert bytes.fromhex("316101") not in written
     assert bytes.fromhex("001801") in written
 
 
-def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: Bench) -> None:
-    bench.until(DrivePhase.READY)
-    assert {frame.can_id for frame in bench.sent} == {0x000, 0x080, 0x621, 0x622}
-    assert {frame.data[0] for frame in bench.sent if frame.can_id == 0x000} == {0x80, 0x01}
+def test_nothing_but_sdo_nmt_and_sync_is_sent(bench: AmplifierBench) -> None:
+    bench.run_until_phase(DrivePhase.READY)
+    assert {frame.can_id for frame in bench.sent_frames} == {0x000, 0x080, 0x621, 0x622}
+    assert {frame.data[0] for frame in bench.sent_frames if frame.can_id == 0x000} == {0x80, 0x01}
 
 
-def ignores_unit(node: Any) -> None:
+def ignore_unit_writes(node: Any) -> None:
     """Let an amplifier confirm each write of its unit, but keep the old unit."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x6131, 2) else write(key, raw)
 
 
-def is_a_drive(node: Any) -> None:
+def identify_as_drive(node: Any) -> None:
     node.objects[0x1000, 0] = 0x0002_0192
 
 
-def without_synchronous_type(node: Any) -> None:
+def ignore_transmission_type(node: Any) -> None:
     """Let an amplifier keep its transmission type, so that it is not set to synchronous."""
     write = node.objects.write
     node.objects.write = lambda key, raw: None if key == (0x1800, 2) else write(key, raw)
 
 
-WRONG: dict[str, tuple[Callable[[Any], None], str]] = {
-    "unit": (ignores_unit, "object 0x6131:2 reads 0xfd0000 after writing, expected 0x210000"),
-    "profile": (is_a_drive, "object 0x1000:0 reads 0x20192, expected 0x194"),
+WRONG_OBJECTS: dict[str, tuple[Callable[[Any], None], str]] = {
+    "unit": (ignore_unit_writes, "object 0x6131:2 reads 0xfd0000 after writing, expected 0x210000"),
+    "profile": (identify_as_drive, "object 0x1000:0 reads 0x20192, expected 0x194"),
     "transmission type": (
-        without_synchronous_type,
+        ignore_transmission_type,
         "object 0x1800:2 reads 0xfe after writing, expected 0x1",
     ),
 }
 
 
-@pytest.mark.parametrize("name", WRONG)
+@pytest.mark.parametrize("name", WRONG_OBJECTS)
 def test_a_wrong_object_refuses_to_arm(name: str) -> None:
-    spoil, text = WRONG[name]
-    with homed_run(with_amplifiers(), 500.0, 0) as simulation:
+    spoil, text = WRONG_OBJECTS[name]
+    with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         spoil(nodes_of(simulation)[0])
         assert simulation.until(lambda out: out.mode == Mode.DONE, 4.0)
     assert simulation.state.failure == f"amplifier 0x21: {text}"
@@ -260,7 +273,7 @@ def test_a_wrong_object_refuses_to_arm(name: str) -> None:
 
 @pytest.mark.nightly
 def test_a_missing_amplifier_is_named() -> None:
-    with homed_run(with_amplifiers(), 500.0, 0) as simulation:
+    with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         nodes_of(simulation)[1].ids = frozenset()
         simulation.peer.world.refresh_identifiers()  # type: ignore[attr-defined]
         assert simulation.until(lambda out: out.mode == Mode.DONE, 5.0)
@@ -272,7 +285,7 @@ def test_frames_before_the_set_up_are_not_used() -> None:
 
     Their readings are 100 times the tension.
     """
-    with homed_run(with_amplifiers(), 500.0, 0) as simulation:
+    with homed_run(hand_with_amplifiers(), 500.0, 0) as simulation:
         for node in nodes_of(simulation):
             node.receive(WireFrame(0x000, bytes((0x01, 0x00))), 0)
             node.objects[0x1800, 2] = 1
@@ -283,17 +296,19 @@ def test_frames_before_the_set_up_are_not_used() -> None:
         assert abs(simulation.state.view("cell")).max() < 20.0
 
 
-def test_a_restart_needs_the_set_up_again_and_not_while_torque_may_act(bench: Bench) -> None:
-    bench.until(DrivePhase.READY)
-    bench.nodes[0].restart()
+def test_a_restart_needs_the_set_up_again_and_not_while_torque_may_act(
+    bench: AmplifierBench,
+) -> None:
+    bench.run_until_phase(DrivePhase.READY)
+    bench.simulated_amplifiers[0].restart()
     bench.tick(DriveTarget.ENABLE)
     bench.tick(DriveTarget.ENABLE)
     assert [state.phase for state in bench.states] == [DrivePhase.SILENT, DrivePhase.READY]
-    bench.sent.clear()
+    bench.sent_frames.clear()
     for _ in range(50):
         bench.tick(DriveTarget.ENABLE)
-    assert {frame.can_id for frame in bench.sent} == {0x080}
-    bench.until(DrivePhase.READY)
+    assert {frame.can_id for frame in bench.sent_frames} == {0x080}
+    bench.run_until_phase(DrivePhase.READY)
 
 
 # Faults of the amplifiers.
@@ -321,7 +336,7 @@ def faults_of(
         return found, first
 
 
-def inject(text: str) -> Callable[[SimulatedRun], None]:
+def fault_injection(text: str) -> Callable[[SimulatedRun], None]:
     return lambda simulation: simulation.peer.inject(text)
 
 
@@ -330,7 +345,7 @@ def restart_all(simulation: SimulatedRun) -> None:
         node.restart()
 
 
-FAULTS = {
+FAULT_BY_CASE = {
     "silent": ("drop node=sensors", "N02"),
     "mute": ("mute cell=index_tendon", "N02"),
     "over the range": ("saturate cell=index_tendon", "T06"),
@@ -338,21 +353,23 @@ FAULTS = {
 }
 
 
-AT_NIGHT = [pytest.param(name, marks=pytest.mark.nightly) for name in FAULTS if name != "mute"]
+NIGHTLY_CASES = [
+    pytest.param(name, marks=pytest.mark.nightly) for name in FAULT_BY_CASE if name != "mute"
+]
 
 
-@pytest.mark.parametrize("name", ["mute", *AT_NIGHT])
+@pytest.mark.parametrize("name", ["mute", *NIGHTLY_CASES])
 def test_a_fault_is_found_as_with_the_sensor_node_of_handctl(name: str) -> None:
-    text, row = FAULTS[name]
-    own = faults_of(load_hand("jamia"), 0, inject(text))
-    amplifiers = faults_of(with_amplifiers(), 0, inject(text))
+    text, row = FAULT_BY_CASE[name]
+    own = faults_of(load_hand("jamia"), 0, fault_injection(text))
+    amplifiers = faults_of(hand_with_amplifiers(), 0, fault_injection(text))
     assert row in own[0], own
     assert row in amplifiers[0], amplifiers
     assert 0 <= amplifiers[1] <= own[1] + 1, (own, amplifiers)
 
 
 def test_amplifiers_that_restart_in_a_grasp_relax_the_hand() -> None:
-    found, ticks = faults_of(with_amplifiers(), 0, restart_all)
+    found, ticks = faults_of(hand_with_amplifiers(), 0, restart_all)
     assert "N02" in found
     assert 0 <= ticks <= 17  # silence of 30 ms is a fault
 
@@ -362,13 +379,15 @@ def test_late_answers_are_delays_and_no_second_node() -> None:
 
     Regression: a late reply and the next one were taken for a second node (B06).
     """
-    found, ticks = faults_of(with_amplifiers(), 0, inject("delay node=sensors size=2.5 p=0.05"))
+    found, ticks = faults_of(
+        hand_with_amplifiers(), 0, fault_injection("delay node=sensors size=2.5 p=0.05")
+    )
     assert (found, ticks) == ({"B04"}, -1)
 
 
 @pytest.mark.nightly
 def test_two_amplifiers_with_one_number_are_found() -> None:
-    found, ticks = faults_of(with_amplifiers(), 0, inject("twin node=sensors"))
+    found, ticks = faults_of(hand_with_amplifiers(), 0, fault_injection("twin node=sensors"))
     assert "B06" in found
     assert 0 <= ticks <= 2
 
@@ -377,7 +396,7 @@ def test_two_amplifiers_with_one_number_are_found() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
     for value in ("int32", "real32"):
-        with homed_run(with_amplifiers(process_value=value), 500.0, seed) as simulation:
+        with homed_run(hand_with_amplifiers(process_value=value), 500.0, seed) as simulation:
             advance_to(simulation, GRASP_STAGE)
             for _ in range(500):
                 assert simulation.tick().mode == Mode.ACTIVE
@@ -393,7 +412,7 @@ def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
 
 # Hand files with amplifiers.
 
-MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
+HAND_FILE_MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     "no range": ({"range_N": None}, "sensor_node.range_N: missing"),
     "small range": ({"range_N": 100.0}, "sensor_node.range_N: 100; expected at least"),
     "few channels": (
@@ -431,17 +450,21 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
-@pytest.mark.parametrize("name", MISTAKES)
+@pytest.mark.parametrize("name", HAND_FILE_MISTAKES)
 def test_a_mistake_is_one_line(name: str) -> None:
-    changed, text = MISTAKES[name]
+    changed, text = HAND_FILE_MISTAKES[name]
     keys = {key: value for key, value in changed.items() if value is not None}
     if not text:
-        assert with_amplifiers(**keys).sensor_node.tension_ids == (0x1A1, 0x181)
+        assert hand_with_amplifiers(**keys).sensor_node.tension_ids == (0x1A1, 0x181)
         return
     content = load_hand("jamia").content
     node = (
-        {key: value for key, value in content["sensor_node"].items() if key not in OWN_KEYS}
-        | KEYS
+        {
+            key: value
+            for key, value in content["sensor_node"].items()
+            if key not in KEYS_OF_SENSOR_NODE
+        }
+        | AMPLIFIER_KEYS
         | keys
     )
     node = {key: value for key, value in node.items() if changed.get(key, 0) is not None}
@@ -452,7 +475,7 @@ def test_a_mistake_is_one_line(name: str) -> None:
 
 
 def test_a_drive_on_an_amplifier_s_identifier_is_a_mistake() -> None:
-    content = with_amplifiers().content
+    content = hand_with_amplifiers().content
     motors = [
         {**motor, "node_id": 0x7D, "options": {"reply_id": 0x1A1}} for motor in content["motor"][:1]
     ]
@@ -483,16 +506,16 @@ def test_hands_without_amplifiers_keep_their_content_and_identity() -> None:
 def test_the_log_s_hand_is_the_same() -> None:
     import tomllib
 
-    hand = with_amplifiers(process_value="real32")
+    hand = hand_with_amplifiers(process_value="real32")
     again = hand_from_content(tomllib.loads(hand.to_toml()), "log")
     assert again == hand
     assert again.identity == hand.identity
 
 
-def test_a_scan_finds_amplifiers_with_their_channels(bench: Bench) -> None:
+def test_a_scan_finds_amplifiers_with_their_channels(bench: AmplifierBench) -> None:
     from tests.cli.test_scan import BenchBus, hear
 
-    result = scan_bus(BenchBus(bench.rig.world), listen=hear)
+    result = scan_bus(BenchBus(bench.simulated_hand.world), listen=hear)
     found = [node for node in result.found if node.protocol == "cia404"]
     assert [(node.node_id, node.options["channels_per_node"]) for node in found] == [
         (0x21, 2),

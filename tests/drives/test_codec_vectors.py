@@ -10,7 +10,7 @@ from handctl.drives.mit import codec as mit
 from handctl.drives.odrive import codec as odrive
 from handctl.drives.signals import SignalTable
 
-STATUS = {
+STATE_BY_STATUS_WORD = {
     0x0000: cia402.NOT_READY, 0x0040: cia402.SWITCH_ON_DISABLED, 0x0021: cia402.READY_TO_SWITCH_ON,
     0x0023: cia402.SWITCHED_ON,
     0x0027: cia402.OPERATION_ENABLED, 0x0007: cia402.QUICK_STOP, 0x000F: cia402.FAULT_REACTION, 0x0008: cia402.FAULT,
@@ -29,9 +29,13 @@ def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
     assert cia402.ENABLED_STATUS == 0x7 << 2 | 0x1
 
 
-@pytest.mark.parametrize("status", STATUS)
+@pytest.mark.parametrize("status", STATE_BY_STATUS_WORD)
 def test_states_are_distinguished_for_any_other_bits(status: int) -> None:
-    assert cia402.power_state(status) == cia402.power_state(status | 0x8600) == STATUS[status]
+    assert (
+        cia402.power_state(status)
+        == cia402.power_state(status | 0x8600)
+        == STATE_BY_STATUS_WORD[status]
+    )
 
 
 def test_a_word_that_the_standard_does_not_know_is_no_state() -> None:

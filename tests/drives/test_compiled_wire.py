@@ -20,38 +20,38 @@ from handctl.drives.frame import BRS, ERROR, FDF, REMOTE, Frame
 from handctl.drives.odrive.drive import OdriveDrive
 from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.drives.sensors.node import SensorNode
-from tests.drives.protocol_bench import PERIOD_NS, Bench, hand_file
-from tests.drives.wired import Wired
+from tests.drives.protocol_bench import PERIOD_NS, ProtocolBench, hand_file
+from tests.drives.wired_drives import WiredDrives
 
-VARIANTS = FUZZED_DRIVES | {
+DRIVE_VARIANTS = FUZZED_DRIVES | {
     "mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n"),
     "odrive-torque": FuzzedDrive("odrive", "torque_feedback = true\n"),
 }
-SEEDS, TICKS = range(20), 150
+RANDOM_FRAME_SEEDS, TICKS_PER_SEED = range(20), 150
 NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
 
 
 @cache
 def enable_drive(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
     """Return an enabled drive, its state, the time [ns], and frames that it has sent in some ticks."""
-    variant = VARIANTS[name]
+    variant = DRIVE_VARIANTS[name]
     with TemporaryDirectory() as folder:
         path = hand_file(Path(folder), [variant.protocol], variant.options)
         lines = path.read_text().splitlines(keepends=True)
         path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
-        bench = Bench(path)
-        bench.until(DriveTarget.POLL, DrivePhase.READY)
-        bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+        bench = ProtocolBench(path)
+        bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+        bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
         drive, state, t_ns = bench.drives[0], bench.states[0], bench.k * PERIOD_NS
         heard: list[Frame] = []
         for _ in range(60):
             bench.tick(DriveTarget.ENABLE, 0.05)
-            heard += [frame for frame in bench.incoming if frame.can_id in drive.node_ids]
-        bench.rig.close()
+            heard += [frame for frame in bench.received_frames if frame.can_id in drive.node_ids]
+        bench.simulated_hand.close()
     return drive, state, t_ns, tuple(heard)
 
 
-def some_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Frame:
+def random_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Frame:
     """Return one of a drive's frames, unchanged or changed in one random way."""
     frame = chance.choice(heard)._replace(t_ns=t_ns)
     data, way = bytearray(frame.data), chance.randrange(12)
@@ -104,35 +104,35 @@ def random_targets(chance: random.Random) -> Iterator[DriveTarget]:
         yield DriveTarget.ENABLE if chance.random() < 0.97 else chance.choice(list(DriveTarget))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("seed", RANDOM_FRAME_SEEDS)
+@pytest.mark.parametrize("name", DRIVE_VARIANTS)
 def test_compiled_code_and_state_machine_give_equal_results(name: str, seed: int) -> None:
     drive, begin, t_ns, heard = enable_drive(name)
     chance = random.Random(f"{name} {seed}")
-    state, wired, steady = begin, Wired([drive], NO_SENSORS), 0
-    wired.keep(0, begin)
-    for _, target in zip(range(TICKS), random_targets(chance), strict=False):
-        wired.begin()
+    state, wired, steady = begin, WiredDrives([drive], NO_SENSORS), 0
+    wired.store_drive_state(0, begin)
+    for _, target in zip(range(TICKS_PER_SEED), random_targets(chance), strict=False):
+        wired.begin_tick()
         for _ in range(chance.randrange(4)):
             good = chance.random() < 0.7
             frame = (
                 chance.choice(heard)._replace(t_ns=t_ns)
                 if good
-                else some_frame(chance, heard, t_ns)
+                else random_frame(chance, heard, t_ns)
             )
             state = drive.receive(state, frame)
             wired.receive([frame])
-            steady += not wired.seen
-            assert are_states_equal(wired.drive(0), state, drive), frame
+            steady += not wired.frames_for_drives
+            assert are_states_equal(wired.drive_state(0), state, drive), frame
         torque = chance.uniform(-drive.torque_limit, drive.torque_limit)
         state, frames = drive.advance(state, t_ns, target, torque)
         assert wired.send(target, [torque], t_ns) == list(frames)
-        assert are_states_equal(wired.drive(0), state, drive)
+        assert are_states_equal(wired.drive_state(0), state, drive)
         if drive.steady_status(state) == NO_STEADY_STATUS and chance.random() < 0.3:
             state = enabled_now(begin, t_ns)
-            wired.keep(0, state)
+            wired.store_drive_state(0, state)
         t_ns += PERIOD_NS
-    assert steady > TICKS // 4, "compiled code has hardly read a frame"
+    assert steady > TICKS_PER_SEED // 4, "compiled code has hardly read a frame"
 
 
 def enabled_now(state: DriveState, t_ns: int) -> DriveState:
@@ -145,24 +145,24 @@ def enabled_now(state: DriveState, t_ns: int) -> DriveState:
     return state._replace(feedback_t_ns=t_ns, private=private._replace(**times))
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", DRIVE_VARIANTS)
 def test_invalid_torque_is_never_sent(name: str) -> None:
     drive, state, t_ns, _ = enable_drive(name)
     beyond = math.nextafter(drive.torque_limit, math.inf)
     for torque in (math.nan, math.inf, -math.inf, beyond, -beyond):
-        wired = Wired([drive], NO_SENSORS)
-        wired.keep(0, state)
+        wired = WiredDrives([drive], NO_SENSORS)
+        wired.store_drive_state(0, state)
         with pytest.raises(ValueError, match="expected at most"):
             wired.send(DriveTarget.ENABLE, [torque], t_ns)
     for torque in (drive.torque_limit, -drive.torque_limit, 5e-324, -0.0):
-        wired = Wired([drive], NO_SENSORS)
-        wired.keep(0, state)
+        wired = WiredDrives([drive], NO_SENSORS)
+        wired.store_drive_state(0, state)
         assert wired.send(DriveTarget.ENABLE, [torque], t_ns) == list(
             drive.advance(state, t_ns, DriveTarget.ENABLE, torque)[1]
         )
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", DRIVE_VARIANTS)
 def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
     drive, state, t_ns, _ = enable_drive(name)
     assert drive.steady_status(state) != NO_STEADY_STATUS
@@ -176,7 +176,7 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
         assert drive.steady_status(silent) == NO_STEADY_STATUS
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", DRIVE_VARIANTS)
 def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
     """The cyclic commands and replies of a drive are those for which the bus load is planned.
 
@@ -198,4 +198,4 @@ def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
 
 
 def test_every_protocol_has_a_case() -> None:
-    assert {variant.protocol for variant in VARIANTS.values()} == set(PROTOCOL_ENTRIES)
+    assert {variant.protocol for variant in DRIVE_VARIANTS.values()} == set(PROTOCOL_ENTRIES)

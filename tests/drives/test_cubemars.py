@@ -19,50 +19,50 @@ from handctl.drives.mit.cubemars import MOTOR_MODEL_RANGES, CubemarsDrive
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
-from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, servo_torques
-from tests.drives.virtual_bench import VirtualBench, rig_on
+from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, servo_torques
+from tests.drives.virtual_bench import VirtualBench, drive_rig_on
 
-STEP_N_M = 36.0 / 4095
+TORQUE_STEP_N_M = 36.0 / 4095
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(hand_file(tmp_path, ["cubemars"]))
+def bench(tmp_path: Path) -> Iterator[ProtocolBench]:
+    made = ProtocolBench(hand_file(tmp_path, ["cubemars"]))
     yield made
-    made.rig.close()
+    made.simulated_hand.close()
 
 
-def first(bench: Bench) -> CubemarsNode:
-    node = bench.rig.world.nodes[0][0]
+def first_cubemars_node(bench: ProtocolBench) -> CubemarsNode:
+    node = bench.simulated_hand.world.nodes[0][0]
     assert isinstance(node, CubemarsNode)
     return node
 
 
-def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench) -> None:
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
+def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: ProtocolBench) -> None:
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert servo_torques(bench) == [0.0] * 4
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
         bench.tick(DriveTarget.ENABLE, 0.05)
-    world = bench.rig.world
+    world = bench.simulated_hand.world
     for drive, state in zip(bench.drives, bench.states, strict=True):
         truth = world.plant.motors[drive.name].theta + world.encoder_offset[drive.name]
         assert state.position == pytest.approx(truth, abs=0.01)
-        assert state.torque == pytest.approx(0.05, abs=2 * STEP_N_M)
+        assert state.torque == pytest.approx(0.05, abs=2 * TORQUE_STEP_N_M)
         assert state.temperature == 25.0
-    assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=STEP_N_M)
-    bench.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
+    assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=TORQUE_STEP_N_M)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert world.malformed == 0
 
 
 def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off(
-    bench: Bench,
+    bench: ProtocolBench,
 ) -> None:
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(100):
-        bench.incoming = []
+        bench.received_frames = []
         bench.tick(DriveTarget.DISABLE)
     assert {state.phase for state in bench.states} == {DrivePhase.ENABLED}
     drive, state = bench.drives[0], bench.states[0]
@@ -81,10 +81,10 @@ def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off
      (FeedbackError.ENCODER, "encoder error", DriveFaultCause.OTHER)],
 )  # fmt: skip
 def test_an_error_has_a_text_and_ends_only_by_a_clear(
-    bench: Bench, error: FeedbackError, words: str, cause: DriveFaultCause
+    bench: ProtocolBench, error: FeedbackError, words: str, cause: DriveFaultCause
 ) -> None:
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    first(bench).trip(error)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    first_cubemars_node(bench).trip(error)
     for _ in range(5):
         bench.tick(DriveTarget.ENABLE, 0.05)
     state = bench.states[0]
@@ -97,18 +97,18 @@ def test_an_error_has_a_text_and_ends_only_by_a_clear(
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
     assert bench.states[0].phase == DrivePhase.FAULT, "it still has it"
-    first(bench).trip(FeedbackError.NONE)
+    first_cubemars_node(bench).trip(FeedbackError.NONE)
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE)
     assert bench.states[0].phase == DrivePhase.FAULT
     bench.clear()
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
 
 
 def test_missing_drive_limits_are_reported(tmp_path: Path) -> None:
     """An AK80-9 motor obeys commands up to 18 N m. Only the host limits its torque to the limit of the hand."""
     protections = " ".join(
-        Bench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections
+        ProtocolBench(hand_file(tmp_path, ["cubemars"])).drives[0].unverified_protections
     )
     for guard in (
         "watchdog",
@@ -146,24 +146,24 @@ def test_another_offset_of_temperature_is_refused(offset: object) -> None:
     assert "-40 or 0" in str(refused.value)
 
 
-def test_older_firmware_answers_with_six_bytes(bench: Bench) -> None:
-    for node in bench.rig.world.nodes[0][:4]:
+def test_older_firmware_answers_with_six_bytes(bench: ProtocolBench) -> None:
+    for node in bench.simulated_hand.world.nodes[0][:4]:
         node.short = True  # type: ignore[attr-defined]
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert math.isnan(bench.states[0].temperature)
-    bench.until(DriveTarget.DISABLE, DrivePhase.READY)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -18.0])
-def test_invalid_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+def test_invalid_torque_cannot_be_encoded(bench: ProtocolBench, torque: float) -> None:
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     with pytest.raises(ValueError, match="index_motor"):
         bench.drives[0].advance(bench.states[0], bench.k * 2_000_000, DriveTarget.ENABLE, torque)
 
 
 def test_a_cubemars_drive_fails_only_checks_that_need_a_reported_state() -> None:
     place = VirtualBench("cubemars")
-    rig = rig_on(place, "cubemars", 0.1)
+    rig = drive_rig_on(place, "cubemars", 0.1)
     found = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
     failed = [check for check in found if check.verdict is not CheckVerdict.PASSED]
     dead_host, cut = failed
@@ -177,7 +177,7 @@ def test_a_cubemars_drive_fails_only_checks_that_need_a_reported_state() -> None
 
 def test_a_motor_that_does_not_disable_is_detected() -> None:
     place = VirtualBench("cubemars", "deaf")
-    rig = rig_on(place, "cubemars", 0.5)
+    rig = drive_rig_on(place, "cubemars", 0.5)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 1.0)
     place.bench.motors[0].servo.kd = 1.0
     place.bench.motors[0].omega = 8.0
@@ -228,4 +228,4 @@ def test_tmotorcancontrol_decodes_the_same_values() -> None:
         "this client forgets that byte 6 counts from -40 degC"
     )
     assert decoded.position == pytest.approx(1.25, abs=1e-3)
-    assert decoded.current == pytest.approx(0.0, abs=2 * STEP_N_M)
+    assert decoded.current == pytest.approx(0.0, abs=2 * TORQUE_STEP_N_M)

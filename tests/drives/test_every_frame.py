@@ -14,38 +14,38 @@ from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, EXTENDED, FDF, Frame
 from handctl.drives.registry import PROTOCOL_ENTRIES
 from handctl.runtime.diagnostics.drive_rig import DriveRig
-from tests.drives.protocol_bench import Bench, hand_file
-from tests.drives.virtual_bench import VirtualBench, rig_on
-from tests.drives.wired import Wired
+from tests.drives.protocol_bench import ProtocolBench, hand_file
+from tests.drives.virtual_bench import VirtualBench, drive_rig_on
+from tests.drives.wired_drives import WiredDrives
 
-LIMIT = 0.8
-STANDARD_IDS, LENGTHS = range(0x800), range(65)
-RANDOM_IDS = 200
+TORQUE_LIMIT_N_M = 0.8
+STANDARD_IDS, PAYLOAD_LENGTHS = range(0x800), range(65)
+RANDOM_ID_COUNT = 200
 """Number of random 29-bit identifiers that each protocol is tested with."""
 
 
 @pytest.fixture(params=sorted(PROTOCOL_ENTRIES), scope="module")
 def bench(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Bench]:
+) -> Iterator[ProtocolBench]:
     folder: Path = tmp_path_factory.mktemp("hand")
-    made = Bench(hand_file(folder, [request.param]))
-    made.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    made = ProtocolBench(hand_file(folder, [request.param]))
+    made.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     yield made
-    made.rig.close()
+    made.simulated_hand.close()
 
 
-def extended_ids(bench: Bench, chance: random.Random) -> set[int]:
+def extended_ids(bench: ProtocolBench, chance: random.Random) -> set[int]:
     """Return 29-bit identifiers: random ones, some of a drive and its host, and each of these with one bit changed."""
     ours = sorted(
         one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED
     )
     near = chance.sample(ours, min(len(ours), 4))
     changed = {one ^ 1 << bit for one in near for bit in range(29)}
-    return {*near, *changed, *(EXTENDED | chance.getrandbits(29) for _ in range(RANDOM_IDS))}
+    return {*near, *changed, *(EXTENDED | chance.getrandbits(29) for _ in range(RANDOM_ID_COUNT))}
 
 
-def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:
+def every_frame(bench: ProtocolBench, seed: int, t_ns: int) -> Iterator[Frame]:
     """Yield frames of each length with all 11-bit and many 29-bit identifiers.
 
     Frames of more than 8 bytes are CAN FD.
@@ -53,11 +53,11 @@ def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:
     chance = random.Random(seed)
     for can_id in [*STANDARD_IDS, *sorted(extended_ids(bench, chance))]:
         data = chance.randbytes(64)
-        for length in LENGTHS:
+        for length in PAYLOAD_LENGTHS:
             yield Frame(can_id, data[:length], FDF | BRS if length > 8 else 0, 0, t_ns)
 
 
-def states_of(bench: Bench) -> list[DriveState]:
+def states_of(bench: ProtocolBench) -> list[DriveState]:
     """Return a silent, a ready and an enabled state of the first drive. The enabled state comes from the bench."""
     ready = bench.states[0]._replace(phase=DrivePhase.READY)
     return [bench.drives[0].initial(), ready, bench.states[0]]
@@ -65,7 +65,7 @@ def states_of(bench: Bench) -> list[DriveState]:
 
 @pytest.mark.parametrize("number", range(3), ids=["silent", "ready", "enabled"])
 def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(
-    bench: Bench, number: int
+    bench: ProtocolBench, number: int
 ) -> None:
     drive, before = bench.drives[0], states_of(bench)[number]
     receive, ours, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
@@ -78,49 +78,54 @@ def test_a_frame_of_another_host_changes_nothing_and_no_frame_raises(
 
 
 @pytest.mark.parametrize("bench", ["mit"], indirect=True)
-def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: Bench) -> None:
-    wired, ours = Wired((), bench.node), bench.node.node_ids | bench.node.host_ids
-    wired.sync(0)
+def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: ProtocolBench) -> None:
+    wired, ours = (
+        WiredDrives((), bench.sensor_node),
+        bench.sensor_node.node_ids | bench.sensor_node.host_ids,
+    )
+    wired.begin_tick_with_sync(0)
     frames = list(every_frame(bench, 9, bench.k * 2_000_000))
     others, before = [frame for frame in frames if frame.can_id not in ours], wired.block.copy()
-    assert wired.receive(others).number("strange") == len(others)
-    wired.view("strange")[...] = 0
+    assert wired.receive(others).field_number("strange") == len(others)
+    wired.field_view("strange")[...] = 0
     assert wired.block.tobytes() == before.tobytes()
-    assert [frame.can_id for frame in wired.receive(frames).foreign] == [bench.node.sync_id] * len(
-        LENGTHS
-    )
+    assert [frame.can_id for frame in wired.receive(frames).foreign_frames] == [
+        bench.sensor_node.sync_id
+    ] * len(PAYLOAD_LENGTHS)
 
 
-def test_simulated_drives_survive_every_frame(bench: Bench) -> None:
-    node, t_ns = bench.rig.world.nodes[0][0], bench.rig.world.t_ns
+def test_simulated_drives_survive_every_frame(bench: ProtocolBench) -> None:
+    node, t_ns = bench.simulated_hand.world.nodes[0][0], bench.simulated_hand.world.t_ns
     for frame in every_frame(bench, 10, t_ns):
         node.receive(frame, t_ns)  # type: ignore[arg-type]
 
 
 @functools.cache
-def enabled(protocol: str) -> tuple[VirtualBench, DriveRig]:
-    place = VirtualBench(protocol)
-    rig = rig_on(place, protocol, LIMIT)
+def enabled_drive_on_bench(protocol: str) -> tuple[VirtualBench, DriveRig]:
+    virtual_bench = VirtualBench(protocol)
+    rig = drive_rig_on(virtual_bench, protocol, TORQUE_LIMIT_N_M)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 10.0)
-    return place, rig
+    return virtual_bench, rig
 
 
 @pytest.mark.parametrize("protocol", sorted(PROTOCOL_ENTRIES))
-@given(torque=st.floats(width=64) | st.floats(-LIMIT, LIMIT))
-@example(torque=LIMIT)
-@example(torque=-LIMIT)
-@example(torque=math.nextafter(LIMIT, 1.0))
+@given(torque=st.floats(width=64) | st.floats(-TORQUE_LIMIT_N_M, TORQUE_LIMIT_N_M))
+@example(torque=TORQUE_LIMIT_N_M)
+@example(torque=-TORQUE_LIMIT_N_M)
+@example(torque=math.nextafter(TORQUE_LIMIT_N_M, 1.0))
 @example(torque=5e-324)
 @example(torque=math.nan)
 @example(torque=-math.inf)
 def test_a_number_is_refused_or_arrives_as_it_is(protocol: str, torque: float) -> None:
-    place, rig = enabled(protocol)
-    if abs(torque) <= LIMIT:
+    virtual_bench, rig = enabled_drive_on_bench(protocol)
+    if abs(torque) <= TORQUE_LIMIT_N_M:
         _, frames = rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)
-        place.send(frames)
+        virtual_bench.send(frames)
         # In these protocols, the motor model scales a torque. In the others, the torque limit does.
-        step = {"cubemars": 36.0 / 4095, "robstride_mit": 11.0 / 4095}.get(protocol, LIMIT / 1000)
-        assert place.bench.motors[0].servo.torque == pytest.approx(torque, abs=step)
+        step = {"cubemars": 36.0 / 4095, "robstride_mit": 11.0 / 4095}.get(
+            protocol, TORQUE_LIMIT_N_M / 1000
+        )
+        assert virtual_bench.bench.motors[0].servo.torque == pytest.approx(torque, abs=step)
     else:
         with pytest.raises(ValueError, match="expected at most"):
             rig.drive.advance(rig.state, rig.t_ns, DriveTarget.ENABLE, torque)

@@ -15,11 +15,11 @@ from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.odrive import codec
 
-NODE = 3
+ODRIVE_NODE_ID = 3
 
 
 @pytest.fixture(scope="module")
-def dbc() -> cantools.database.can.Database:
+def vendor_dbc() -> cantools.database.can.Database:
     files = list(Path(odrive_can.__file__).parent.rglob("odrive-cansimple*0.6*.dbc"))
     assert files, "the package has lost its DBC"
     database = cantools.database.load_file(files[0])
@@ -44,40 +44,46 @@ def dbc() -> cantools.database.can.Database:
     ],
 )
 def test_identifiers_are_the_vendors(
-    dbc: cantools.database.can.Database, name: str, command: int
+    vendor_dbc: cantools.database.can.Database, name: str, command: int
 ) -> None:
-    assert dbc.get_message_by_name(f"Axis{NODE}_{name}").frame_id == codec.message_id(NODE, command)
+    assert vendor_dbc.get_message_by_name(
+        f"Axis{ODRIVE_NODE_ID}_{name}"
+    ).frame_id == codec.message_id(ODRIVE_NODE_ID, command)
 
 
-def test_payloads_are_the_vendors(dbc: cantools.database.can.Database) -> None:
-    limits = dbc.decode_message(f"Axis{NODE}_Set_Limits", codec.encode_floats(12.5, 9.75))
+def test_payloads_are_the_vendors(vendor_dbc: cantools.database.can.Database) -> None:
+    limits = vendor_dbc.decode_message(
+        f"Axis{ODRIVE_NODE_ID}_Set_Limits", codec.encode_floats(12.5, 9.75)
+    )
     assert list(limits.values()) == [12.5, 9.75]
-    mode = dbc.decode_message(
-        f"Axis{NODE}_Set_Controller_Mode", codec.encode_integers(1, 1), decode_choices=False
+    mode = vendor_dbc.decode_message(
+        f"Axis{ODRIVE_NODE_ID}_Set_Controller_Mode",
+        codec.encode_integers(1, 1),
+        decode_choices=False,
     )
     assert list(mode.values()) == [1, 1]
-    torque = dbc.decode_message(
-        f"Axis{NODE}_Set_Input_Torque", codec.encode_floats(-0.5).ljust(8, b"\0")
+    torque = vendor_dbc.decode_message(
+        f"Axis{ODRIVE_NODE_ID}_Set_Input_Torque", codec.encode_floats(-0.5).ljust(8, b"\0")
     )
     assert next(iter(torque.values())) == -0.5
 
 
 @pytest.mark.parametrize("bit", sorted(codec.ERROR_TEXTS))
-def test_errors_are_the_vendors(dbc: cantools.database.can.Database, bit: int) -> None:
+def test_errors_are_the_vendors(vendor_dbc: cantools.database.can.Database, bit: int) -> None:
     data = struct.pack("<IBBBB", 1 << bit, codec.IDLE, 3, 0, 0)
-    known = dbc.decode_message(f"Axis{NODE}_Heartbeat", data, decode_choices=False)
+    known = vendor_dbc.decode_message(f"Axis{ODRIVE_NODE_ID}_Heartbeat", data, decode_choices=False)
     beat = codec.decode_heartbeat(data)
     assert (known["Axis_Error"], known["Axis_State"], known["Procedure_Result"]) == beat
 
 
 def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(
-    dbc: cantools.database.can.Database,
+    vendor_dbc: cantools.database.can.Database,
 ) -> None:
-    bench = SimulatedDriveBench([drive_spec("odrive", NODE)])
+    bench = SimulatedDriveBench([drive_spec("odrive", ODRIVE_NODE_ID)])
     bench.advance(150_000_000)
     frames = bench.take_unsolicited()
-    for message in dbc.messages:
-        if message.name.startswith(f"Axis{NODE}_Get_"):
+    for message in vendor_dbc.messages:
+        if message.name.startswith(f"Axis{ODRIVE_NODE_ID}_Get_"):
             frames += bench.receive(Frame(message.frame_id | REMOTE, b""))
     assert {frame.can_id & 0x1F for frame in frames} >= {
         0x00,
@@ -90,15 +96,15 @@ def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(
         0x1C,
     }
     for frame in frames:
-        message = dbc.get_message_by_frame_id(frame.can_id)
+        message = vendor_dbc.get_message_by_frame_id(frame.can_id)
         assert message.length == len(frame.data) == 8, message.name
         assert message.decode(frame.data)
 
 
 def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(
-    dbc: cantools.database.can.Database,
+    vendor_dbc: cantools.database.can.Database,
 ) -> None:
-    bench = SimulatedDriveBench([drive_spec("odrive", NODE)])
+    bench = SimulatedDriveBench([drive_spec("odrive", ODRIVE_NODE_ID)])
     orders: list[tuple[str, dict[str, object]]] = [
         ("Set_Controller_Mode", {"Control_Mode": "TORQUE_CONTROL", "Input_Mode": "PASSTHROUGH"}),
         ("Set_Limits", {"Velocity_Limit": 20.0, "Current_Limit": 5.0}),
@@ -107,18 +113,23 @@ def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(
         ("Set_Input_Torque", {"Input_Torque": 0.125}),
     ]
     for name, values in orders:
-        message = dbc.get_message_by_name(f"Axis{NODE}_{name}")
+        message = vendor_dbc.get_message_by_name(f"Axis{ODRIVE_NODE_ID}_{name}")
         bench.receive(Frame(message.frame_id, message.encode(values)))
     assert bench.motors[0].servo.torque == 0.125
-    (reply,) = bench.receive(Frame(codec.message_id(NODE, codec.TORQUES) | REMOTE, b""))
-    assert dbc.decode_message(reply.can_id, reply.data)["Torque_Target"] == 0.125
-    bench.receive(Frame(dbc.get_message_by_name(f"Axis{NODE}_Estop").frame_id, b""))
+    (reply,) = bench.receive(Frame(codec.message_id(ODRIVE_NODE_ID, codec.TORQUES) | REMOTE, b""))
+    assert vendor_dbc.decode_message(reply.can_id, reply.data)["Torque_Target"] == 0.125
+    bench.receive(
+        Frame(vendor_dbc.get_message_by_name(f"Axis{ODRIVE_NODE_ID}_Estop").frame_id, b"")
+    )
     assert bench.motors[0].servo.torque == 0.0
 
 
 def test_canopen_reads_the_shipped_eds_as_the_drive_does() -> None:
-    foreign, ours = canopen.import_od(str(EDS_PATH), NODE), ObjectDictionary(NODE)
-    for step in setup.required_steps(NODE, 400, 2000, 50, 50):
+    foreign, ours = (
+        canopen.import_od(str(EDS_PATH), ODRIVE_NODE_ID),
+        ObjectDictionary(ODRIVE_NODE_ID),
+    )
+    for step in setup.required_steps(ODRIVE_NODE_ID, 400, 2000, 50, 50):
         entry = foreign[step.number]
         variable = (
             entry if isinstance(entry, canopen.objectdictionary.ODVariable) else entry[step.sub]

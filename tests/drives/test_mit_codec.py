@@ -16,16 +16,16 @@ from handctl.drives.readback import ReadbackCursor
 from handctl.drives.registry import make_drive
 from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
-from tests.drives.conftest import Section, drive_of
+from tests.drives.conftest import MotorSection, mit_drive_of
 
 TMAX = 0.8
-RANGES = codec.MotorRanges(12.5, 50.0, TMAX)
-TORQUES = st.floats(-TMAX, TMAX)
-COMMAND, FEEDBACK = (
-    SignalTable(codec.command_message(1, RANGES)),
-    SignalTable(codec.feedback_message(0x11, RANGES)),
+MOTOR_RANGES = codec.MotorRanges(12.5, 50.0, TMAX)
+torques_in_range = st.floats(-TMAX, TMAX)
+COMMAND_TABLE, FEEDBACK_TABLE = (
+    SignalTable(codec.command_message(1, MOTOR_RANGES)),
+    SignalTable(codec.feedback_message(0x11, MOTOR_RANGES)),
 )
-ENABLED = DriveState(
+ENABLED_STATE = DriveState(
     phase=DrivePhase.ENABLED, private=MitProgress(configured=True, enable_sent=True)
 )
 
@@ -40,8 +40,8 @@ ENABLED = DriveState(
         (-0.4, "7fff7ff000000400"),
     ],
 )
-def test_golden_commands(torque: float, payload: str) -> None:
-    assert COMMAND.pack(torque) == bytes.fromhex(payload)
+def test_commands_have_the_bytes_of_the_manual(torque: float, payload: str) -> None:
+    assert COMMAND_TABLE.pack(torque) == bytes.fromhex(payload)
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_golden_commands(torque: float, payload: str) -> None:
     ],
 )
 def test_feedback_is_decoded_to_known_values(payload: str, values: tuple[float, ...]) -> None:
-    assert codec.decode_feedback(bytes.fromhex(payload), FEEDBACK) == pytest.approx(
+    assert codec.decode_feedback(bytes.fromhex(payload), FEEDBACK_TABLE) == pytest.approx(
         values, abs=1e-12
     )
 
@@ -88,23 +88,23 @@ def test_register_replies_are_decoded_to_known_values() -> None:
     assert codec.decode_register_reply(bytes.fromhex("018000800bff2020"), 1) is None
 
 
-@given(TORQUES)
+@given(torques_in_range)
 def test_a_torque_arrives_within_half_a_step(torque: float) -> None:
-    code = int.from_bytes(COMMAND.pack(torque), "big") & 0xFFF
+    code = int.from_bytes(COMMAND_TABLE.pack(torque), "big") & 0xFFF
     assert code * 2 * TMAX / 4095 - TMAX == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
 
 
-@given(TORQUES)
+@given(torques_in_range)
 def test_a_command_never_looks_like_a_special_one_and_has_no_gains(torque: float) -> None:
-    data = COMMAND.pack(torque)
+    data = COMMAND_TABLE.pack(torque)
     assert data[:3] == b"\x7f\xff\x7f"
     assert int.from_bytes(data, "big") >> 12 & 0xFFFFFF == 0
 
 
-@given(TORQUES, TORQUES)
+@given(torques_in_range, torques_in_range)
 def test_more_torque_is_never_a_smaller_code(one: float, other: float) -> None:
     less, more = sorted((one, other))
-    assert COMMAND.pack(less) <= COMMAND.pack(more)
+    assert COMMAND_TABLE.pack(less) <= COMMAND_TABLE.pack(more)
 
 
 @given(
@@ -114,19 +114,19 @@ def test_more_torque_is_never_a_smaller_code(one: float, other: float) -> None:
 )
 def test_torque_out_of_range_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match="index_motor: torque"):
-        drive_of().advance(ENABLED, 1, DriveTarget.ENABLE, torque)
+        mit_drive_of().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
 def test_nan_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match=r"expected at most 0\.8$"):
-        drive_of().advance(ENABLED, 1, DriveTarget.ENABLE, torque)
+        mit_drive_of().advance(ENABLED_STATE, 1, DriveTarget.ENABLE, torque)
 
 
-@given(TORQUES, st.sampled_from([-1, 1]))
+@given(torques_in_range, st.sampled_from([-1, 1]))
 def test_direction_turns_every_sign(torque: float, direction: int) -> None:
-    drive = drive_of(direction=direction, zero_rad=0.25)
-    assert drive.command.pack(torque) == COMMAND.pack(direction * torque)
+    drive = mit_drive_of(direction=direction, zero_rad=0.25)
+    assert drive.command.pack(torque) == COMMAND_TABLE.pack(direction * torque)
     state = DriveState(phase=DrivePhase.READY, private=MitProgress(configured=True))
     seen = drive.receive(state, Frame(0x11, bytes.fromhex("01c000c00c002020")))
     assert seen.position == pytest.approx(direction * (12.5 * (2 * 0xC000 / 65535 - 1) - 0.25))
@@ -140,30 +140,32 @@ def test_feedback_of_the_simulated_firmware_reads_back(
 ) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
-    ranges = firmware.FrameRanges(*RANGES)
+    ranges = firmware.FrameRanges(*MOTOR_RANGES)
     motion = (
         firmware.from_code(position, 12.5, 16),
         firmware.from_code(velocity, 50.0, 12),
         firmware.from_code(torque, TMAX, 12),
     )
     data = firmware.encode_feedback(nibble, 3, motion, ranges, (30.0, 40.0))
-    seen = codec.decode_feedback(data, FEEDBACK)
+    seen = codec.decode_feedback(data, FEEDBACK_TABLE)
     assert seen[0] == nibble
     steps = (25.0 / 65535, 100.0 / 4095, 1.6 / 4095)
     for value, true, step in zip(seen[1:4], motion, steps, strict=True):
         assert abs(value - true) <= step * 1.001
 
 
-@given(TORQUES)
+@given(torques_in_range)
 def test_the_simulated_firmware_reads_commands(torque: float) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
-    decoded = firmware.decode_command(COMMAND.pack(torque), firmware.FrameRanges(*RANGES))
+    decoded = firmware.decode_command(
+        COMMAND_TABLE.pack(torque), firmware.FrameRanges(*MOTOR_RANGES)
+    )
     assert (decoded.kp, decoded.kd) == (0.0, 0.0)
     assert decoded.torque == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
 
 
-STATES = st.builds(
+drive_states = st.builds(
     DriveState,
     phase=st.sampled_from(DrivePhase),
     error=st.sampled_from([0, 0xA, 0x102]),
@@ -185,18 +187,20 @@ STATES = st.builds(
         clearing=st.integers(0, 6),
     ),
 )
-IDENTIFIERS = st.one_of(st.just(0x11), st.integers(0, 2047))
-DATA = st.one_of(
+frame_identifiers = st.one_of(st.just(0x11), st.integers(0, 2047))
+frame_payloads = st.one_of(
     st.binary(max_size=64),
     st.builds(bytes.__add__, st.just(b"\x01\x00\x33"), st.binary(min_size=5, max_size=5)),
 )
 
 
-@given(STATES, IDENTIFIERS, DATA, st.sampled_from(DriveTarget), st.integers(0, 2))
+@given(
+    drive_states, frame_identifiers, frame_payloads, st.sampled_from(DriveTarget), st.integers(0, 2)
+)
 def test_any_frame_is_survived_in_any_state(
     state: DriveState, can_id: int, data: bytes, target: DriveTarget, bus: int
 ) -> None:
-    drive = drive_of()
+    drive = mit_drive_of()
     after = drive.receive(state, Frame(can_id, data, FDF, bus, 5))
     if can_id != 0x11 or bus != 0:
         assert after is state
@@ -205,8 +209,8 @@ def test_any_frame_is_survived_in_any_state(
     assert not acting or (target == DriveTarget.ENABLE and after.phase == DrivePhase.ENABLED)
 
 
-def test_every_identifier_and_length() -> None:
-    drive, state = drive_of(), drive_of().initial()
+def test_frames_of_every_identifier_and_length_are_survived() -> None:
+    drive, state = mit_drive_of(), mit_drive_of().initial()
     for can_id in range(2048):
         for length in range(65):
             after = drive.receive(state, Frame(can_id, b"\x01" * length))
@@ -214,12 +218,12 @@ def test_every_identifier_and_length() -> None:
 
 
 def test_options_set_reply_identifier_and_can_fd() -> None:
-    drive = drive_of(options={"reply_id": 0x55, "fd": True})
+    drive = mit_drive_of(options={"reply_id": 0x55, "fd": True})
     assert drive.node_ids == {0x55}
     assert drive.cut()[0].flags & FDF
     assert drive.exchange == ((8, True), (8, True))
-    assert drive_of().exchange == ((8, False), (8, False))
-    assert drive_of().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}
+    assert mit_drive_of().exchange == ((8, False), (8, False))
+    assert mit_drive_of().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}
 
 
 @pytest.mark.parametrize(
@@ -237,19 +241,19 @@ def test_options_set_reply_identifier_and_can_fd() -> None:
 )
 def test_wrong_options_are_refused(options: dict[str, object], text: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        drive_of(options=options)
+        mit_drive_of(options=options)
     assert str(caught.value).startswith(text)
 
 
 def test_the_registry_knows_mit_and_says_what_it_knows() -> None:
-    assert isinstance(make_drive(Section(), 0), MitDrive)
+    assert isinstance(make_drive(MotorSection(), 0), MitDrive)
     with pytest.raises(
         ConfigError, match=r"motor\[index_motor\].protocol: 'mlt'; expected one of .*mit"
     ):
-        make_drive(Section(protocol="mlt"), 0)
+        make_drive(MotorSection(protocol="mlt"), 0)
 
 
 def test_watchdog_and_torque_limit_become_registers() -> None:
-    wanted = dict(drive_of(watchdog_ms=50, torque_max_N_m=1.5).required)
+    wanted = dict(mit_drive_of(watchdog_ms=50, torque_max_N_m=1.5).required)
     assert wanted == {10: 1, 21: 12.5, 22: 50.0, 23: 1.5, 9: 1000}
     assert codec.register_bytes(23, 1.5) == struct.pack("<f", 1.5)

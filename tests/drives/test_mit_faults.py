@@ -15,25 +15,25 @@ from handctl.drives.mit.progress import (
 )
 from tests.drives.conftest import PERIOD_NS, MotorRig
 
-DISABLE = b"\xff" * 7 + b"\xfd"
+DISABLE_PAYLOAD = b"\xff" * 7 + b"\xfd"
 
 
 def test_a_lost_answer_to_enable_does_not_count_as_disabled(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, DrivePhase.READY)
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     rig.tick(DriveTarget.ENABLE)
-    rig.pending.clear()
-    rig.motor.silent = True
-    assert rig.motor.nibble == 1
+    rig.pending_replies.clear()
+    rig.motor.sends_nothing = True
+    assert rig.motor.state_nibble == 1
     for _ in range(20):
         assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
-    rig.motor.silent = False
-    assert rig.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=3)
-    assert rig.motor.nibble == 0
+    rig.motor.sends_nothing = False
+    assert rig.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=3)
+    assert rig.motor.state_nibble == 0
 
 
 def test_an_answer_from_before_the_order_confirms_nothing(rig: MotorRig) -> None:
-    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.silent = True
+    rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    rig.motor.sends_nothing = True
     rig.tick(DriveTarget.DISABLE)
     old = Frame(0x11, bytes([0x01, 0x80, 0, 0x80, 0x08, 0, 30, 30]), 0, 0, rig.t_ns - PERIOD_NS - 1)
     rig.state = rig.drive.receive(rig.state, old)
@@ -41,37 +41,37 @@ def test_an_answer_from_before_the_order_confirms_nothing(rig: MotorRig) -> None
 
 
 def test_a_motor_that_disables_itself_is_at_fault_and_is_not_enabled_again(rig: MotorRig) -> None:
-    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.nibble = 0
-    state = rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
+    rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    rig.motor.state_nibble = 0
+    state = rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT)
     assert (state.error, state.error_text) == (DROPPED_OUT_ERROR, "disabled by itself")
     for _ in range(20):
         rig.tick(DriveTarget.ENABLE)
-    assert rig.motor.nibble == 0
+    assert rig.motor.state_nibble == 0
 
 
 def test_a_motor_enabled_by_another_host_is_in_fault(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, DrivePhase.READY)
-    rig.motor.nibble = 1
-    state = rig.until(DriveTarget.POLL, DrivePhase.FAULT)
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    rig.motor.state_nibble = 1
+    state = rig.run_until_phase(DriveTarget.POLL, DrivePhase.FAULT)
     assert state.error == ENABLED_BY_OTHER_HOST_ERROR
-    assert rig.sent[-1].data == DISABLE
-    assert rig.motor.nibble == 0
+    assert rig.sent_frames[-1].data == DISABLE_PAYLOAD
+    assert rig.motor.state_nibble == 0
     for target in (DriveTarget.POLL, DriveTarget.ENABLE, DriveTarget.DISABLE):
         assert rig.tick(target).error == ENABLED_BY_OTHER_HOST_ERROR
         assert rig.state.phase == DrivePhase.FAULT
 
 
 def test_a_motor_enabled_by_another_host_does_not_count_as_disabled(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, DrivePhase.READY)
-    rig.motor.nibble = 1
-    rig.motor.deaf.add(0xFD)
-    rig.until(DriveTarget.POLL, DrivePhase.FAULT)
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    rig.motor.state_nibble = 1
+    rig.motor.ignored_commands.add(0xFD)
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.FAULT)
     for _ in range(5):
         assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
-    rig.motor.deaf.clear()
-    rig.until(DriveTarget.DISABLE, DrivePhase.FAULT, ticks=3)
-    assert rig.motor.nibble == 0
+    rig.motor.ignored_commands.clear()
+    rig.run_until_phase(DriveTarget.DISABLE, DrivePhase.FAULT, ticks=3)
+    assert rig.motor.state_nibble == 0
 
 
 @pytest.mark.parametrize(
@@ -83,11 +83,11 @@ def test_a_motor_enabled_by_another_host_does_not_count_as_disabled(rig: MotorRi
     ],
 )
 def test_an_error_of_the_motor_is_reported_and_stays(rig: MotorRig, nibble: int, text: str) -> None:
-    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.nibble = nibble
-    state = rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
+    rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    rig.motor.state_nibble = nibble
+    state = rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT)
     assert (state.error, state.error_text) == (nibble, text)
-    rig.motor.nibble = 0
+    rig.motor.state_nibble = 0
     for _ in range(5):
         assert rig.tick(DriveTarget.ENABLE).phase == DrivePhase.FAULT
     assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.FAULT
@@ -97,104 +97,108 @@ def test_an_error_of_the_motor_is_reported_and_stays(rig: MotorRig, nibble: int,
 def test_an_unknown_state_is_a_fault_and_never_counts_as_disabled(
     rig: MotorRig, nibble: int
 ) -> None:
-    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.nibble = nibble
-    state = rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
+    rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    rig.motor.state_nibble = nibble
+    state = rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT)
     assert (state.error, state.error_text) == (UNKNOWN_STATUS_ERROR, f"unknown state {nibble:#x}")
     for _ in range(20):
         assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
-        assert rig.sent[-1].data == DISABLE
-        assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [
+        assert rig.sent_frames[-1].data == DISABLE_PAYLOAD
+        assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending_replies] == [
             DrivePhase.ENABLED
         ]
 
 
 def test_clear_ignores_earlier_replies_and_starts_again(rig: MotorRig) -> None:
-    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.nibble = 0xA
-    rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
-    stale = rig.pending
+    rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    rig.motor.state_nibble = 0xA
+    rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT)
+    stale = rig.pending_replies
     rig.state, frames = rig.drive.clear(rig.state)
     assert [frame.data for frame in frames] == [b"\xff" * 7 + b"\xfb"]
-    rig.pending = stale + [reply for frame in frames for reply in rig.motor.answer(frame, rig.t_ns)]
-    rig.until(DriveTarget.POLL, DrivePhase.READY)
+    rig.pending_replies = stale + [
+        reply for frame in frames for reply in rig.motor.answer_frame(frame, rig.t_ns)
+    ]
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert rig.state.error == 0
-    assert rig.motor.nibble == 0
+    assert rig.motor.state_nibble == 0
 
 
 def test_an_error_that_cannot_be_cleared_comes_back(rig: MotorRig) -> None:
-    rig.motor.nibble = 0x9
-    rig.motor.deaf.add(0xFB)
-    rig.until(DriveTarget.POLL, DrivePhase.FAULT)
+    rig.motor.state_nibble = 0x9
+    rig.motor.ignored_commands.add(0xFB)
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.FAULT)
     rig.state, _ = rig.drive.clear(rig.state)
-    assert rig.until(DriveTarget.POLL, DrivePhase.FAULT, ticks=10).error == 0x9
+    assert rig.run_until_phase(DriveTarget.POLL, DrivePhase.FAULT, ticks=10).error == 0x9
 
 
 def test_a_motor_that_was_without_power_is_configured_again(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, DrivePhase.READY)
-    rig.motor.silent = True
-    rig.until(DriveTarget.POLL, DrivePhase.SILENT, ticks=2 + SILENCE_TIMEOUT_NS // PERIOD_NS)
-    rig.motor.silent = False
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    rig.motor.sends_nothing = True
+    rig.run_until_phase(
+        DriveTarget.POLL, DrivePhase.SILENT, ticks=2 + SILENCE_TIMEOUT_NS // PERIOD_NS
+    )
+    rig.motor.sends_nothing = False
     rig.motor.registers[23] = 10.0
-    rig.until(DriveTarget.POLL, DrivePhase.READY)
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert rig.motor.registers[23] == pytest.approx(0.8)
 
 
 def test_an_unrequested_register_reply_changes_nothing(rig: MotorRig) -> None:
     right = Frame(0x11, bytes([1, 0, 0x33, 10, 1, 0, 0, 0]), 0, 0, rig.t_ns)
-    feedback = Frame(0x11, rig.motor.feedback(), 0, 0, rig.t_ns)
+    feedback = Frame(0x11, rig.motor.feedback_bytes(), 0, 0, rig.t_ns)
     rig.state = rig.drive.receive(rig.state, feedback)
     assert rig.state.phase == DrivePhase.CONFIGURING
     assert rig.drive.receive(rig.state, right).private == rig.state.private
 
 
 def test_a_motor_that_is_silent_after_the_enable_command_counts_as_enabled(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, DrivePhase.READY)
-    rig.motor.silent = True
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    rig.motor.sends_nothing = True
     for _ in range(2 * SILENCE_TIMEOUT_NS // PERIOD_NS):
         rig.tick(DriveTarget.ENABLE)
-    assert rig.motor.nibble == 1
+    assert rig.motor.state_nibble == 1
     assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
 
 
 def test_an_old_reply_after_enable_does_not_cancel_the_command(rig: MotorRig) -> None:
-    rig.until(DriveTarget.POLL, DrivePhase.READY)
-    old = Frame(0x11, rig.motor.feedback(), 0, 0, rig.t_ns - 1)
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    old = Frame(0x11, rig.motor.feedback_bytes(), 0, 0, rig.t_ns - 1)
     rig.tick(DriveTarget.ENABLE)
-    rig.pending = [old]
+    rig.pending_replies = [old]
     assert rig.tick(DriveTarget.DISABLE).phase == DrivePhase.ENABLED
 
 
 def test_an_error_soon_after_clearing_is_reported_at_once(rig: MotorRig) -> None:
     rig.state, _ = rig.drive.clear(rig.state)
-    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.nibble = 0xA
+    rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    rig.motor.state_nibble = 0xA
     rig.tick(DriveTarget.ENABLE)
     assert rig.tick(DriveTarget.ENABLE).phase == DrivePhase.FAULT
 
 
 def test_a_fault_is_not_forgotten_because_the_motor_is_enabled_again(rig: MotorRig) -> None:
-    rig.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    rig.motor.nibble = 4
-    rig.until(DriveTarget.ENABLE, DrivePhase.FAULT)
-    rig.motor.nibble = 1
-    rig.motor.deaf.add(0xFD)
-    torques = len(rig.motor.torques)
+    rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    rig.motor.state_nibble = 4
+    rig.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT)
+    rig.motor.state_nibble = 1
+    rig.motor.ignored_commands.add(0xFD)
+    torques = len(rig.motor.torque_codes)
     for _ in range(5):
         assert rig.tick(DriveTarget.ENABLE, 0.4).phase == DrivePhase.FAULT
-    assert len(rig.motor.torques) == torques
+    assert len(rig.motor.torque_codes) == torques
 
 
 def test_a_motor_at_fault_that_turns_out_to_be_enabled_does_not_count_as_disabled(
     rig: MotorRig,
 ) -> None:
     rig.motor.registers[23] = 7
-    rig.motor.stuck.add(23)
-    rig.until(DriveTarget.POLL, DrivePhase.FAULT)
-    rig.motor.deaf.add(0xFD)
+    rig.motor.fixed_registers.add(23)
+    rig.run_until_phase(DriveTarget.POLL, DrivePhase.FAULT)
+    rig.motor.ignored_commands.add(0xFD)
     rig.tick(DriveTarget.DISABLE)
-    rig.motor.nibble = 1
+    rig.motor.state_nibble = 1
     rig.tick(DriveTarget.DISABLE)
-    assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending] == [
+    assert [rig.drive.receive(rig.state, frame).phase for frame in rig.pending_replies] == [
         DrivePhase.ENABLED
     ]

@@ -15,7 +15,7 @@ from handctl.drives.odrive.discovery import FREE_NUMBERS
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
-from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, on_two_buses
+from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, move_to_second_bus
 
 
 def mixed_hand(folder: Path) -> Path:
@@ -24,7 +24,7 @@ def mixed_hand(folder: Path) -> Path:
     An MIT and an ODrive drive share the first bus with the load cells. Two CiA 402 drives are on
     the second bus, and one of them sends SYNC.
     """
-    path = on_two_buses(hand_file(folder, ["mit", "odrive", "cia402"]))
+    path = move_to_second_bus(hand_file(folder, ["mit", "odrive", "cia402"]))
     head, *motors = path.read_text().split("[[motor]]")
     motors[2] = motors[2].replace("counts_per_turn", "sync = true\ncounts_per_turn")
     path.write_text("[[motor]]".join([head, *motors]))
@@ -32,17 +32,17 @@ def mixed_hand(folder: Path) -> Path:
 
 
 def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
-    bench = Bench(mixed_hand(tmp_path))
+    bench = ProtocolBench(mixed_hand(tmp_path))
     assert [drive.bus for drive in bench.drives] == [0, 0, 1, 1]
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(100):
         bench.tick(DriveTarget.ENABLE, 0.05)
-    motors = bench.rig.world.plant.motors.values()
+    motors = bench.simulated_hand.world.plant.motors.values()
     assert [motor.servo.torque for motor in motors] == pytest.approx([0.05] * 4, abs=0.001)
     assert min(state.feedback_t_ns for state in bench.states) >= (bench.k - 2) * 2_000_000
-    bench.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
-    bench.rig.close()
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
+    bench.simulated_hand.close()
 
 
 def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None:
@@ -50,33 +50,33 @@ def test_no_drive_is_silent_while_the_others_are_enabled(tmp_path: Path) -> None
 
     Its five silent ticks were then a fault.
     """
-    bench = Bench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
+    bench = ProtocolBench(hand_file(tmp_path, ["mit", "odrive", "cubemars", "cia402"]))
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(10):
         bench.tick(DriveTarget.POLL)
     for _ in range(60):
         bench.tick(DriveTarget.ENABLE)
         assert min(state.feedback_t_ns for state in bench.states) >= (bench.k - 4) * 2_000_000
     assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * 4
-    bench.rig.close()
+    bench.simulated_hand.close()
 
 
 def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
     for protocol in ("odrive", "cia402"):
         path = hand_file(tmp_path, [protocol], "gear_ratio = 4.0\n")
         path.write_text(re.sub(r"\ndirection = 1", "\ndirection = -1", path.read_text()))
-        bench = Bench(path)
-        bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+        bench = ProtocolBench(path)
+        bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
         before = [state.position for state in bench.states]
         for _ in range(100):
             bench.tick(DriveTarget.ENABLE, 0.05)
-        motors = bench.rig.world.plant.motors
+        motors = bench.simulated_hand.world.plant.motors
         for drive, state, start in zip(bench.drives, bench.states, before, strict=True):
             assert motors[drive.name].servo.torque == pytest.approx(0.05, abs=0.002), (
                 "in the hand's sign, at the spool"
             )
             assert state.position > start
-        bench.rig.close()
+        bench.simulated_hand.close()
 
 
 @pytest.mark.parametrize("protocol", GUARDED_PROTOCOLS)
@@ -87,17 +87,17 @@ def test_a_zero_of_a_motor_is_an_angle_at_its_shaft(protocol: str, tmp_path: Pat
     text = path.read_text()
     assert "zero_rad" in text
     path.write_text(re.sub(r"\nzero_rad = [^ \n#]+", "\nzero_rad = 0.7", text))
-    bench = Bench(path)
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
+    bench = ProtocolBench(path)
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
-    world = bench.rig.world
+    world = bench.simulated_hand.world
     for drive, state in zip(bench.drives, bench.states, strict=True):
         truth = (
             world.plant.motors[drive.name].theta + (world.encoder_offset[drive.name] - 0.7) / gear
         )
         assert state.position == pytest.approx(truth, abs=0.01), drive.name
-    bench.rig.close()
+    bench.simulated_hand.close()
 
 
 def test_identifiers_of_different_protocols_may_not_meet(tmp_path: Path) -> None:
@@ -157,7 +157,7 @@ def test_the_load_is_that_of_the_table(
 
     With CiA 402, it counts an empty SYNC too.
     """
-    bench = Bench(hand_file(tmp_path, [protocol], extra))
+    bench = ProtocolBench(hand_file(tmp_path, [protocol], extra))
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [
         (8, False, 1.0)
     ]

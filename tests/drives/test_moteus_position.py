@@ -27,29 +27,33 @@ from handctl.drives.moteus.settings import (
 from handctl.drives.records import WORDS_PER_RECORD, Frames
 from handctl.drives.signals import Quantity, SignalTable
 from handctl.runtime.diagnostics.drive_rig import DriveRig
-from tests.controller.test_position_loop import loop_hand, moteus_command, moving
+from tests.controller.test_position_loop import (
+    begin_to_and_fro,
+    hand_with_position_loop,
+    moteus_command,
+)
 from tests.drives.protocol_bench import motor_on_bench
-from tests.drives.test_guards import hold
-from tests.drives.virtual_bench import NODE, VirtualBench
+from tests.drives.test_guard_readback import keep_setting
+from tests.drives.virtual_bench import DRIVE_NODE_ID, VirtualBench
 
-SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else range(3)
+SIMULATOR_SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else range(3)
 KP, KD = 2.5, 0.0351
-GAINS = {"servo.pid_position.kp": 15.708, "servo.pid_position.kd": 0.220540}
+GAIN_BY_ITEM = {"servo.pid_position.kp": 15.708, "servo.pid_position.kd": 0.220540}
 NAN_ITEMS = ("servo.default_velocity_limit", "servo.default_accel_limit", "servo.max_position_slip")
 
 
 def drive_with_loop(**changes: object) -> MoteusDrive:
     """Return a drive that closes the position loop."""
     given = {"control": "position", "kp_N_m_per_rad": KP, "kd_N_m_s_per_rad": KD} | changes
-    return MoteusDrive.of(motor_on_bench("moteus", NODE, 0.5, {}, **given), 0)
+    return MoteusDrive.of(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}, **given), 0)
 
 
-def armed_rig(place: VirtualBench) -> DriveRig:
-    return DriveRig(drive_with_loop(), place, place)
+def armed_rig(virtual_bench: VirtualBench) -> DriveRig:
+    return DriveRig(drive_with_loop(), virtual_bench, virtual_bench)
 
 
-def node_of(place: VirtualBench) -> MoteusNode:
-    (node,) = place.bench.nodes
+def node_of(virtual_bench: VirtualBench) -> MoteusNode:
+    (node,) = virtual_bench.bench.nodes
     assert isinstance(node, MoteusNode)
     return node
 
@@ -78,11 +82,11 @@ def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
     )
 
 
-GAINS_PER_RAD = tuple(gain / math.tau for gain in GAINS.values())
+GAINS_PER_RAD = tuple(gain / math.tau for gain in GAIN_BY_ITEM.values())
 
 
 def test_a_motor_with_torque_commands_has_no_position_command_and_the_settings_of_before() -> None:
-    drive = MoteusDrive.of(motor_on_bench("moteus", NODE, 0.5, {}), 0)
+    drive = MoteusDrive.of(motor_on_bench("moteus", DRIVE_NODE_ID, 0.5, {}), 0)
     assert drive.cyclic.position is None
     assert not drive.cyclic.moves_target
     assert [setting.name for setting in drive.configuration] == [
@@ -91,57 +95,57 @@ def test_a_motor_with_torque_commands_has_no_position_command_and_the_settings_o
 
 
 def test_the_settings_are_written_and_read_back_before_arming_and_not_stored() -> None:
-    place = VirtualBench("moteus")
-    rig = armed_rig(place)
+    virtual_bench = VirtualBench("moteus")
+    rig = armed_rig(virtual_bench)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
-    channel = node_of(place).channel
-    for name, value in GAINS.items():
+    channel = node_of(virtual_bench).channel
+    for name, value in GAIN_BY_ITEM.items():
         assert channel.items[name] == pytest.approx(value, abs=1e-6)
     assert all(math.isnan(channel.items[name]) for name in NAN_ITEMS)
-    assert all(channel.saved[name] == FACTORY_CONFIGURATION[name] for name in GAINS)
+    assert all(channel.saved[name] == FACTORY_CONFIGURATION[name] for name in GAIN_BY_ITEM)
     assert channel.saved["servo.default_accel_limit"] == 50.0
-    assert place.top == 0.0
+    assert virtual_bench.largest_torque == 0.0
 
 
-@pytest.mark.parametrize("item", [*GAINS, *NAN_ITEMS])
+@pytest.mark.parametrize("item", [*GAIN_BY_ITEM, *NAN_ITEMS])
 def test_a_setting_that_does_not_read_back_keeps_the_drive_off(item: str) -> None:
-    place = VirtualBench("moteus")
-    items = node_of(place).channel.items
+    virtual_bench = VirtualBench("moteus")
+    items = node_of(virtual_bench).channel.items
     items[item] = 3.0
-    hold(place, item)
-    rig = armed_rig(place)
+    keep_setting(virtual_bench, item)
+    rig = armed_rig(virtual_bench)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
     assert f"{item} reads 3 after writing, expected" in rig.state.error_text
 
 
 def test_a_firmware_without_an_item_is_refused_by_name() -> None:
-    place = VirtualBench("moteus")
-    del node_of(place).channel.items["servo.default_accel_limit"]
-    rig = armed_rig(place)
+    virtual_bench = VirtualBench("moteus")
+    del node_of(virtual_bench).channel.items["servo.default_accel_limit"]
+    rig = armed_rig(virtual_bench)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 3.0)
     assert "servo.default_accel_limit reads ERR error reading, expected nan" in rig.state.error_text
 
 
-@pytest.mark.parametrize("item", [*GAINS, *NAN_ITEMS])
+@pytest.mark.parametrize("item", [*GAIN_BY_ITEM, *NAN_ITEMS])
 def test_a_setting_that_is_lost_while_enabled_is_found(item: str) -> None:
-    place = VirtualBench("moteus")
-    rig = armed_rig(place)
+    virtual_bench = VirtualBench("moteus")
+    rig = armed_rig(virtual_bench)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
-    node_of(place).channel.items[item] = 7.0
+    node_of(virtual_bench).channel.items[item] = 7.0
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 6.0)
     assert f"{item} reads 7" in rig.state.error_text
 
 
 def test_a_restart_is_found_by_two_reads() -> None:
     """At least one of two consecutive items has another value after a restart."""
-    items = position_configuration(codec.PositionGains(*GAINS.values()))
+    items = position_configuration(codec.PositionGains(*GAIN_BY_ITEM.values()))
     for one, two in zip(items, items[1:] + items[:1], strict=True):
         assert not all(
             setting.is_right(FACTORY_CONFIGURATION[setting.name]) for setting in (one, two)
         )
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_gains_survive_the_text_of_the_drive_and_are_never_rounded_down(seed: int) -> None:
     draw = np.random.default_rng(seed)
     for gain in (0.0, 0.001, 5000.0, *10.0 ** draw.uniform(-4.0, 3.69, 2000)):
@@ -153,17 +157,21 @@ def test_gains_survive_the_text_of_the_drive_and_are_never_rounded_down(seed: in
         assert setting.is_right(float(f"{rounded_to_float32(float(text)):f}"))
 
 
-BAD = [
+VALUES_OUT_OF_RANGE = [
     (s.SERVO_POSITION, 256.1 * math.tau), (s.SERVO_VELOCITY, 51.0), (s.SERVO_KP, 2.6), (s.SERVO_KD, 1.0),
     (s.SERVO_TORQUE, 0.81), (s.SERVO_LIMIT, 0.81), (s.SERVO_LIMIT, -0.01), (s.SERVO_KD, -0.01),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("row", "value"), [*BAD, *((row, bad) for row, _ in BAD[:6] for bad in (math.nan, math.inf))]
+    ("row", "value"),
+    [
+        *VALUES_OUT_OF_RANGE,
+        *((row, bad) for row, _ in VALUES_OUT_OF_RANGE[:6] for bad in (math.nan, math.inf)),
+    ],
 )
 def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, value: float) -> None:
-    with moving(loop_hand(protocol="moteus")) as run:
+    with begin_to_and_fro(hand_with_position_loop(protocol="moteus")) as run:
         for _ in range(10):
             run.tick()
         assert run.state.view("servo_kp").all()
@@ -205,10 +213,10 @@ def test_every_signal_has_its_range() -> None:
     assert ends[Quantity.POSITION] == pytest.approx((-256.0 * math.tau, 256.0 * math.tau))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
     """The lost gains change the torque at once, and the read-back finds the lost items."""
-    hand = loop_hand(protocol="moteus")
+    hand = hand_with_position_loop(protocol="moteus")
     with homed_run(hand, 500.0, seed) as course:
         advance_to(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name

@@ -18,22 +18,22 @@ from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from handctl.runtime.diagnostics.scan import scan_bus
 from tests.drives.protocol_bench import motor_on_bench
-from tests.drives.virtual_bench import NODE, VirtualBench, rig_on
+from tests.drives.virtual_bench import DRIVE_NODE_ID, VirtualBench, drive_rig_on
 
-OLD = {"firmware": "0.5"}
+OLD_FIRMWARE = {"firmware": "0.5"}
 
 
 def test_odrive_05_with_watchdog_passes_conformance():
-    place = VirtualBench("odrive", usb_watchdog_s=0.05, **OLD)
-    rig = rig_on(place, "odrive", 0.1, OLD)
+    virtual_bench = VirtualBench("odrive", usb_watchdog_s=0.05, **OLD_FIRMWARE)
+    rig = drive_rig_on(virtual_bench, "odrive", 0.1, OLD_FIRMWARE)
     results = list(run_checks(DeviceUnderTest(rig, 0.1, 0.05)))
     assert [check for check in results if check.verdict is not CheckVerdict.PASSED] == []
     assert len(rig.drive.unverified_protections) == 2
-    assert 0.0 < place.top <= 0.1001
+    assert 0.0 < virtual_bench.largest_torque <= 0.1001
 
 
 def test_odrive_05_without_watchdog_fails_the_watchdog_check():
-    rig = rig_on(VirtualBench("odrive", **OLD), "odrive", 0.1, OLD)
+    rig = drive_rig_on(VirtualBench("odrive", **OLD_FIRMWARE), "odrive", 0.1, OLD_FIRMWARE)
     failed = [
         check.name
         for check in run_checks(DeviceUnderTest(rig, 0.1, 0.05))
@@ -46,20 +46,20 @@ def test_odrive_05_without_watchdog_fails_the_watchdog_check():
     ("error", "words"), [(1 << 25, "emergency stop"), (1 << 13, "motor failed")]
 )
 def test_errors_have_texts(error, words):
-    place = VirtualBench("odrive", **OLD)
-    rig = rig_on(place, "odrive", 0.1, OLD)
+    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
+    rig = drive_rig_on(virtual_bench, "odrive", 0.1, OLD_FIRMWARE)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
-    place.bench.nodes[0].disarm(error)
+    virtual_bench.bench.nodes[0].disarm(error)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.FAULT, 1.0)
     assert words in rig.state.error_text
 
 
 def test_odrive_05_is_not_asked_for_missing_messages():
-    place = VirtualBench("odrive", **OLD)
-    rig = rig_on(place, "odrive", 0.1, OLD)
+    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
+    rig = drive_rig_on(virtual_bench, "odrive", 0.1, OLD_FIRMWARE)
     sent = []
-    send = place.send
-    place.send = lambda frames: (sent.extend(frames), send(frames))[1]
+    send = virtual_bench.send
+    virtual_bench.send = lambda frames: (sent.extend(frames), send(frames))[1]
     rig.until(DriveTarget.ENABLE, lambda state: False, 1.0)
     asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE}
     assert asked == {0x09}
@@ -67,14 +67,14 @@ def test_odrive_05_is_not_asked_for_missing_messages():
 
 
 def test_a_scan_names_odrive_05():
-    place = VirtualBench("odrive", **OLD)
+    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
 
-    def hear(bus, for_s, seen):
+    def hear_heartbeat(bus, for_s, seen):
         bus.bench.advance(bus.bench.t_ns + round(for_s * 1e9))
         seen += bus.drain()
 
-    (found,) = scan_bus(place, listen=hear).found
-    assert (found.protocol, found.node_id, found.options) == ("odrive", NODE, OLD)
+    (found,) = scan_bus(virtual_bench, listen=hear_heartbeat).found
+    assert (found.protocol, found.node_id, found.options) == ("odrive", DRIVE_NODE_ID, OLD_FIRMWARE)
     assert "0.5" in found.notes[0]
 
 
@@ -83,13 +83,13 @@ def test_a_scan_names_odrive_05():
     [
         ({"firmware": "0.4"}, "'0.6' or '0.5'"),
         ({"firmware": 0.5}, "'0.6' or '0.5'"),
-        ({"torque_feedback": True, **OLD}, "does not report torque"),
-        ({"endpoint_torque_max": 3, **OLD}, "no SDO"),
+        ({"torque_feedback": True, **OLD_FIRMWARE}, "does not report torque"),
+        ({"endpoint_torque_max": 3, **OLD_FIRMWARE}, "no SDO"),
     ],
 )
 def test_options_missing_in_odrive_05_are_refused(options, said):
     with pytest.raises(ConfigError, match=said):
-        make_drive(motor_on_bench("odrive", NODE, 0.1, options), 0)
+        make_drive(motor_on_bench("odrive", DRIVE_NODE_ID, 0.1, options), 0)
 
 
 def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():
@@ -104,14 +104,14 @@ def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():
     for name, error in flags.items():
         data = message.encode(values | {name: 1})
         assert odrive_05.decode_heartbeat(data) == (error, 8, 0)
-    place = VirtualBench("odrive", **OLD)
-    place.bench.nodes[0].disarm(1 << 24)
-    place.bench.advance(200_000_000)
-    beat = next(frame for frame in place.drain() if frame.can_id & 0x1F == 1)
+    virtual_bench = VirtualBench("odrive", **OLD_FIRMWARE)
+    virtual_bench.bench.nodes[0].disarm(1 << 24)
+    virtual_bench.bench.advance(200_000_000)
+    beat = next(frame for frame in virtual_bench.drain() if frame.can_id & 0x1F == 1)
     assert message.decode(beat.data, decode_choices=True)["Axis_Error"] == "WATCHDOG_TIMER_EXPIRED"
 
 
 def test_a_heartbeat_of_the_new_kind_is_not_taken_for_an_old_one_with_flags():
-    drive = make_drive(motor_on_bench("odrive", NODE, 0.1, {}), 0)
-    beat = Frame(NODE << 5 | 1, struct.pack("<IBBBB", 0, 1, 3, 0, 0), 0, 0, 10)
+    drive = make_drive(motor_on_bench("odrive", DRIVE_NODE_ID, 0.1, {}), 0)
+    beat = Frame(DRIVE_NODE_ID << 5 | 1, struct.pack("<IBBBB", 0, 1, 3, 0, 0), 0, 0, 10)
     assert drive.receive(drive.initial(), beat).phase != DrivePhase.FAULT

@@ -15,36 +15,43 @@ from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive.drive import OdriveDrive
 from handctl.drives.odrive.progress import progress_of
-from tests.drives.protocol_bench import FIRST_NODE, OPTIONS, Bench, hand_file
+from tests.drives.protocol_bench import (
+    FIRST_NODE_ID,
+    OPTIONS_TEXT_BY_PROTOCOL,
+    ProtocolBench,
+    hand_file,
+)
 
 
 @pytest.fixture
-def odrive(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(hand_file(tmp_path, ["odrive"]))
+def odrive_bench(tmp_path: Path) -> Iterator[ProtocolBench]:
+    made = ProtocolBench(hand_file(tmp_path, ["odrive"]))
     yield made
-    made.rig.close()
+    made.simulated_hand.close()
 
 
 @pytest.fixture
-def cia402(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(hand_file(tmp_path, ["cia402"]))
+def cia402_bench(tmp_path: Path) -> Iterator[ProtocolBench]:
+    made = ProtocolBench(hand_file(tmp_path, ["cia402"]))
     yield made
-    made.rig.close()
+    made.simulated_hand.close()
 
 
-def first_odrive(bench: Bench) -> OdriveNode:
-    node = bench.rig.world.nodes[0][0]
+def first_odrive_node(bench: ProtocolBench) -> OdriveNode:
+    node = bench.simulated_hand.world.nodes[0][0]
     assert isinstance(node, OdriveNode)
     return node
 
 
-def first_cia402(bench: Bench) -> Cia402Node:
-    node = bench.rig.world.nodes[0][0]
+def first_cia402_node(bench: ProtocolBench) -> Cia402Node:
+    node = bench.simulated_hand.world.nodes[0][0]
     assert isinstance(node, Cia402Node)
     return node
 
 
-def error_of_first_drive(bench: Bench, phase: DrivePhase, target: DriveTarget, ticks: int) -> str:
+def error_of_first_drive(
+    bench: ProtocolBench, phase: DrivePhase, target: DriveTarget, ticks: int
+) -> str:
     """Run ticks until the first drive is in a phase, and return the error text of this drive."""
     for _ in range(ticks):
         bench.tick(target)
@@ -63,7 +70,7 @@ def lose_first_frames(
     taken, lost = node.receive, list[WireFrame]()
 
     def receive(frame: WireFrame, t_ns: int) -> list[WireFrame] | None:
-        mine = frame.can_id == FIRST_NODE << 5 | command and frame.data.startswith(start)
+        mine = frame.can_id == FIRST_NODE_ID << 5 | command and frame.data.startswith(start)
         if mine and len(lost) < times:
             lost.append(frame)
             return []
@@ -75,112 +82,120 @@ def lose_first_frames(
 
 @pytest.mark.parametrize("moment", ["ready", "ordered"])
 def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(
-    odrive: Bench, moment: str
+    odrive_bench: ProtocolBench, moment: str
 ) -> None:
     """An ODrive restarts in position control and without its watchdog. Only its idle state shows the restart."""
-    node = first_odrive(odrive)
-    odrive.until(DriveTarget.POLL, DrivePhase.READY)
+    node = first_odrive_node(odrive_bench)
+    odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     if moment != "ready":
-        while progress_of(odrive.states[0]).enable_sent_ns < 0:
-            odrive.tick(DriveTarget.ENABLE)
+        while progress_of(odrive_bench.states[0]).enable_sent_ns < 0:
+            odrive_bench.tick(DriveTarget.ENABLE)
     settings = dict(node.endpoints)
     for _ in range(10 * (moment == "ready")):
-        odrive.tick(DriveTarget.POLL)
-    node.receive(Frame(0x10 << 5 | 0x16, b"\0"), odrive.rig.world.t_ns)  # type: ignore[arg-type]
+        odrive_bench.tick(DriveTarget.POLL)
+    node.receive(Frame(0x10 << 5 | 0x16, b"\0"), odrive_bench.simulated_hand.world.t_ns)  # type: ignore[arg-type]
     assert node.endpoints != settings
     for _ in range(400):
-        odrive.tick(DriveTarget.ENABLE)
+        odrive_bench.tick(DriveTarget.ENABLE)
         assert node.state == 1 or (node.mode == (1, 1) and node.endpoints == settings)
-        if odrive.states[0].phase == DrivePhase.ENABLED:
+        if odrive_bench.states[0].phase == DrivePhase.ENABLED:
             return
-    raise AssertionError(odrive.states[0])
+    raise AssertionError(odrive_bench.states[0])
 
 
 @pytest.mark.parametrize("command", [codec.SET_MODE, codec.SET_LIMITS])
 def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(
-    odrive: Bench, command: int
+    odrive_bench: ProtocolBench, command: int
 ) -> None:
     """An ODrive does not confirm its mode and limits.
 
     In position control, the first torque command would be a position jump.
     """
-    node = first_odrive(odrive)
+    node = first_odrive_node(odrive_bench)
     lost = lose_first_frames(node, command)
     before = node.velocity_limit
-    odrive.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    odrive_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     assert lost
     assert node.mode == (1, 1)
     assert node.velocity_limit != before
 
 
 @pytest.mark.parametrize("losses", [1, 2, 3])
-def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, losses: int) -> None:
+def test_a_setting_that_is_lost_on_the_wire_is_written_again(
+    odrive_bench: ProtocolBench, losses: int
+) -> None:
     """No reply confirms the write of a setting.
 
     If 1 of 1000 frames is lost, a tenth of the starts of 11 motors would fail.
     """
-    node = first_odrive(odrive)
+    node = first_odrive_node(odrive_bench)
     lost = lose_first_frames(node, codec.RX_SDO, bytes((codec.SDO_WRITE,)), losses)
     if losses < 3:
-        odrive.until(DriveTarget.POLL, DrivePhase.READY)
+        odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
         assert node.endpoints[201] == b"\1"
     else:
         assert "enable_watchdog reads 0 after writing, expected 1" in error_of_first_drive(
-            odrive, DrivePhase.FAULT, DriveTarget.POLL, 200
+            odrive_bench, DrivePhase.FAULT, DriveTarget.POLL, 200
         )
     assert len(lost) == losses
 
 
-def test_an_odrive_that_ignores_commands_is_a_fault(odrive: Bench) -> None:
-    odrive.until(DriveTarget.POLL, DrivePhase.READY)
-    first_odrive(odrive)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]
+def test_an_odrive_that_ignores_commands_is_a_fault(odrive_bench: ProtocolBench) -> None:
+    odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    first_odrive_node(odrive_bench)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]
     assert "after 5 enable commands" in error_of_first_drive(
-        odrive, DrivePhase.FAULT, DriveTarget.ENABLE, 600
+        odrive_bench, DrivePhase.FAULT, DriveTarget.ENABLE, 600
     )
 
 
 @pytest.mark.parametrize(
     ("bit", "words"), [(25, "emergency stop"), (13, "motor over-temperature"), (6, "missing input")]
 )
-def test_an_odrive_says_what_disarmed_it(odrive: Bench, bit: int, words: str) -> None:
-    odrive.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    first_odrive(odrive).disarm(1 << bit)
-    assert words in error_of_first_drive(odrive, DrivePhase.FAULT, DriveTarget.ENABLE, 60)
+def test_an_odrive_says_what_disarmed_it(odrive_bench: ProtocolBench, bit: int, words: str) -> None:
+    odrive_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    first_odrive_node(odrive_bench).disarm(1 << bit)
+    assert words in error_of_first_drive(odrive_bench, DrivePhase.FAULT, DriveTarget.ENABLE, 60)
 
 
-def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> None:
-    first_odrive(odrive).state = 8
-    odrive.until(DriveTarget.POLL, DrivePhase.READY)
-    assert first_odrive(odrive).state == 1
+def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive_bench: ProtocolBench) -> None:
+    first_odrive_node(odrive_bench).state = 8
+    odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    assert first_odrive_node(odrive_bench).state == 1
 
 
 @pytest.mark.parametrize("target", [DriveTarget.ENABLE, DriveTarget.POLL])
 def test_odrive_in_another_axis_state_is_a_fault_and_is_stopped(
-    odrive: Bench, target: DriveTarget
+    odrive_bench: ProtocolBench, target: DriveTarget
 ) -> None:
     """An ODrive that is calibrated by USB makes a torque without a command, and reports no error."""
-    odrive.until(target, DrivePhase.ENABLED if target == DriveTarget.ENABLE else DrivePhase.READY)
-    first_odrive(odrive).state = 3
-    assert "in axis state 3" in error_of_first_drive(odrive, DrivePhase.FAULT, target, 60).replace(
-        "went to", "in"
+    odrive_bench.run_until_phase(
+        target, DrivePhase.ENABLED if target == DriveTarget.ENABLE else DrivePhase.READY
     )
-    odrive.tick(target)
-    assert first_odrive(odrive).state == 1
+    first_odrive_node(odrive_bench).state = 3
+    assert "in axis state 3" in error_of_first_drive(
+        odrive_bench, DrivePhase.FAULT, target, 60
+    ).replace("went to", "in")
+    odrive_bench.tick(target)
+    assert first_odrive_node(odrive_bench).state == 1
 
 
-def test_an_odrive_without_a_heartbeat_is_lost(odrive: Bench) -> None:
-    odrive.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+def test_an_odrive_without_a_heartbeat_is_lost(odrive_bench: ProtocolBench) -> None:
+    odrive_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
-        odrive.incoming = [frame for frame in odrive.incoming if frame.can_id & 0x1F != 1]
-        odrive.tick(DriveTarget.ENABLE)
-    assert odrive.states[0].error_text == "no heartbeat"
-    assert first_odrive(odrive).state == 1, "and what may be enabled gets a command to stop"
+        odrive_bench.received_frames = [
+            frame for frame in odrive_bench.received_frames if frame.can_id & 0x1F != 1
+        ]
+        odrive_bench.tick(DriveTarget.ENABLE)
+    assert odrive_bench.states[0].error_text == "no heartbeat"
+    assert first_odrive_node(odrive_bench).state == 1, (
+        "and what may be enabled gets a command to stop"
+    )
 
 
-def test_endpoints_hold_what_the_hand_file_says(odrive: Bench) -> None:
-    node = first_odrive(odrive)
+def test_endpoints_hold_what_the_hand_file_says(odrive_bench: ProtocolBench) -> None:
+    node = first_odrive_node(odrive_bench)
     assert node.endpoints[201] == b"\0"
-    odrive.until(DriveTarget.POLL, DrivePhase.READY)
+    odrive_bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert node.endpoints[201] == b"\1"
     assert struct.unpack("<f", node.endpoints[202])[0] == pytest.approx(0.05)
     assert struct.unpack("<f", node.endpoints[203])[0] == pytest.approx(0.8)
@@ -188,17 +203,17 @@ def test_endpoints_hold_what_the_hand_file_says(odrive: Bench) -> None:
 
 def test_a_watchdog_that_cannot_be_verified_is_reported(tmp_path: Path) -> None:
     path = hand_file(tmp_path, ["odrive"])
-    bench = Bench(path)
+    bench = ProtocolBench(path)
     assert isinstance(bench.drives[0], OdriveDrive)
     assert bench.drives[0].unverified_protections == ()
-    path.write_text(path.read_text().replace(OPTIONS["odrive"], ""))
-    bare = Bench(path).drives[0]
+    path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))
+    bare = ProtocolBench(path).drives[0]
     assert isinstance(bare, OdriveDrive)
     assert "watchdog not verified" in bare.unverified_protections[0]
 
 
-def test_another_protocol_version_is_refused(odrive: Bench) -> None:
-    drive, state = odrive.drives[0], odrive.states[0]
+def test_another_protocol_version_is_refused(odrive_bench: ProtocolBench) -> None:
+    drive, state = odrive_bench.drives[0], odrive_bench.states[0]
     assert isinstance(drive, OdriveDrive)
     state = drive.receive(state, Frame(drive.node_id << 5, bytes((1, 0, 0, 0, 0, 5, 6, 0))))
     assert (state.phase, state.error_text) == (
@@ -211,43 +226,51 @@ def test_another_protocol_version_is_refused(odrive: Bench) -> None:
     ("code", "words"),
     [(0x8130, "watchdog"), (0x4310, "motor over-temperature"), (0xFF01, "0xff01")],
 )
-def test_a_cia402_drive_says_what_its_fault_is(cia402: Bench, code: int, words: str) -> None:
-    cia402.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    first_cia402(cia402).trip(code)
-    cia402.incoming += first_cia402(cia402).wake(cia402.rig.world.t_ns)  # type: ignore[arg-type]
-    assert words in error_of_first_drive(cia402, DrivePhase.FAULT, DriveTarget.ENABLE, 10)
+def test_a_cia402_drive_says_what_its_fault_is(
+    cia402_bench: ProtocolBench, code: int, words: str
+) -> None:
+    cia402_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    first_cia402_node(cia402_bench).trip(code)
+    cia402_bench.received_frames += first_cia402_node(cia402_bench).wake(
+        cia402_bench.simulated_hand.world.t_ns
+    )  # type: ignore[arg-type]
+    assert words in error_of_first_drive(cia402_bench, DrivePhase.FAULT, DriveTarget.ENABLE, 10)
 
 
-def test_another_rated_torque_is_refused(cia402: Bench) -> None:
-    first_cia402(cia402).objects[0x6076, 0] = 300
+def test_another_rated_torque_is_refused(cia402_bench: ProtocolBench) -> None:
+    first_cia402_node(cia402_bench).objects[0x6076, 0] = 300
     assert (
-        error_of_first_drive(cia402, DrivePhase.FAULT, DriveTarget.POLL, 100)
+        error_of_first_drive(cia402_bench, DrivePhase.FAULT, DriveTarget.POLL, 100)
         == "object 0x6076:0 reads 0x12c, expected 0x190"
     )
 
 
-def test_a_drive_that_restarts_in_motion_is_a_fault(cia402: Bench) -> None:
-    cia402.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    cia402.tick(DriveTarget.ENABLE, extra=[Frame(0x000, bytes((0x81, 0x10)))])
-    assert error_of_first_drive(cia402, DrivePhase.FAULT, DriveTarget.ENABLE, 30) == "restarted"
-    assert cia402.rig.world.plant.motors["index_motor"].servo.torque == 0.0
+def test_a_drive_that_restarts_in_motion_is_a_fault(cia402_bench: ProtocolBench) -> None:
+    cia402_bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    cia402_bench.tick(DriveTarget.ENABLE, extra_frames=[Frame(0x000, bytes((0x81, 0x10)))])
+    assert (
+        error_of_first_drive(cia402_bench, DrivePhase.FAULT, DriveTarget.ENABLE, 30) == "restarted"
+    )
+    assert cia402_bench.simulated_hand.world.plant.motors["index_motor"].servo.torque == 0.0
 
 
-def test_a_bus_without_sync_is_reported(cia402: Bench) -> None:
-    drive = cia402.drives[0]
+def test_a_bus_without_sync_is_reported(cia402_bench: ProtocolBench) -> None:
+    drive = cia402_bench.drives[0]
     assert isinstance(drive, Cia402Drive)
     for _ in range(200):
-        cia402.tick(DriveTarget.POLL)
-        cia402.incoming = [frame for frame in cia402.incoming if frame.can_id & ~0x7F != 0x180]
-    assert "SYNC" in cia402.states[0].error_text
+        cia402_bench.tick(DriveTarget.POLL)
+        cia402_bench.received_frames = [
+            frame for frame in cia402_bench.received_frames if frame.can_id & ~0x7F != 0x180
+        ]
+    assert "SYNC" in cia402_bench.states[0].error_text
 
 
-def strict(bench: Bench) -> Bench:
+def refuse_sync_counter(bench: ProtocolBench) -> ProtocolBench:
     """Let the CiA 402 drives of a bench ignore a SYNC with data, and return the bench.
 
     The stack CANopenNode does so while object 0x1019 is 0.
     """
-    for node in bench.rig.world.nodes[0]:
+    for node in bench.simulated_hand.world.nodes[0]:
         if isinstance(node, Cia402Node):
             hear = node.receive
             node.receive = lambda frame, t_ns, hear=hear: (  # type: ignore[method-assign, misc]
@@ -260,7 +283,7 @@ def test_drives_that_refuse_a_sync_counter_are_reported_and_get_an_empty_sync(
     tmp_path: Path,
 ) -> None:
     path = hand_file(tmp_path, ["cia402"])
-    bench = strict(Bench(path))
+    bench = refuse_sync_counter(ProtocolBench(path))
     for _ in range(200):
         bench.tick(DriveTarget.POLL)
     assert "accept SYNC with a counter" in bench.states[0].error_text
@@ -268,14 +291,16 @@ def test_drives_that_refuse_a_sync_counter_are_reported_and_get_an_empty_sync(
     path.write_text(
         text.replace("counts_per_turn = 65536", "counts_per_turn = 65536\nsync = true", 1)
     )
-    bench = strict(Bench(path))
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    bench = refuse_sync_counter(ProtocolBench(path))
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     bench.tick(DriveTarget.ENABLE)
-    assert {frame.can_id for frame in bench.incoming} == {0x1A0, 0x190, 0x191, 0x192, 0x193}
+    assert {frame.can_id for frame in bench.received_frames} == {0x1A0, 0x190, 0x191, 0x192, 0x193}
 
 
-def test_a_simulated_drive_refuses_an_object_that_it_does_not_have(cia402: Bench) -> None:
-    node = first_cia402(cia402)
+def test_a_simulated_drive_refuses_an_object_that_it_does_not_have(
+    cia402_bench: ProtocolBench,
+) -> None:
+    node = first_cia402_node(cia402_bench)
     for index, sub, code in ((0x6091, 1, 0x06020000), (0x6041, 3, 0x06090011)):
         request = bytes((0x40,)) + index.to_bytes(2, "little") + bytes((sub, 0, 0, 0, 0))
         replies = node.receive(Frame(0x610, request), 0)  # type: ignore[arg-type]

@@ -10,7 +10,7 @@ import pytest
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import EXTENDED, FDF, REMOTE, Frame
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from tests.drives.protocol_bench import Bench, hand_file, servo_torques
+from tests.drives.protocol_bench import ProtocolBench, hand_file, servo_torques
 
 
 @pytest.fixture(params=GUARDED_PROTOCOLS)
@@ -19,28 +19,28 @@ def protocol(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def bench(protocol: str, tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(hand_file(tmp_path, [protocol]))
+def bench(protocol: str, tmp_path: Path) -> Iterator[ProtocolBench]:
+    made = ProtocolBench(hand_file(tmp_path, [protocol]))
     yield made
-    made.rig.close()
+    made.simulated_hand.close()
 
 
-def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench) -> None:
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
+def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: ProtocolBench) -> None:
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert servo_torques(bench) == [0.0] * 4
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
         bench.tick(DriveTarget.ENABLE, 0.05)
-    world = bench.rig.world
+    world = bench.simulated_hand.world
     for drive, state in zip(bench.drives, bench.states, strict=True):
         truth = world.plant.motors[drive.name].theta + world.encoder_offset[drive.name]
         assert state.position == pytest.approx(truth, abs=0.01)
         assert state.feedback_t_ns >= (bench.k - 2) * 2_000_000
     assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=0.001)
-    bench.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
-    assert bench.rig.world.malformed == 0
+    assert bench.simulated_hand.world.malformed == 0
 
 
 @pytest.mark.parametrize("period_ms", [1, 25])
@@ -48,16 +48,16 @@ def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
     protocol: str, period_ms: int, tmp_path: Path
 ) -> None:
     """A setting of a drive that was verified in the last tick counts as verified, however long a tick is."""
-    slow = Bench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
-    slow.until(DriveTarget.POLL, DrivePhase.READY)
+    slow = ProtocolBench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
+    slow.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     for _ in range(5):
         slow.tick(DriveTarget.POLL)
-    slow.until(DriveTarget.ENABLE, DrivePhase.ENABLED, ticks=200)
-    slow.rig.close()
+    slow.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED, ticks=200)
+    slow.simulated_hand.close()
 
 
-def test_dead_host_loses_torque_until_an_operator_clears(bench: Bench) -> None:
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+def test_dead_host_loses_torque_until_an_operator_clears(bench: ProtocolBench) -> None:
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     bench.tick(DriveTarget.ENABLE, 0.05)
     for _ in range(15):
         bench.tick(DriveTarget.LISTEN)
@@ -65,28 +65,30 @@ def test_dead_host_loses_torque_until_an_operator_clears(bench: Bench) -> None:
     for _ in range(35):
         bench.tick(DriveTarget.LISTEN)
     assert servo_torques(bench) == [0.0] * 4, "100 ms, and the watchdogs are set to 50 ms"
-    bench.until(DriveTarget.ENABLE, DrivePhase.FAULT, ticks=100)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.FAULT, ticks=100)
     for state in bench.states:
         assert "watchdog" in state.error_text
-    bench.until(DriveTarget.DISABLE, DrivePhase.FAULT, ticks=100)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.FAULT, ticks=100)
     bench.clear()
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
     assert [state.error for state in bench.states] == [0] * 4
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
 
 
-def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: Bench) -> None:
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: ProtocolBench) -> None:
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     bench.tick(DriveTarget.ENABLE, 0.05)
     assert 0.0 not in servo_torques(bench)
-    bench.tick(DriveTarget.LISTEN, extra=[frame for drive in bench.drives for frame in drive.cut()])
+    bench.tick(
+        DriveTarget.LISTEN, extra_frames=[frame for drive in bench.drives for frame in drive.cut()]
+    )
     assert servo_torques(bench) == [0.0] * 4
     for _ in range(200):
         bench.tick(DriveTarget.DISABLE)
     assert {state.phase for state in bench.states} <= {DrivePhase.READY, DrivePhase.FAULT}
 
 
-def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Bench) -> None:
+def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: ProtocolBench) -> None:
     """A cut stops the torque first, because PDOs act only in the state operational (CiA 301).
 
     CiA 402-2 requires no reaction of a drive that leaves this state.
@@ -96,27 +98,27 @@ def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Benc
         assert 0 not in orders[:1], "an NMT order comes after the control word"
 
 
-def test_disabling_is_not_confirmed_by_silence(bench: Bench) -> None:
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+def test_disabling_is_not_confirmed_by_silence(bench: ProtocolBench) -> None:
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(400):
-        bench.incoming = []
+        bench.received_frames = []
         bench.tick(DriveTarget.DISABLE)
-    bench.incoming = []
+    bench.received_frames = []
     assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * 4
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -1e9])
-def test_invalid_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+def test_invalid_torque_cannot_be_encoded(bench: ProtocolBench, torque: float) -> None:
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for drive, state in zip(bench.drives, bench.states, strict=True):
         with pytest.raises(ValueError, match=drive.name):
             drive.advance(state, bench.k * 2_000_000, DriveTarget.ENABLE, torque)
 
 
 @pytest.mark.parametrize("phase", [DrivePhase.SILENT, DrivePhase.ENABLED])
-def test_any_bytes_on_any_identifier_are_survived(bench: Bench, phase: DrivePhase) -> None:
+def test_any_bytes_on_any_identifier_are_survived(bench: ProtocolBench, phase: DrivePhase) -> None:
     if phase == DrivePhase.ENABLED:
-        bench.until(DriveTarget.ENABLE, phase)
+        bench.run_until_phase(DriveTarget.ENABLE, phase)
     chance, drive, known = random.Random(7), bench.drives[0], bench.states[0]
     for can_id in range(0x800):
         for length in range(65) if can_id in drive.node_ids else (0, 8, 64):
@@ -132,19 +134,21 @@ def test_any_bytes_on_any_identifier_are_survived(bench: Bench, phase: DrivePhas
             assert drive.receive(known, frame._replace(can_id=can_id | REMOTE)) is known
 
 
-def test_simulated_nodes_survive_any_bytes(bench: Bench) -> None:
+def test_simulated_nodes_survive_any_bytes(bench: ProtocolBench) -> None:
     chance = random.Random(8)
     for can_id in range(0x800):
         for length in (0, 1, 3, 4, 8, 64):
             flags = FDF if length > 8 else 0
-            bench.rig.world.receive(Frame(can_id, chance.randbytes(length), flags))  # type: ignore[arg-type]
-        bench.rig.world.receive(Frame(can_id | REMOTE, b""))  # type: ignore[arg-type]
-    bench.rig.world.advance(bench.rig.world.t_ns + 100_000_000)
+            bench.simulated_hand.world.receive(Frame(can_id, chance.randbytes(length), flags))  # type: ignore[arg-type]
+        bench.simulated_hand.world.receive(Frame(can_id | REMOTE, b""))  # type: ignore[arg-type]
+    bench.simulated_hand.world.advance(bench.simulated_hand.world.t_ns + 100_000_000)
 
 
-def test_frames_of_host_and_node_have_distinct_identifiers(bench: Bench) -> None:
+def test_frames_of_host_and_node_have_distinct_identifiers(bench: ProtocolBench) -> None:
     drive = bench.drives[0]
     assert not drive.host_ids & drive.node_ids
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    ours = {can_id for drive in bench.drives for can_id in drive.host_ids} | bench.node.host_ids
-    assert {frame.can_id for frame in bench.sent} <= ours
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    ours = {
+        can_id for drive in bench.drives for can_id in drive.host_ids
+    } | bench.sensor_node.host_ids
+    assert {frame.can_id for frame in bench.sent_frames} <= ours

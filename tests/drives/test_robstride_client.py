@@ -7,22 +7,22 @@ drops one of the two mode bits, so its ``mode`` is not compared.
 import can
 import pytest
 
-from tests.drives.bench_process import drives
+from tests.drives.bench_process import run_simulated_drives
 
 robstride = pytest.importorskip(
     "robstride", reason="not in the group extra: pip install robstride==0.1.0"
 )
 pytestmark = pytest.mark.realtime
-BUS = "robstride"
-WAIT_S = 20.0
+LOCAL_BUS_NAME = "robstride"
+WAIT_TIMEOUT_S = 20.0
 
 
-def test_robstride() -> None:
+def test_robstride_package_sets_up_the_simulated_motor() -> None:
     with (
-        drives(f"local:{BUS}", "robstride", "--ids", "5"),
-        can.Bus(interface="local", channel=BUS) as bus,
+        run_simulated_drives(f"local:{LOCAL_BUS_NAME}", "robstride", "--ids", "5"),
+        can.Bus(interface="local", channel=LOCAL_BUS_NAME) as bus,
     ):
-        client = robstride.Client(bus, recv_timeout=WAIT_S)
+        client = robstride.Client(bus, recv_timeout=WAIT_TIMEOUT_S)
         assert client.read_param(5, "run_mode") == robstride.RunMode.Operation
         assert client.read_param(5, "limit_torque") == 5.5
         client.write_param(5, "limit_torque", 0.25)

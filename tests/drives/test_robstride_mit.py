@@ -14,27 +14,27 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.robstride.mit import READ_FAULTS, RobstrideMitDrive
 from handctl.errors import ConfigError
-from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, servo_torques
-from tests.drives.virtual_bench import VirtualBench, rig_on
+from tests.drives.protocol_bench import ProtocolBench, hand_file, motor_on_bench, servo_torques
+from tests.drives.virtual_bench import VirtualBench, drive_rig_on
 
-STEP_N_M = 11.0 / 4095
-MS = 1_000_000
+TORQUE_STEP_N_M = 11.0 / 4095
+MILLISECOND_NS = 1_000_000
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
-    made = Bench(hand_file(tmp_path, ["robstride_mit"]))
+def bench(tmp_path: Path) -> Iterator[ProtocolBench]:
+    made = ProtocolBench(hand_file(tmp_path, ["robstride_mit"]))
     yield made
-    made.rig.close()
+    made.simulated_hand.close()
 
 
-def first(bench: Bench) -> RobstrideMitNode:
-    node = bench.rig.world.nodes[0][0]
+def first_robstride_node(bench: ProtocolBench) -> RobstrideMitNode:
+    node = bench.simulated_hand.world.nodes[0][0]
     assert isinstance(node, RobstrideMitNode)
     return node
 
 
-def drive_of(**options: object) -> RobstrideMitDrive:
+def robstride_mit_drive(**options: object) -> RobstrideMitDrive:
     drive = make_drive(
         motor_on_bench("robstride_mit", 5, 0.8, {"motor_type": "rs05", **options}), 0
     )
@@ -42,19 +42,19 @@ def drive_of(**options: object) -> RobstrideMitDrive:
     return drive
 
 
-def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench) -> None:
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: ProtocolBench) -> None:
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
     for _ in range(200):
         bench.tick(DriveTarget.ENABLE, 0.05)
-    world = bench.rig.world
+    world = bench.simulated_hand.world
     for drive, state in zip(bench.drives, bench.states, strict=True):
         truth = world.plant.motors[drive.name].theta + world.encoder_offset[drive.name]
         assert state.position == pytest.approx(truth, abs=0.01)
-        assert state.torque == pytest.approx(0.05, abs=2 * STEP_N_M)
+        assert state.torque == pytest.approx(0.05, abs=2 * TORQUE_STEP_N_M)
         assert state.temperature == pytest.approx(25.0, abs=0.5)
-    assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=STEP_N_M)
-    bench.until(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
+    assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=TORQUE_STEP_N_M)
+    bench.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY, ticks=100)
     assert servo_torques(bench) == [0.0] * 4
     assert [state.misread for state in bench.states] == [0] * 4
     assert world.malformed == 0
@@ -70,10 +70,10 @@ def test_a_drive_goes_from_silent_to_enabled_to_confirmed_disabled(bench: Bench)
     ],
 )
 def test_faults_are_read_before_torque_and_await_a_clear(
-    bench: Bench, fault: int, words: str, cause: DriveFaultCause
+    bench: ProtocolBench, fault: int, words: str, cause: DriveFaultCause
 ) -> None:
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
-    first(bench).trip(fault)
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    first_robstride_node(bench).trip(fault)
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
     drive, state = bench.drives[0], bench.states[0]
@@ -83,10 +83,10 @@ def test_faults_are_read_before_torque_and_await_a_clear(
         bench.tick(DriveTarget.ENABLE)
     assert bench.states[0].phase == DrivePhase.FAULT
     bench.clear()
-    bench.until(DriveTarget.POLL, DrivePhase.READY)
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
 
 
-def test_only_a_disabled_motor_is_asked_for_its_faults(bench: Bench) -> None:
+def test_only_a_disabled_motor_is_asked_for_its_faults(bench: ProtocolBench) -> None:
     """A request for faults is a motion command to other MIT motors.
 
     It is therefore sent only while the motor is disabled.
@@ -99,23 +99,23 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: Bench) -> None:
         for _ in range(100):
             before = [state.phase for state in bench.states]
             bench.tick(target)
-            reads = [frame for frame in bench.sent if frame.data == READ_FAULTS]
+            reads = [frame for frame in bench.sent_frames if frame.data == READ_FAULTS]
             seen += reads
             assert not reads or DrivePhase.ENABLED not in before
         assert {state.phase for state in bench.states} == {phase}
     for _ in range(20):
         bench.tick(DriveTarget.POLL)
-        seen += [frame for frame in bench.sent if frame.data == READ_FAULTS]
+        seen += [frame for frame in bench.sent_frames if frame.data == READ_FAULTS]
     assert seen
 
 
 def test_feedback_at_the_freezing_point_is_no_fault() -> None:
-    drive = drive_of()
+    drive = robstride_mit_drive()
     state = drive.initial()
     frozen = bytes((5, 0x80, 0, 0x80, 0x08, 0, 0, 0))
     for k in range(5):
-        state, _ = drive.advance(state, k * MS, DriveTarget.POLL, 0.0)
-        state = drive.receive(state, Frame(0x15, frozen, 0, 0, k * MS + 1))
+        state, _ = drive.advance(state, k * MILLISECOND_NS, DriveTarget.POLL, 0.0)
+        state = drive.receive(state, Frame(0x15, frozen, 0, 0, k * MILLISECOND_NS + 1))
     assert (state.phase, state.error, state.temperature) == (DrivePhase.READY, 0, 0.0)
 
 
@@ -131,20 +131,20 @@ def test_feedback_at_the_freezing_point_is_no_fault() -> None:
 )
 def test_a_wrong_option_is_refused_by_its_path(options: dict[str, object], wrong: str) -> None:
     with pytest.raises(ConfigError, match=rf"motor\[m\].options.{wrong}"):
-        drive_of(**options)
+        robstride_mit_drive(**options)
 
 
 def test_no_numbers_share_an_identifier() -> None:
     """New motors all have the host number 0, so all would reply with identifier 0."""
-    assert drive_of(host_id=0).node_ids == {0}
-    drive = drive_of()
+    assert robstride_mit_drive(host_id=0).node_ids == {0}
+    drive = robstride_mit_drive()
     assert (drive.node_ids, drive.host_ids) == ({0x15}, {0x05, 0x105, 0x205})
     assert len(drive.unverified_protections) == 4
 
 
 def test_a_watchdog_set_before_in_the_private_protocol_removes_the_torque() -> None:
     place = VirtualBench("robstride_mit", motor_type="rs05", host_id=0, can_timeout=2000)
-    rig = rig_on(place, "robstride_mit", 0.5)
+    rig = drive_rig_on(place, "robstride_mit", 0.5)
     assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
     rig.tick(DriveTarget.ENABLE, 0.1)
     assert place.bench.motors[0].servo.torque != 0.0

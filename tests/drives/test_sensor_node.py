@@ -15,22 +15,22 @@ from hypothesis import strategies as st
 
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
 from handctl.drives.sensors.node import TENSION_MAX_N, TENSION_ZERO_N, SensorNode, sync_counters
-from tests.drives.wired import Wired
+from tests.drives.wired_drives import WiredDrives
 
-RAW = st.integers(0, 4095)
-CHANNELS = 11
-TENDONS = tuple(f"t{i}" for i in range(CHANNELS))
-JOINTS = tuple(f"j{i}" for i in range(CHANNELS))
+raw_codes = st.integers(0, 4095)
+CHANNEL_COUNT = 11
+TENDON_NAMES = tuple(f"t{i}" for i in range(CHANNEL_COUNT))
+JOINT_NAMES = tuple(f"j{i}" for i in range(CHANNEL_COUNT))
 
 
 @dataclass(frozen=True)
-class Section:
+class SensorNodeSection:
     """Section of a hand file."""
 
     sync_id: int = 0x080
     base_id: int = 0x1A0
-    tendons: tuple[str, ...] = TENDONS
-    joints: tuple[str, ...] = JOINTS
+    tendons: tuple[str, ...] = TENDON_NAMES
+    joints: tuple[str, ...] = JOINT_NAMES
     joint_decimation: int = 4
 
 
@@ -41,12 +41,12 @@ def read_dbc() -> Database:
     return database
 
 
-DBC = read_dbc()
+SENSOR_NODE_DBC = read_dbc()
 
 
 @pytest.fixture
 def node() -> SensorNode:
-    return SensorNode.of(Section(), 0, TENDONS, JOINTS)
+    return SensorNode.of(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
 
 
 def encode_frames(
@@ -56,7 +56,7 @@ def encode_frames(
     frames = []
     for group in range(math.ceil(len(values) / 5)):
         part = values[5 * group : 5 * group + 5]
-        message = DBC.get_message_by_frame_id(first_id + group)
+        message = SENSOR_NODE_DBC.get_message_by_frame_id(first_id + group)
         signals: dict[str, float] = {f"{prefix}_{5 * group + i}": 0 for i in range(5)}
         signals |= {f"{prefix}_{5 * group + i}": value for i, value in enumerate(part)}
         data = message.encode({**signals, "counter": counter}, scaling=False)
@@ -94,24 +94,27 @@ def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
         assert worst < 60, age
 
 
-def node_state(node: SensorNode, k: int) -> Wired:
+def state_after_sync(node: SensorNode, k: int) -> WiredDrives:
     """Return the host's state of the sensor node after the SYNC of tick k."""
-    wired = Wired((), node)
-    wired.sync(k)
+    wired = WiredDrives((), node)
+    wired.begin_tick_with_sync(k)
     return wired
 
 
 @given(
-    st.lists(RAW, min_size=1, max_size=CHANNELS),
-    st.lists(RAW, max_size=CHANNELS),
+    st.lists(raw_codes, min_size=1, max_size=CHANNEL_COUNT),
+    st.lists(raw_codes, max_size=CHANNEL_COUNT),
     st.integers(0, 2**40),
 )
 def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int], k: int) -> None:
     node = SensorNode.of(
-        Section(tendons=TENDONS[: len(tensions)], joints=JOINTS[: len(joints)]), 0, TENDONS, JOINTS
+        SensorNodeSection(tendons=TENDON_NAMES[: len(tensions)], joints=JOINT_NAMES[: len(joints)]),
+        0,
+        TENDON_NAMES,
+        JOINT_NAMES,
     )
-    wired, sync = node_state(node, k), node.sync(k)
-    assert DBC.decode_message(sync.can_id, sync.data) == {"counter": sync.data[0]}
+    wired, sync = state_after_sync(node, k), node.sync(k)
+    assert SENSOR_NODE_DBC.decode_message(sync.can_id, sync.data) == {"counter": sync.data[0]}
     nibble = sync.data[0] % 16
     frames = encode_frames(0x1A0, "tension", nibble, tensions) + encode_frames(
         0x1B0, "joint", nibble, joints
@@ -119,12 +122,14 @@ def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int
     wired.receive(frames)
     decoded: dict[str, Any] = {}
     for frame in frames:
-        decoded.update(DBC.decode_message(frame.can_id, frame.data, allow_truncated=True))  # type: ignore[arg-type]
+        decoded.update(
+            SENSOR_NODE_DBC.decode_message(frame.can_id, frame.data, allow_truncated=True)
+        )  # type: ignore[arg-type]
     assert wired.tensions == {i: decoded[f"tension_{i}"] for i in range(len(tensions))}
     assert wired.joints == pytest.approx(
         {i: decoded[f"joint_{i}"] for i in range(len(joints))}, abs=1e-12
     )
-    assert (wired.number("stale"), wired.misread) == (0, False)
+    assert (wired.field_number("stale"), wired.has_malformed_frame) == (0, False)
 
 
 def test_sensor_frames_are_decoded_to_known_values() -> None:
@@ -133,24 +138,30 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     0 N is 96 = 0x060, 10 N is 256 = 0x100, the upper end of the range is 0xFFF, 0 rad is 0x800, and
     the counter is 7.
     """
-    node = SensorNode.of(Section(tendons=TENDONS[:3], joints=("j4",)), 0, TENDONS, JOINTS)
+    node = SensorNode.of(
+        SensorNodeSection(tendons=TENDON_NAMES[:3], joints=("j4",)), 0, TENDON_NAMES, JOINT_NAMES
+    )
     sync = node.sync(tick_of(node, 7))
     assert sync == Frame(0x080, sync.data)
     assert sync.data[0] & 0xF == 7
-    wired = node_state(node, tick_of(node, 7)).receive([Frame(0x1A0, bytes.fromhex("070600f1ff"))])
+    wired = state_after_sync(node, tick_of(node, 7)).receive(
+        [Frame(0x1A0, bytes.fromhex("070600f1ff"))]
+    )
     assert wired.tensions == {0: 0.0, 1: 10.0, 2: 249.9375}
-    wired = node_state(node, tick_of(node, 7)).receive([Frame(0x1B0, bytes.fromhex("0780"))])
+    wired = state_after_sync(node, tick_of(node, 7)).receive([Frame(0x1B0, bytes.fromhex("0780"))])
     assert wired.joints == {4: 0.0}
 
 
 @given(st.integers(0, 255), st.integers(0, 15))
 def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
-    node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
-    wired = node_state(node, k).receive(encode_frames(0x1A0, "tension", counter, [100] * CHANNELS))
+    node = SensorNode.of(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
+    wired = state_after_sync(node, k).receive(
+        encode_frames(0x1A0, "tension", counter, [100] * CHANNEL_COUNT)
+    )
     fresh = counter == node.sync(k).data[0] % 16
-    assert len(wired.tensions) == (CHANNELS if fresh else 0)
-    assert wired.number("stale") == (0 if fresh else 3)
-    assert wired.number("tension_frames") == (3 if fresh else 0)
+    assert len(wired.tensions) == (CHANNEL_COUNT if fresh else 0)
+    assert wired.field_number("stale") == (0 if fresh else 3)
+    assert wired.field_number("tension_frames") == (3 if fresh else 0)
 
 
 @pytest.mark.parametrize(("base", "prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
@@ -159,7 +170,7 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
 ) -> None:
     """A stale frame behind a fresh one was delayed and overtaken, or another node sends it again."""
     (fresh, *_), (stale, *_) = (
-        encode_frames(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2)
+        encode_frames(base, prefix, nibble, [7] * CHANNEL_COUNT) for nibble in (3, 2)
     )
     for frames, stale_now in (
         ([stale], 1),
@@ -167,55 +178,65 @@ def test_a_stale_frame_that_comes_after_the_fresh_one_is_reported(
         ([fresh, stale], 2),
         ([fresh, stale, stale], 2),
     ):
-        wired = node_state(node, tick_of(node, 3)).receive(frames)
-        assert (wired.number("stale_now"), wired.number("stale")) == (
+        wired = state_after_sync(node, tick_of(node, 3)).receive(frames)
+        assert (wired.field_number("stale_now"), wired.field_number("stale")) == (
             stale_now,
             frames.count(stale),
         )
         assert len(wired.tensions or wired.joints) == (5 if fresh in frames else 0)
-    wired.sync(tick_of(node, 4))
-    assert (wired.number("stale_now"), wired.number("stale")) == (0, 2)
+    wired.begin_tick_with_sync(tick_of(node, 4))
+    assert (wired.field_number("stale_now"), wired.field_number("stale")) == (0, 2)
 
 
 def test_a_stale_frame_changes_no_value(node: SensorNode) -> None:
-    wired = node_state(node, tick_of(node, 3)).receive(
-        encode_frames(0x1A0, "tension", 3, [160] * CHANNELS, t_ns=5)
+    wired = state_after_sync(node, tick_of(node, 3)).receive(
+        encode_frames(0x1A0, "tension", 3, [160] * CHANNEL_COUNT, t_ns=5)
     )
-    wired.receive(encode_frames(0x1A0, "tension", 4, [200] * CHANNELS, t_ns=6))
+    wired.receive(encode_frames(0x1A0, "tension", 4, [200] * CHANNEL_COUNT, t_ns=6))
     assert set(wired.tensions.values()) == {4.0}
-    assert set(wired.view("group_ns")[:3].tolist()) == {5}
-    assert wired.view("group_frames")[:3].tolist() == [1, 1, 1]
+    assert set(wired.field_view("group_ns")[:3].tolist()) == {5}
+    assert wired.field_view("group_frames")[:3].tolist() == [1, 1, 1]
 
 
 def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None:
-    wired = node_state(node, tick_of(node, 1))
-    first, second, _ = encode_frames(0x1A0, "tension", 1, range(CHANNELS))
+    wired = state_after_sync(node, tick_of(node, 1))
+    first, second, _ = encode_frames(0x1A0, "tension", 1, range(CHANNEL_COUNT))
     assert list(wired.receive([second]).tensions) == [5, 6, 7, 8, 9]
-    wired.begin()
+    wired.begin_tick()
     assert wired.tensions == {}
     assert list(wired.receive([first]).tensions) == [0, 1, 2, 3, 4]
 
 
 def test_times_are_in_the_order_of_the_hand() -> None:
     node = SensorNode.of(
-        Section(tendons=("t2", "t0", "t1", "t5", "t4", "t3")), 0, TENDONS[:7], JOINTS
+        SensorNodeSection(tendons=("t2", "t0", "t1", "t5", "t4", "t3")),
+        0,
+        TENDON_NAMES[:7],
+        JOINT_NAMES,
     )
-    wired = node_state(node, tick_of(node, 0))
+    wired = state_after_sync(node, tick_of(node, 0))
     groups = [node.group_of_tendon(i) for i in range(7)]
     assert groups == [0, 0, 0, 1, 0, 0, -1]
-    assert wired.view("group_ns").tolist() == [-1] * 5
+    assert wired.field_view("group_ns").tolist() == [-1] * 5
     first, second = encode_frames(0x1A0, "tension", 0, [0] * 6)
     wired.receive([first._replace(t_ns=10), second._replace(t_ns=20)])
-    assert [int(wired.view("group_ns")[group]) for group in groups[:6]] == [10, 10, 10, 20, 10, 10]
+    assert [int(wired.field_view("group_ns")[group]) for group in groups[:6]] == [
+        10,
+        10,
+        10,
+        20,
+        10,
+        10,
+    ]
 
 
 def test_a_hand_without_load_cells_has_no_reading() -> None:
-    node = SensorNode.of(Section(tendons=()), 0, TENDONS[:3], JOINTS)
+    node = SensorNode.of(SensorNodeSection(tendons=()), 0, TENDON_NAMES[:3], JOINT_NAMES)
     assert [node.group_of_tendon(i) for i in range(3)] == [-1, -1, -1]
     assert node.tension_frames == 0
 
 
-def without_unknown_counters(wired: Wired) -> bytes:
+def without_unknown_counters(wired: WiredDrives) -> bytes:
     """Return the bytes of the state block with the counters of unknown and malformed frames set to zero."""
     block = wired.block.copy()
     for name in ("strange", "misread_now"):
@@ -230,28 +251,30 @@ def without_unknown_counters(wired: Wired) -> bytes:
     st.integers(0, 2),
 )
 def test_any_sensor_frame_is_survived(can_id: int, mark: int, data: bytes, bus: int) -> None:
-    node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
-    wired = node_state(node, 5)
+    node = SensorNode.of(SensorNodeSection(), 0, TENDON_NAMES, JOINT_NAMES)
+    wired = state_after_sync(node, 5)
     before, here = without_unknown_counters(wired), bus == 0 and can_id in node.node_ids
     wired.receive([Frame(can_id | mark, data, bus=bus)])
     if mark or not here:
         assert without_unknown_counters(wired) == before
-    assert len(wired.foreign) == (bus == 0 and not mark and can_id in node.host_ids)
-    assert wired.number("strange") == (not wired.foreign and not (here and mark in (0, ERROR)))
+    assert len(wired.foreign_frames) == (bus == 0 and not mark and can_id in node.host_ids)
+    assert wired.field_number("strange") == (
+        not wired.foreign_frames and not (here and mark in (0, ERROR))
+    )
     fits = here and mark == 0 and len(data) == node.lengths[node.ids.index(can_id)]
-    assert wired.misread == (here and mark != ERROR and not fits)
+    assert wired.has_malformed_frame == (here and mark != ERROR and not fits)
 
 
 @pytest.mark.parametrize("size", [0, 1, 7, 9, 64])
 def test_a_frame_of_a_wrong_length_is_counted_and_not_read(node: SensorNode, size: int) -> None:
-    wired = node_state(node, 0).receive([Frame(0x1A0, bytes(size))])
-    assert wired.misread
+    wired = state_after_sync(node, 0).receive([Frame(0x1A0, bytes(size))])
+    assert wired.has_malformed_frame
     assert wired.tensions == {}
 
 
 def test_the_exchange_is_what_the_frames_take(node: SensorNode) -> None:
-    frames = encode_frames(0x1A0, "tension", 0, [0] * CHANNELS) + encode_frames(
-        0x1B0, "joint", 0, [0] * CHANNELS
+    frames = encode_frames(0x1A0, "tension", 0, [0] * CHANNEL_COUNT) + encode_frames(
+        0x1B0, "joint", 0, [0] * CHANNEL_COUNT
     )
     assert [size for size, _ in node.exchange] == [1, *(len(frame.data) for frame in frames)]
     assert sum(rate for _, rate in node.exchange) == 1 + 3 + 3 / 4
@@ -270,76 +293,82 @@ def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
         Frame(0x1A0, pack(3, [tension_code(force) for force in forces])),
         Frame(0x1B0, pack(3, [joint_code(angle) for angle in angles])),
     ]
-    wired = node_state(node, tick_of(node, 3)).receive(frames)
+    wired = state_after_sync(node, tick_of(node, 3)).receive(frames)
     assert list(wired.tensions.values()) == pytest.approx(forces, abs=0.0625 / 2)
     assert list(wired.joints.values()) == pytest.approx(angles, abs=math.pi / 4096)
 
 
 def test_a_frame_group_counts_its_frames(node: SensorNode) -> None:
-    wired = Wired((), node)
+    wired = WiredDrives((), node)
     for k in (5, 6):
-        sync = wired.sync(tick_of(node, k))
-        wired.receive(encode_frames(0x1A0, "tension", k & 0xF, [1.0] * CHANNELS, t_ns=k))
-    assert wired.number("sync_asked") == 6
-    assert wired.number("syncs") == 2
-    assert wired.view("group_frames").tolist() == [2, 2, 2, 0, 0, 0]
-    assert wired.view("group_ns").tolist() == [6, 6, 6, -1, -1, -1]
-    assert wired.view("group_answered").tolist() == [1, 1, 1, 0, 0, 0]
-    other = SensorNode.of(Section(), 1, TENDONS, JOINTS)
+        sync = wired.begin_tick_with_sync(tick_of(node, k))
+        wired.receive(encode_frames(0x1A0, "tension", k & 0xF, [1.0] * CHANNEL_COUNT, t_ns=k))
+    assert wired.field_number("sync_asked") == 6
+    assert wired.field_number("syncs") == 2
+    assert wired.field_view("group_frames").tolist() == [2, 2, 2, 0, 0, 0]
+    assert wired.field_view("group_ns").tolist() == [6, 6, 6, -1, -1, -1]
+    assert wired.field_view("group_answered").tolist() == [1, 1, 1, 0, 0, 0]
+    other = SensorNode.of(SensorNodeSection(), 1, TENDON_NAMES, JOINT_NAMES)
     assert other.sync(0x1FF) == Frame(0x080, other.counters[0x1FF:0x200], bus=1)
     assert sync.bus == 0
 
 
 def test_stale_and_unreadable_values_are_counted_separately(node: SensorNode) -> None:
-    wired = node_state(node, tick_of(node, 1)).receive([Frame(0x1A0, bytes(3))])
-    (good, *_) = encode_frames(0x1A0, "tension", 2, [1.0] * CHANNELS)
+    wired = state_after_sync(node, tick_of(node, 1)).receive([Frame(0x1A0, bytes(3))])
+    (good, *_) = encode_frames(0x1A0, "tension", 2, [1.0] * CHANNEL_COUNT)
     wired.receive([good])
-    assert (wired.misread, wired.number("stale")) == (True, 1)
-    (fresh, *_) = encode_frames(0x1A0, "tension", 1, [1.0] * CHANNELS)
+    assert (wired.has_malformed_frame, wired.field_number("stale")) == (True, 1)
+    (fresh, *_) = encode_frames(0x1A0, "tension", 1, [1.0] * CHANNEL_COUNT)
     wired.receive([fresh])
-    assert (wired.misread, wired.number("stale")) == (True, 1), (
+    assert (wired.has_malformed_frame, wired.field_number("stale")) == (True, 1), (
         "neither is forgotten with the next good frame"
     )
 
 
 def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
     low, top = TENSION_ZERO_N, TENSION_MAX_N
-    wired = node_state(node, 0)
-    assert not wired.observe().view("saturated").any()
+    wired = state_after_sync(node, 0)
+    assert not wired.observe_readings().field_view("saturated").any()
     for i, cell in {0: low, 1: low + 0.1, 3: top - 0.1, 4: top, 7: math.nan}.items():
-        wired.view("cell")[i], wired.view("cell_fresh")[i] = cell, 1
-    assert np.flatnonzero(wired.observe().view("saturated")).tolist() == [0, 4, 7]
+        wired.field_view("cell")[i], wired.field_view("cell_fresh")[i] = cell, 1
+    assert np.flatnonzero(wired.observe_readings().field_view("saturated")).tolist() == [0, 4, 7]
 
 
 def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
     """Load cells may be read in any order and in different ticks. Joint encoders are not waited for."""
     wired, bare = (
-        Wired((), one) for one in (node, replace(node, frame_of=(*node.frame_of[:-1], -1)))
+        WiredDrives((), one) for one in (node, replace(node, frame_of=(*node.frame_of[:-1], -1)))
     )
     for hand in (wired, bare):
-        hand.view("position")[...] = 0.0
+        hand.field_view("position")[...] = 0.0
     for k, (base, done) in enumerate(
         [(0x1B0, False), (0x1A0, False), (0x1A0, False), (0x1A1, False), (0x1A2, True)]
     ):
         size = node.lengths[node.ids.index(base)]
         for hand in (wired, bare):
-            sync = hand.sync(k)
-            hand.receive([Frame(base, bytes([sync.data[0] & 0xF] + [0] * (size - 1)))]).observe()
-        assert wired.number("started") == done, hex(base)
+            sync = hand.begin_tick_with_sync(k)
+            hand.receive(
+                [Frame(base, bytes([sync.data[0] & 0xF] + [0] * (size - 1)))]
+            ).observe_readings()
+        assert wired.field_number("started") == done, hex(base)
         # The last frame contains only the load cell of the last tendon. The second hand has no such
         # load cell.
-        assert bare.number("started") == (done or base == 0x1A1), hex(base)
+        assert bare.field_number("started") == (done or base == 0x1A1), hex(base)
 
 
 def test_each_joint_frame_has_its_joints_and_the_time_when_it_came_last(node: SensorNode) -> None:
-    wired = Wired((), node)
-    counter = wired.sync(1).data[0] & 0xF
-    assert [node.group_of_joint(j) for j in range(CHANNELS)] == [3] * 5 + [4] * 5 + [5]
-    first, second, _ = encode_frames(0x1B0, "joint", counter, range(CHANNELS), t_ns=30)
-    assert wired.receive([second._replace(t_ns=20)]).view("group_ns")[3:].tolist() == [-1, 20, -1]
-    wired.receive(encode_frames(0x1A0, "tension", counter, range(CHANNELS), t_ns=40))
-    assert wired.view("group_ns")[3:].tolist() == [-1, 20, -1], "load cells are no joints"
-    assert wired.receive([first]).view("group_ns")[3:].tolist() == [30, 20, -1]
+    wired = WiredDrives((), node)
+    counter = wired.begin_tick_with_sync(1).data[0] & 0xF
+    assert [node.group_of_joint(j) for j in range(CHANNEL_COUNT)] == [3] * 5 + [4] * 5 + [5]
+    first, second, _ = encode_frames(0x1B0, "joint", counter, range(CHANNEL_COUNT), t_ns=30)
+    assert wired.receive([second._replace(t_ns=20)]).field_view("group_ns")[3:].tolist() == [
+        -1,
+        20,
+        -1,
+    ]
+    wired.receive(encode_frames(0x1A0, "tension", counter, range(CHANNEL_COUNT), t_ns=40))
+    assert wired.field_view("group_ns")[3:].tolist() == [-1, 20, -1], "load cells are no joints"
+    assert wired.receive([first]).field_view("group_ns")[3:].tolist() == [30, 20, -1]
 
 
 def test_lost_frames_are_those_that_never_came(node: SensorNode) -> None:

@@ -14,26 +14,26 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
-SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
+SIMULATOR_SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)
 RATE_HZ = 250.0
 """Control rate [Hz]. Its ticks fall between the drive's unasked messages, which come every 10 ms."""
-SWING_N = 5.0
+LARGEST_SWING_N = 5.0
 """Largest permitted oscillation of a tension in motion [N RMS]. The limit of the fault N14b is 8 N."""
-BENT = {"index": (20.0, 76.0, 61.0), "middle": (20.0, 76.0, 61.0), "thumb": (40.0, 40.0)}
-OPEN = {"index": (0.0, 0.0, 0.0), "middle": (0.0, 0.0, 0.0), "thumb": (0.0, 0.0)}
-TASK = Task.model_validate(
+BENT_ANGLES_DEG = {"index": (20.0, 76.0, 61.0), "middle": (20.0, 76.0, 61.0), "thumb": (40.0, 40.0)}
+OPEN_ANGLES_DEG = {"index": (0.0, 0.0, 0.0), "middle": (0.0, 0.0, 0.0), "thumb": (0.0, 0.0)}
+BEND_AND_OPEN_TASK = Task.model_validate(
     {
         "schema": 1,
         "name": "bend and open",
         "phase": (
-            {"kind": "move", "name": "bend", "angle_deg": BENT, "duration_s": 0.8},
-            {"kind": "move", "name": "open", "angle_deg": OPEN, "duration_s": 0.8},
+            {"kind": "move", "name": "bend", "angle_deg": BENT_ANGLES_DEG, "duration_s": 0.8},
+            {"kind": "move", "name": "open", "angle_deg": OPEN_ANGLES_DEG, "duration_s": 0.8},
         ),
     }
 )
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
 def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
     """Regression: the tensions of a hand without springs oscillated by 15 N RMS.
 
@@ -41,7 +41,7 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
     """
     model = HandModel.of(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
     with SimulatorSettings(model.hand, None, seed, homed=True).against(
-        homed_controller(model, TaskProgram(TASK))
+        homed_controller(model, TaskProgram(BEND_AND_OPEN_TASK))
     ) as run:
         run.record = False
         largest = 0.0
@@ -50,4 +50,4 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
             if out.mode == Mode.RELAX:
                 break
         assert not run.state.failure, "the task ends by itself"
-        assert np.sqrt(largest) < SWING_N
+        assert np.sqrt(largest) < LARGEST_SWING_N

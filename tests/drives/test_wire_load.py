@@ -10,9 +10,9 @@ from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import ERROR
 from handctl.hand.load import hand_path, load_hand
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
-from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
+from tests.drives.protocol_bench import ProtocolBench, hand_file, move_to_second_bus
 
-TICKS = 400
+MEASURED_TICKS = 400
 PERIOD_NS = 4_000_000
 
 
@@ -23,18 +23,21 @@ def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
 
 def measured_tick_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
     """Return the mean measured bus time of a tick on each bus [s], while the drives are enabled."""
-    bench = Bench(path, wire, period_ns)
-    bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
-    assert bench.rig.wired
-    wires = bench.rig.wired.wires
+    bench = ProtocolBench(path, wire, period_ns)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    assert bench.simulated_hand.wired
+    wires = bench.simulated_hand.wired.wires
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE, 0.05)
     before = [one.busy_ns for one in wires]
-    for _ in range(TICKS):
+    for _ in range(MEASURED_TICKS):
         bench.tick(DriveTarget.ENABLE, 0.05)
     assert [state.phase for state in bench.states] == [DrivePhase.ENABLED] * len(bench.states)
-    bench.rig.close()
-    return [(one.busy_ns - start) * 1e-9 / TICKS for one, start in zip(wires, before, strict=True)]
+    bench.simulated_hand.close()
+    return [
+        (one.busy_ns - start) * 1e-9 / MEASURED_TICKS
+        for one, start in zip(wires, before, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("protocol", ["cia402", "mit", "odrive"])
@@ -46,7 +49,7 @@ def test_the_wire_is_as_full_as_the_plan_says(protocol: str, tmp_path: Path) -> 
 
 
 def test_each_of_two_buses_is_as_full_as_planned(tmp_path: Path) -> None:
-    path = on_two_buses(hand_file(tmp_path, ["mit", "mit", "odrive"]), (0, 1))
+    path = move_to_second_bus(hand_file(tmp_path, ["mit", "mit", "odrive"]), (0, 1))
     classical = '"second"\nbitrate = 1000000'
     text = path.read_text().replace(classical, classical + "\ndata_bitrate = 5_000_000")
     head, *motors = text.split("[[motor]]")
@@ -65,21 +68,23 @@ def test_eleven_motors_fit_where_the_plan_says() -> None:
 
 
 def test_an_overloaded_wire_is_full_and_replies_come_late(tmp_path: Path) -> None:
-    bench = Bench(hand_file(tmp_path, ["mit"]), ["queue=16"], period_ns=1_000_000)
+    bench = ProtocolBench(hand_file(tmp_path, ["mit"]), ["queue=16"], period_ns=1_000_000)
     for _ in range(400):
         bench.tick(DriveTarget.POLL)
-    assert bench.rig.wired
-    assert bench.rig.wired.wires[0].load(0, 400 * 1_000_000) > 0.9
-    assert bench.rig.wired.wires[0].next_ns() < bench.k * 1_000_000 + 200_000, "frames wait"
+    assert bench.simulated_hand.wired
+    assert bench.simulated_hand.wired.wires[0].load(0, 400 * 1_000_000) > 0.9
+    assert bench.simulated_hand.wired.wires[0].next_ns() < bench.k * 1_000_000 + 200_000, (
+        "frames wait"
+    )
 
 
 def test_lockstep_matches_the_timed_wire(tmp_path: Path) -> None:
-    bench = Bench(hand_file(tmp_path, ["mit"]), [])
-    assert bench.rig.wired
-    clock = LockstepClock(bench.rig, 2_000_000)
+    bench = ProtocolBench(hand_file(tmp_path, ["mit"]), [])
+    assert bench.simulated_hand.wired
+    clock = LockstepClock(bench.simulated_hand, 2_000_000)
     bus = LockstepBus(clock)
-    bench.rig.wired.wires[0].disturbed = 32
-    bus.send([bench.node.sync(0)])
+    bench.simulated_hand.wired.wires[0].disturbed = 32
+    bus.send([bench.sensor_node.sync(0)])
     for k in range(1, 5):
         clock.wait(k)
     assert not any(frame.can_id & ERROR for frame in bus.drain())
@@ -87,19 +92,19 @@ def test_lockstep_matches_the_timed_wire(tmp_path: Path) -> None:
         kind for kind, _, _ in bus.take_events()
     }
     assert ("bus_off", "lockstep:0", 1) in bus.take_events()
-    bench.rig.close()
+    bench.simulated_hand.close()
 
 
 def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
     path, heard = hand_file(tmp_path, ["odrive"]), []
     for _ in range(2):
-        bench = Bench(path, ["error_rate=0.02", "stuffing=actual", "seed=5"])
+        bench = ProtocolBench(path, ["error_rate=0.02", "stuffing=actual", "seed=5"])
         frames = []
         for _ in range(200):
             bench.tick(DriveTarget.ENABLE, 0.02)
-            frames += bench.incoming
+            frames += bench.received_frames
         heard.append(frames)
-        bench.rig.close()
+        bench.simulated_hand.close()
     assert heard[0] == heard[1]
     assert len(heard[0]) > 400
 
@@ -114,8 +119,8 @@ def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
 
     The latency of the adapter causes ticks without feedback.
     """
-    bench = Bench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter}"], PERIOD_NS)
-    bench.until(DriveTarget.POLL, DrivePhase.READY, 1000)
+    bench = ProtocolBench(hand_file(tmp_path, ["mit"]), [f"adapter={adapter}"], PERIOD_NS)
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY, 1000)
     silent = longest = 0
     for _ in range(100):
         before = bench.states[0].feedback_count
@@ -123,4 +128,4 @@ def test_feedback_is_as_late_as_the_usb_frames_of_the_adapter(
         silent = silent + 1 if bench.states[0].feedback_count == before else 0
         longest = max(longest, silent)
     assert ticks // 2 - 1 <= longest < ticks
-    bench.rig.close()
+    bench.simulated_hand.close()

@@ -11,8 +11,8 @@ from handctl.drives.registry import make_drive
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from tests.drives.protocol_bench import motor_on_bench
 
-NODE = 0x21
-OPTIONS = {
+DRIVE_NODE_ID = 0x21
+OPTIONS_BY_PROTOCOL = {
     "mit": {},
     "odrive": {**ENDPOINT_NUMBERS, "torque_feedback": True},
     "moteus": {},
@@ -28,14 +28,16 @@ class VirtualBench:
 
     name = "bench"
 
-    def __init__(self, protocol, fault="", inertia=None, delay=0, **options):
+    def __init__(self, protocol, fault="", inertia=None, delay_ticks=0, **options):
         """Put one simulated drive on the bench, with a fault and a delay in ticks."""
-        spec = drive_spec(protocol, NODE, inertia=inertia)
+        spec = drive_spec(protocol, DRIVE_NODE_ID, inertia=inertia)
         self.bench = SimulatedDriveBench(
             [replace(spec, options=options or spec.options)], fault=fault
         )
-        self.waiting, self.top, self.origin_ns = [], 0.0, 0
-        self.late = [[] for _ in range(delay)]  # frames still on their way, one list per tick
+        self.frames_on_bus, self.largest_torque, self.origin_ns = [], 0.0, 0
+        self.delayed_frames = [
+            [] for _ in range(delay_ticks)
+        ]  # frames still on their way, one list per tick
 
     def start(self):
         """Begin a run at the present time, which is that of its tick 0."""
@@ -44,7 +46,7 @@ class VirtualBench:
     def wait(self, k):
         """Advance time to tick k, and return 0 missed ticks."""
         self.bench.advance(self.origin_ns + k * PERIOD_NS)
-        self.top = max(self.top, abs(self.bench.motors[0].servo.torque))
+        self.largest_torque = max(self.largest_torque, abs(self.bench.motors[0].servo.torque))
         return 0
 
     def now_ns(self):
@@ -54,15 +56,16 @@ class VirtualBench:
     def send(self, frames):
         """Deliver frames to the drive at once."""
         for frame in frames:
-            self.waiting += self.bench.receive(SimFrame(*frame))
+            self.frames_on_bus += self.bench.receive(SimFrame(*frame))
         return len(frames)
 
     def drain(self):
-        """Return the frames that the drive sent ``delay`` ticks ago."""
-        self.late.append(self.waiting + self.bench.take_unsolicited())
-        self.waiting = []
+        """Return the frames that the drive sent ``delay_ticks`` ticks ago."""
+        self.delayed_frames.append(self.frames_on_bus + self.bench.take_unsolicited())
+        self.frames_on_bus = []
         return [
-            Frame(*frame)._replace(t_ns=frame.t_ns - self.origin_ns) for frame in self.late.pop(0)
+            Frame(*frame)._replace(t_ns=frame.t_ns - self.origin_ns)
+            for frame in self.delayed_frames.pop(0)
         ]
 
     def pass_time(self, for_s):
@@ -74,7 +77,12 @@ class VirtualBench:
         return []
 
 
-def rig_on(place, protocol, limit, options=None):
+def drive_rig_on(virtual_bench, protocol, torque_limit, options=None):
     """Return a host that commands the drive of a bench with a torque limit [N m]."""
-    motor = motor_on_bench(protocol, NODE, limit, OPTIONS[protocol] if options is None else options)
-    return DriveRig(make_drive(motor, 0), place, place)
+    motor = motor_on_bench(
+        protocol,
+        DRIVE_NODE_ID,
+        torque_limit,
+        OPTIONS_BY_PROTOCOL[protocol] if options is None else options,
+    )
+    return DriveRig(make_drive(motor, 0), virtual_bench, virtual_bench)

@@ -79,9 +79,9 @@ def check_picture(name):
 
 
 @contextmanager
-def hand(slower, *words, name="jamia"):
+def hand(repeat_time_scale, *words, name="jamia"):
     """Run the simulated hand of the examples in slowed time. Yield the command-line options of its controller."""
-    scale = scaled(SCALE * slower)
+    scale = scaled(SCALE * repeat_time_scale)
     write_homed(Path("c.toml"), load_hand(name))
     with serving(
         "-m", "firmware_sim", "--hand", name, "--bus", "local:lab", *HOMED, *words, *scale
@@ -90,8 +90,8 @@ def hand(slower, *words, name="jamia"):
 
 
 @REALTIME
-def test_connect_and_move(slower):
-    with hand(slower, "--scene", "none") as options:
+def test_connect_and_move(repeat_time_scale):
+    with hand(repeat_time_scale, "--scene", "none") as options:
         out = example("connect_and_move.py", *options)
     angles = [numbers(line)[-1] for line in out.splitlines() if line.endswith("deg")]
     assert len(angles) == 11
@@ -100,8 +100,8 @@ def test_connect_and_move(slower):
 
 
 @REALTIME
-def test_stream_sine(slower):
-    with hand(slower, "--scene", "none") as options:
+def test_stream_sine(repeat_time_scale):
+    with hand(repeat_time_scale, "--scene", "none") as options:
         out = example("stream_sine.py", *options)
     assert "accepted=300, clipped=0" in out
     assert numbers(out.splitlines()[-1])[0] < 1.5
@@ -109,8 +109,8 @@ def test_stream_sine(slower):
 
 
 @REALTIME
-def test_retarget(slower):
-    with hand(slower, "--scene", "none", name="jamia11") as options:
+def test_retarget(repeat_time_scale):
+    with hand(repeat_time_scale, "--scene", "none", name="jamia11") as options:
         out = example("retarget.py", *options)
     assert "accepted=300" in out
     assert numbers(out.splitlines()[-1])[0] < 6.0
@@ -118,8 +118,8 @@ def test_retarget(slower):
 
 
 @REALTIME
-def test_teleoperate(slower):
-    with hand(slower, "--scene", "none") as options:
+def test_teleoperate(repeat_time_scale):
+    with hand(repeat_time_scale, "--scene", "none") as options:
         out = example("teleoperate.py", *options, stdin="index=40 middle=20\nnonsense\nthumb=10\n")
     angles = np.array(numbers(out.partition("StreamStatus")[0]))
     assert np.abs(angles[:3].mean() - 40.0) < 3.0
@@ -137,12 +137,12 @@ def test_single_motor():
 
 
 @REALTIME
-def test_notebook(slower, monkeypatch):
+def test_notebook(repeat_time_scale, monkeypatch):
     notebook = nbformat.read(EXAMPLES / "notebook.ipynb", as_version=4)
     assert not any(cell.get("outputs") for cell in notebook.cells), (
         "the notebook is stored without outputs"
     )
-    with hand(slower, "--scene", "cylinder") as options:
+    with hand(repeat_time_scale, "--scene", "cylinder") as options:
         monkeypatch.setenv("HANDCTL_OPTIONS", " ".join(options))
         NotebookClient(
             notebook, timeout=240, kernel_name="python3", resources={"metadata": {"path": "."}}

@@ -22,27 +22,32 @@ from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.simulate import SimulatedRun
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-SEEDS = range(20) if NIGHTLY else range(3)
-COMBINATIONS = [(hand, protocol) for hand in ("jamia", "jamia11") for protocol in GUARDED_PROTOCOLS]
-SAMPLED = [
-    (*one, seed) for i, one in enumerate(COMBINATIONS) for seed in SEEDS if NIGHTLY or seed == i % 5
+SIMULATOR_SEEDS = range(20) if NIGHTLY else range(3)
+HANDS_AND_PROTOCOLS = [
+    (hand, protocol) for hand in ("jamia", "jamia11") for protocol in GUARDED_PROTOCOLS
 ]
-FAULTS = (
+SAMPLED_CASES = [
+    (*one, seed)
+    for i, one in enumerate(HANDS_AND_PROTOCOLS)
+    for seed in SIMULATOR_SEEDS
+    if NIGHTLY or seed == i % 5
+]
+FAULT_COMMANDS = (
     "swap node={a} with={b}", "cross node={a} with={b}", "late node={a} size=50", "late node={b} size=20",
     "disobey node={a} size=1.6", "disobey node={b} size=0.4", "drift cell={t} size=-40", "drift cell={t} size=40",
     "offset cell={t} size=-20", "stuck encoder={a}", "drift encoder={b} size=1.5", "friction tendon={t} size=6",
     "noise cell={t} size=8", "",
 )  # fmt: skip
-RATE_HZ = {"jamia": 500.0, "jamia11": 250.0}
-WINDOW_S = 0.06
+RATE_HZ_BY_HAND = {"jamia": 500.0, "jamia11": 250.0}
+COMMAND_DELAY_S = 0.06
 """Longest time after which a delayed motor executes a command [s]."""
-ROUNDED_N = 0.05
+COMMAND_ROUNDING_N = 0.05
 """Largest increase of a commanded force by its rounding to twelve bits, at the tendon [N]."""
-MARGIN_N = 3.0
+BOUND_MARGIN_N = 3.0
 """Margin of the tension bound, which neglects capstan friction and contacts [N]."""
 
 
-class Instant(NamedTuple):
+class TendonInstant(NamedTuple):
     """True state of the tendons: motor force at the tendon [N], tension [N], speed at the spool [m/s]."""
 
     force: np.ndarray
@@ -50,21 +55,23 @@ class Instant(NamedTuple):
     speed: np.ndarray
 
 
-def observe_instant(simulation: SimulatedRun) -> Instant:
+def observe_instant(simulation: SimulatedRun) -> TendonInstant:
     peer: Any = simulation.peer
     spool = simulation.controller.model.space.spool
     motors = [
         peer.world.plant.motors[motor.name] for motor in simulation.controller.model.hand.motor
     ]
     torque = np.array([motor.command for motor in motors])
-    return Instant(
+    return TendonInstant(
         torque / spool,
         np.array(peer.truth()["tension"]),
         np.array([m.omega for m in motors]) * spool,
     )
 
 
-def tension_bound(simulation: SimulatedRun, decided: Instant, force: np.ndarray) -> np.ndarray:
+def tension_bound(
+    simulation: SimulatedRun, decided: TendonInstant, force: np.ndarray
+) -> np.ndarray:
     """Return the largest tension (N,) of each tendon that its rotor and its stretch explain [N].
 
     A rotor has the mass m at the tendon and the speed v. A force of at most F pulls it against the stiffness k of the
@@ -73,20 +80,20 @@ def tension_bound(simulation: SimulatedRun, decided: Instant, force: np.ndarray)
     """
     space = simulation.controller.model.space
     largest = np.maximum(force, 0.0)
-    gained = np.abs(decided.speed) + largest / space.motor_mass * WINDOW_S * (
+    gained = np.abs(decided.speed) + largest / space.motor_mass * COMMAND_DELAY_S * (
         decided.tension < 10.0
     )
     stretch = (largest - decided.tension) ** 2 + space.stiffness * space.motor_mass * gained**2
-    return np.maximum(largest + np.sqrt(stretch), decided.tension) + MARGIN_N
+    return np.maximum(largest + np.sqrt(stretch), decided.tension) + BOUND_MARGIN_N
 
 
-@pytest.mark.parametrize(("hand_name", "protocol", "seed"), SAMPLED)
+@pytest.mark.parametrize(("hand_name", "protocol", "seed"), SAMPLED_CASES)
 def test_relaxing_raises_no_command_and_no_tension(
     hand_name: str, protocol: str, seed: int
 ) -> None:
     chance = random.Random(f"{hand_name} {protocol} {seed}")
     hand = hand_with_protocol(hand_name, protocol)
-    rate = RATE_HZ[hand_name]
+    rate = RATE_HZ_BY_HAND[hand_name]
     perturb = {key: chance.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")}
     task = {
         **CAMPAIGN_TASK,
@@ -96,7 +103,7 @@ def test_relaxing_raises_no_command_and_no_tension(
         ],
     }
     a, b = chance.sample([motor.name for motor in hand.motor], 2)
-    fault = chance.choice(FAULTS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
+    fault = chance.choice(FAULT_COMMANDS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
     with homed_run(hand, rate, seed, perturb, task) as simulation:
         advance_to(simulation, chance.choice((FREE_STAGE, GRASP_STAGE)))
         for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
@@ -104,11 +111,11 @@ def test_relaxing_raises_no_command_and_no_tension(
         if fault:
             simulation.peer.inject(fault)
         stop_at = simulation.k + int(chance.uniform(0.02, 0.8) * rate)
-        check_relaxing(simulation, stop_at, round(WINDOW_S * rate), fault)
+        check_relaxing(simulation, stop_at, round(COMMAND_DELAY_S * rate), fault)
 
 
 def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: str) -> None:
-    recent: list[Instant] = [observe_instant(simulation)]
+    recent: list[TendonInstant] = [observe_instant(simulation)]
     # Commands from before the decision to relax are included, because a delayed motor may execute
     # them after it.
     commanded = [simulation.state.view("asked").copy()]
@@ -138,7 +145,9 @@ def check_relaxing(simulation: SimulatedRun, stop_at: int, window: int, fault: s
         force = np.maximum(force, now.force)
     # No drive makes more force than before the decision to relax, even if it makes more than its
     # command.
-    assert (force <= np.maximum(before, 0.0) + ROUNDED_N).all(), f"{fault}: {force} after {before}"
+    assert (force <= np.maximum(before, 0.0) + COMMAND_ROUNDING_N).all(), (
+        f"{fault}: {force} after {before}"
+    )
     bound = tension_bound(simulation, decided, before)
     assert (peak <= bound).all(), (
         f"{fault}: {peak} N, at most {bound} N are explained, from {decided}"

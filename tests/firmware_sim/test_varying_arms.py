@@ -10,7 +10,7 @@ from firmware_sim.description import load_hand
 from firmware_sim.plant.drivetrain import _taken_up, step_drivetrain
 from firmware_sim.plant.motor import Motor
 from firmware_sim.plant.tendon import TendonRouting
-from tests.hand.varied import with_varying_arms
+from tests.hand.varying_arms import with_varying_arms
 
 STEP_S = 0.5e-3
 

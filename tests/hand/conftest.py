@@ -11,14 +11,14 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import hand_from_content, load_hand, packaged_hands
 
-SPATIAL = ("orca_like",)
+SPATIAL_HANDS = ("orca_like",)
 """Packaged hands whose digits are spatial chains on a wrist.
 
-``test_chains`` tests these hands together with random trees.
+``test_random_chains`` tests these hands together with random trees.
 """
 
 
-@pytest.fixture(params=[name for name in packaged_hands() if name not in SPATIAL])
+@pytest.fixture(params=[name for name in packaged_hands() if name not in SPATIAL_HANDS])
 def hand(request: pytest.FixtureRequest) -> Hand:
     """Return a packaged hand with planar digits on the palm.
 

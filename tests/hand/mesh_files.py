@@ -14,20 +14,22 @@ from handctl.hand.load import hand_from_content, load_hand
 from handctl.hand.tree import HandTree
 from tools.meshes.solids import stl
 
-CORNERS = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.02]])
+TETRAHEDRON_CORNERS = np.array(
+    [[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.02]]
+)
 """Corners of a tetrahedron [m]."""
-FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-SCALE = (1e-3, -2e-3, 1e-3)
-POSITION = (0.004, -0.003, 0.002)
-RPY_DEG = (20.0, -35.0, 110.0)
+TETRAHEDRON_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+MESH_SCALE = (1e-3, -2e-3, 1e-3)
+MESH_POSITION_M = (0.004, -0.003, 0.002)
+MESH_RPY_DEG = (20.0, -35.0, 110.0)
 
 
-def triangles() -> NDArray[np.float64]:
+def tetrahedron_triangles() -> NDArray[np.float64]:
     """Return the corners of the tetrahedron's triangles (4, 3, 3) [m]."""
-    return CORNERS[FACES]
+    return TETRAHEDRON_CORNERS[TETRAHEDRON_FACES]
 
 
-def obj(scale: float = 1.0, mixed: bool = False) -> bytes:
+def tetrahedron_obj(scale: float = 1.0, mixed: bool = False) -> bytes:
     """Return the tetrahedron as an OBJ file.
 
     If ``mixed``, its faces use all forms of a corner, which MuJoCo cannot read.
@@ -35,7 +37,7 @@ def obj(scale: float = 1.0, mixed: bool = False) -> bytes:
     lines = [
         "# a tetrahedron",
         "mtllib none.mtl",
-        *(f"v {x} {y} {z}" for x, y, z in scale * CORNERS),
+        *(f"v {x} {y} {z}" for x, y, z in scale * TETRAHEDRON_CORNERS),
         "vn 0 0 1",
     ]
     lines += ["vt 0 0", "f 1/1/1 3/1/1 2/1/1", "f -4//1 -3//1 -1//1", "f 1/1 4/1 3/1", "f 2 3 4"]
@@ -52,17 +54,17 @@ def obj(scale: float = 1.0, mixed: bool = False) -> bytes:
 def write_meshes(folder: Path) -> None:
     """Write the tetrahedron as ``m.stl`` in metres, and in millimetres as ``sub/mm.stl`` and ``sub/mm.obj``."""
     (folder / "sub").mkdir()
-    (folder / "m.stl").write_bytes(stl(triangles()))
-    (folder / "sub" / "mm.stl").write_bytes(stl(1e3 * triangles()))
-    (folder / "sub" / "mm.obj").write_bytes(obj(1e3))
+    (folder / "m.stl").write_bytes(stl(tetrahedron_triangles()))
+    (folder / "sub" / "mm.stl").write_bytes(stl(1e3 * tetrahedron_triangles()))
+    (folder / "sub" / "mm.obj").write_bytes(tetrahedron_obj(1e3))
 
 
-def meshed(name: str) -> Hand:
+def hand_with_meshes(name: str) -> Hand:
     """Return a packaged hand with the meshes of ``write_meshes`` on the palm and on all but the first links.
 
     The mesh on the last link of each digit has a scale and a pose.
     """
-    content = plain(name).content
+    content = hand_without_meshes(name).content
     content["mount"] = content["mount"] | {
         "palm_mesh": "m.stl",
         "palm_mesh_position_m": [-0.01, 0.0, 0.0],
@@ -73,13 +75,13 @@ def meshed(name: str) -> Hand:
         digit["link_mesh"] = ["m.stl"] * (count - 1) + [last]
         if count > 1:
             digit["link_mesh"][0] = ""
-        digit["link_mesh_scale"] = [1.0] * (count - 1) + [list(SCALE)]
-        digit["link_mesh_position_m"] = [[0.0, 0.0, 0.0]] * (count - 1) + [list(POSITION)]
-        digit["link_mesh_rpy_deg"] = [[0.0, 0.0, 0.0]] * (count - 1) + [list(RPY_DEG)]
+        digit["link_mesh_scale"] = [1.0] * (count - 1) + [list(MESH_SCALE)]
+        digit["link_mesh_position_m"] = [[0.0, 0.0, 0.0]] * (count - 1) + [list(MESH_POSITION_M)]
+        digit["link_mesh_rpy_deg"] = [[0.0, 0.0, 0.0]] * (count - 1) + [list(MESH_RPY_DEG)]
     return hand_from_content(content, name)
 
 
-def plain(name: str) -> Hand:
+def hand_without_meshes(name: str) -> Hand:
     """Return a packaged hand without meshes."""
     content = load_hand(name).content
     content["mount"] = {key: value for key, value in content["mount"].items() if "mesh" not in key}

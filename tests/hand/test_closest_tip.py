@@ -10,13 +10,13 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.inverse_kinematics import closest_tip, inverse_kinematics_coupled
 from handctl.hand.kinematics import joint_points
 from handctl.hand.load import load_hand
-from tests.hand.chains import random_hand
+from tests.hand.random_chains import random_hand
 
-HANDS = ("jamia", "jamia11", "t42", "n_plus_1")
-SEEDS = 20
+TESTED_HANDS = ("jamia", "jamia11", "t42", "n_plus_1")
+SEED_COUNT = 20
 
 
-def digits(hand: str) -> list[DigitModel]:
+def palm_digits(hand: str) -> list[DigitModel]:
     """Return the digits of a hand that are mounted on its palm."""
     description = load_hand(hand)
     return [
@@ -26,39 +26,45 @@ def digits(hand: str) -> list[DigitModel]:
     ]
 
 
-def tip(digit: DigitModel, theta: np.ndarray) -> np.ndarray:
+def tip_position(digit: DigitModel, theta: np.ndarray) -> np.ndarray:
     """Return the position of a digit's tip at given coordinates [m]."""
     return joint_points(digit, digit.coupling @ theta)[-1]
 
 
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_a_point_in_reach_is_reached_within_the_limits(hand: str) -> None:
-    for digit in digits(hand):
+    for digit in palm_digits(hand):
         low, high = digit.reach
-        for seed in range(SEEDS):
+        for seed in range(SEED_COUNT):
             theta = np.random.default_rng(seed).uniform(low, high)
-            found = closest_tip(digit, tip(digit, theta), 0.5 * (theta + 0.5 * (low + high)))
+            found = closest_tip(
+                digit, tip_position(digit, theta), 0.5 * (theta + 0.5 * (low + high))
+            )
             assert found.distance < 1e-6, (digit.name, seed)
             assert (found.coordinates >= low).all()
             assert (found.coordinates <= high).all()
 
 
-@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize("hand", TESTED_HANDS)
 def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
     """The expected distance is that of scipy's bounded least squares, started in the middle of the range."""
     worse = 0
-    for digit in digits(hand):
+    for digit in palm_digits(hand):
         low, high = digit.reach
-        for seed in range(SEEDS):
+        for seed in range(SEED_COUNT):
             random = np.random.default_rng(seed)
-            target = tip(digit, random.uniform(low, high)) + random.normal(scale=0.03, size=3)
+            target = tip_position(digit, random.uniform(low, high)) + random.normal(
+                scale=0.03, size=3
+            )
             start = 0.5 * (low + high)
             found = closest_tip(digit, target)
             oracle = least_squares(
-                lambda theta, d=digit, x=target: tip(d, theta) - x, start, bounds=(low, high)
+                lambda theta, d=digit, x=target: tip_position(d, theta) - x,
+                start,
+                bounds=(low, high),
             )
             assert found.distance == pytest.approx(
-                np.linalg.norm(tip(digit, found.coordinates) - target), abs=1e-12
+                np.linalg.norm(tip_position(digit, found.coordinates) - target), abs=1e-12
             )
             assert (found.coordinates >= low).all()
             assert (found.coordinates <= high).all()
@@ -67,10 +73,12 @@ def test_a_point_anywhere_is_met_as_closely_as_by_scipy(hand: str) -> None:
 
 
 def test_a_coupled_digit_meets_the_global_minimum() -> None:
-    for digit in digits("jamia"):
-        for seed in range(SEEDS):
+    for digit in palm_digits("jamia"):
+        for seed in range(SEED_COUNT):
             random = np.random.default_rng(seed)
-            target = tip(digit, random.uniform(*digit.reach)) + random.normal(scale=0.01, size=3)
+            target = tip_position(digit, random.uniform(*digit.reach)) + random.normal(
+                scale=0.01, size=3
+            )
             if digit.coupling.shape[1] == 1:
                 assert (
                     closest_tip(digit, target).distance
@@ -79,17 +87,17 @@ def test_a_coupled_digit_meets_the_global_minimum() -> None:
 
 
 def test_a_path_of_points_gives_postures_without_jumps() -> None:
-    digit = digits("jamia11")[0]
+    digit = palm_digits("jamia11")[0]
     low, high = digit.reach
     rows = np.linspace(low, 0.9 * high, 200)
-    theta = closest_tip(digit, tip(digit, rows[0])).coordinates
+    theta = closest_tip(digit, tip_position(digit, rows[0])).coordinates
     way = [theta]
     for row in rows[1:]:
-        way.append(closest_tip(digit, tip(digit, row), way[-1]).coordinates)
+        way.append(closest_tip(digit, tip_position(digit, row), way[-1]).coordinates)
     assert np.degrees(np.abs(np.diff(way, axis=0))).max() < 3.0
 
 
-@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("seed", range(SEED_COUNT))
 def test_tips_of_random_chains_are_closest(seed: int) -> None:
     """The chains have hinges in any direction and one to eight links."""
     random = np.random.default_rng(seed)
@@ -98,19 +106,19 @@ def test_tips_of_random_chains_are_closest(seed: int) -> None:
     low, high = digit.reach
     theta = random.uniform(low, high)
     found = closest_tip(
-        digit, tip(digit, theta), theta + random.normal(scale=0.05, size=len(theta))
+        digit, tip_position(digit, theta), theta + random.normal(scale=0.05, size=len(theta))
     )
     assert found.distance < 1e-6
     assert ((found.coordinates >= low) & (found.coordinates <= high)).all()
 
 
 def test_a_digit_takes_less_than_a_millisecond_per_target() -> None:
-    digit = digits("jamia11")[0]
+    digit = palm_digits("jamia11")[0]
     low, high = digit.reach
     theta = 0.5 * (low + high)
     took = []
     for i in range(100):
-        target = tip(digit, 0.5 * (low + high) + 0.2 * np.sin(0.1 * i))
+        target = tip_position(digit, 0.5 * (low + high) + 0.2 * np.sin(0.1 * i))
         began = time.process_time()
         theta = closest_tip(digit, target, theta).coordinates
         took.append(time.process_time() - began)

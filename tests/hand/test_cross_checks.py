@@ -9,17 +9,17 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.load import hand_content, hand_from_content
-from tests.hand.wrist import on_wrist
+from tests.hand.hand_on_wrist import mount_on_wrist
 
-JAMIA = hand_content("jamia")
+JAMIA_CONTENT = hand_content("jamia")
 
 
 @pytest.fixture
-def edited(refusal):
+def refusal_of_edit(refusal):
     """Return a function that edits the packaged hand and returns the error line without the file name."""
 
     def refuse(edit):
-        content = copy.deepcopy(JAMIA)
+        content = copy.deepcopy(JAMIA_CONTENT)
         edit(content)
         return refusal(content).removeprefix("my/hand.toml: ")
 
@@ -33,7 +33,7 @@ def set_values(section, index, **values):
     )
 
 
-UNITS = [
+WRONG_UNITS = [
     (
         "digit",
         {"link_length_m": [30, 15, 10]},
@@ -53,40 +53,40 @@ UNITS = [
 ]
 
 
-@pytest.mark.parametrize(("section", "values", "start"), UNITS)
-def test_the_message_about_a_wrong_unit_suggests_a_unit(edited, section, values, start):
-    line = edited(set_values(section, 0, **values))
+@pytest.mark.parametrize(("section", "values", "start"), WRONG_UNITS)
+def test_the_message_about_a_wrong_unit_suggests_a_unit(refusal_of_edit, section, values, start):
+    line = refusal_of_edit(set_values(section, 0, **values))
     assert line.startswith(start)
     assert re.search(r"\(in .*\?\)$", line)
 
 
-def tension(**values):
+def set_tendon_values(**values):
     return set_values("tendon", 0, **values)
 
 
-CASES = {
+CONTRADICTIONS = {
     "tension limit above the wire's strength": (
-        tension(tension_max_N=700.0, tension_trip_N=800.0),
+        set_tendon_values(tension_max_N=700.0, tension_trip_N=800.0),
         "tendon[index_tendon].tension_max_N: 700, and the tendon breaks at 620 N; expected "
         "more than tension_floor_N = 3 N and at most rated_breaking_force_N = 620 N",
     ),
     "tension limit above the wire's strength and the trip": (
-        tension(tension_max_N=700.0),
+        set_tendon_values(tension_max_N=700.0),
         "tendon[index_tendon].tension_max_N: 700, and the tendon breaks at 620 N; expected "
         "more than tension_floor_N = 3 N and less than tension_trip_N = 140 N",
     ),
     "drive limit above the wire's strength": (
-        tension(drive_limit_N=650.0),
+        set_tendon_values(drive_limit_N=650.0),
         "tendon[index_tendon].drive_limit_N: 650, and the tendon breaks at 620 N; expected "
         "more than tension_trip_N = 140 N and at most rated_breaking_force_N = 620 N",
     ),
     "trip above drive limit": (
-        tension(tension_trip_N=160.0),
+        set_tendon_values(tension_trip_N=160.0),
         "tendon[index_tendon].tension_trip_N: 160; expected more than tension_max_N = 110 N and "
         "less than drive_limit_N = 160 N",
     ),
     "floor above maximum": (
-        tension(tension_floor_N=120.0),
+        set_tendon_values(tension_floor_N=120.0),
         "tendon[index_tendon].tension_floor_N: 120; expected less than tension_max_N = 110 N",
     ),
     "drive torque is not the drive limit": (
@@ -257,11 +257,11 @@ CASES = {
         "digit[index].coupling: its tendons (moment_arm_m) can move only 1 of 2 coordinates",
     ),
     "unknown motor": (
-        tension(motor="index_moter"),
+        set_tendon_values(motor="index_moter"),
         'tendon[index_tendon].motor: "index_moter" is not in this file',
     ),
     "unknown joint": (
-        tension(moment_arm_m={"index_j4": 0.003}),
+        set_tendon_values(moment_arm_m={"index_j4": 0.003}),
         "tendon[index_tendon].moment_arm_m.index_j4: ",
     ),
     "unknown bus": (
@@ -306,24 +306,24 @@ CASES = {
         "motor[spare].name: drives no tendon; expected to be the motor of one tendon",
     ),
     "tendon of two digits": (
-        tension(moment_arm_m={"index_j1": 0.003, "ring_j1": 0.003}),
+        set_tendon_values(moment_arm_m={"index_j1": 0.003, "ring_j1": 0.003}),
         "tendon[index_tendon].moment_arm_m: moves index and ring; expected joints of one digit, ",
     ),
     "tendon of no digit": (
-        tension(moment_arm_m={}),
+        set_tendon_values(moment_arm_m={}),
         "tendon[index_tendon].moment_arm_m: moves no digit",
     ),
     "moment arm as a polynomial": (
-        tension(moment_arm_m={"index_j1": [0.003, 1e-4]}),
+        set_tendon_values(moment_arm_m={"index_j1": [0.003, 1e-4]}),
         "tendon[index_tendon].moment_arm_m.index_j1: [0.003, 0.0001]; expected a number from -0.05 to 0.05 m, "
         "{ polynomial_m = [r0, r1, ..] } of the joint angle in rad, or { angle_deg = [..], arm_m = [..] }",
     ),
     "tendon without lever": (
-        tension(moment_arm_m={"index_j1": 0.003, "index_j2": 0.0}),
+        set_tendon_values(moment_arm_m={"index_j1": 0.003, "index_j2": 0.0}),
         "tendon[index_tendon].moment_arm_m.index_j2: 0; expected 0.0001 to 0.05 m either way, or no such key",
     ),
     "joint that no tendon crosses": (
-        tension(moment_arm_m={"index_j1": 0.003, "index_j2": 0.003}),
+        set_tendon_values(moment_arm_m={"index_j1": 0.003, "index_j2": 0.003}),
         "digit[index]: no tendon crosses index_j3; expected a tendon with moment_arm_m.index_j3",
     ),
     "tendons out of order": (
@@ -357,9 +357,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(("edit", "start"), CASES.values(), ids=CASES.keys())
-def test_contradicting_keys_are_refused(edited, edit, start):
-    assert edited(edit).startswith(start)
+@pytest.mark.parametrize(("edit", "start"), CONTRADICTIONS.values(), ids=CONTRADICTIONS.keys())
+def test_contradicting_keys_are_refused(refusal_of_edit, edit, start):
+    assert refusal_of_edit(edit).startswith(start)
 
 
 def test_a_coupling_has_as_many_coordinates_as_joints_at_most():
@@ -378,7 +378,7 @@ def test_a_coupling_has_as_many_coordinates_as_joints_at_most():
 
 
 def test_value_at_its_limit_is_accepted():
-    content = copy.deepcopy(JAMIA)
+    content = copy.deepcopy(JAMIA_CONTENT)
     digit, tendon = content["digit"][0], content["tendon"][0]
     mass, length = digit["link_mass_kg"][0], digit["link_length_m"][0]
     digit["link_com_m"][0], digit["link_inertia_kg_m2"][0] = length, mass * length**2
@@ -390,11 +390,11 @@ def test_value_at_its_limit_is_accepted():
         hand_from_content(content, "own.toml")
 
 
-def on_a_wrist(edit):
+def edit_on_a_wrist(edit):
     """Return an edit that first puts jamia on a wrist, and then applies another edit."""
 
     def change(content):
-        content.update(copy.deepcopy(on_wrist("jamia").content))
+        content.update(copy.deepcopy(mount_on_wrist("jamia").content))
         edit(content)
 
     return change
@@ -415,7 +415,7 @@ def on_a_wrist(edit):
         ),
     ],
 )
-def test_a_tendon_passes_only_carriers_of_its_digit(edited, arms, line):
+def test_a_tendon_passes_only_carriers_of_its_digit(refusal_of_edit, arms, line):
     index = {"moment_arm_m": arms}
-    found = edited(on_a_wrist(lambda content: content["tendon"][1].update(index)))
+    found = refusal_of_edit(edit_on_a_wrist(lambda content: content["tendon"][1].update(index)))
     assert line in found

@@ -16,7 +16,7 @@ from handctl.hand.load import (
     packaged_hands,
 )
 
-CONTENT = {name: hand_content(name) for name in packaged_hands()}
+CONTENT_BY_HAND = {name: hand_content(name) for name in packaged_hands()}
 
 
 @pytest.fixture(params=packaged_hands())
@@ -35,7 +35,7 @@ def with_value(content, path, value):
     return content
 
 
-PACKAGED = "jamia, jamia11, jamia_bench, n_plus_1, orca_like, t42"
+PACKAGED_NAMES = "jamia, jamia11, jamia_bench, n_plus_1, orca_like, t42"
 
 
 def test_packaged_hands_are_listed():
@@ -52,7 +52,7 @@ def test_resolved_text_reads_back_as_the_same_hand(hand, tmp_path):
 
 
 def test_options_and_awkward_text_survive(tmp_path):
-    content = copy.deepcopy(CONTENT["jamia"])
+    content = copy.deepcopy(CONTENT_BY_HAND["jamia"])
     content["description"] = 'a "quoted" \\ tab\t line\nµ \x7f'
     content["motor"][0]["options"] = {"reply_id": 0x55, "fd": True, "gain": 1e-7, "odd key": "ü"}
     hand = hand_from_content(content, "x")
@@ -63,16 +63,16 @@ def test_options_and_awkward_text_survive(tmp_path):
 
 
 def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
-    plain = CONTENT[hand.name]
+    plain = CONTENT_BY_HAND[hand.name]
     assert hand_from_content(dict(reversed(plain.items())), "x").identity == hand.identity
     whole = with_value(plain, ("tendon", 0, "knee_N"), int(plain["tendon"][0]["knee_N"]))
     assert hand_from_content(whole, "x").identity == hand.identity
     assert re.fullmatch(r"[0-9a-f]{64}", hand.identity)
     identities = {
         hand_from_content(with_value(plain, path, value * 1.0001), "x").identity
-        for path, value in free_values(plain)
+        for path, value in changeable_values(plain)
     }
-    assert len(identities | {hand.identity}) == 1 + len(list(free_values(plain)))
+    assert len(identities | {hand.identity}) == 1 + len(list(changeable_values(plain)))
 
 
 def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
@@ -80,7 +80,7 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
 
     The log of a hand with the default limits did not contain these limits.
     """
-    slow = hand_from_content(CONTENT[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x")
+    slow = hand_from_content(CONTENT_BY_HAND[hand.name] | {"stream": {"speed_deg_s": 200.0}}, "x")
     assert slow.stream != hand.stream
     assert slow.identity == hand.identity
     for one in (slow, hand):
@@ -90,7 +90,7 @@ def test_limits_of_streams_do_not_change_the_identity(hand, tmp_path):
         assert load_hand(path).stream == one.stream
 
 
-def free_values(content):
+def changeable_values(content):
     """Yield paths and values of a hand's content. Each may change slightly without a change of other values."""
     for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
         yield ("tendon", 0, key), content["tendon"][0][key]
@@ -148,7 +148,7 @@ def test_sensor_frames(hand):
 
 
 def test_several_buses_may_use_the_same_node_ids():
-    content = copy.deepcopy(CONTENT["jamia"])
+    content = copy.deepcopy(CONTENT_BY_HAND["jamia"])
     content["bus"].append({"name": "second", "bitrate": 1_000_000})
     content["motor"][1].update(bus="second", node_id=1)
     assert hand_from_content(content, "x").motor[1].node_id == 1
@@ -159,11 +159,11 @@ def test_several_buses_may_use_the_same_node_ids():
     [
         (
             "jamai",
-            f"jamai: no such hand or file; expected jamia? or one of {PACKAGED}, or the path of a hand file",
+            f"jamai: no such hand or file; expected jamia? or one of {PACKAGED_NAMES}, or the path of a hand file",
         ),
         (
             "no/such.toml",
-            f"no/such.toml: no such hand or file; expected one of {PACKAGED}, or the path of a hand file",
+            f"no/such.toml: no such hand or file; expected one of {PACKAGED_NAMES}, or the path of a hand file",
         ),
     ],
 )

@@ -11,12 +11,12 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.load import load_hand
 
-SAMPLES = 1000
-GRAVITIES = [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (9.81, 0.0, 0.0), (3.1, -7.7, 5.2)]
-TOLERANCE = 1e-9
+SAMPLE_COUNT = 1000
+GRAVITIES_M_S2 = [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (9.81, 0.0, 0.0), (3.1, -7.7, 5.2)]
+RELATIVE_TOLERANCE = 1e-9
 
 
-def states(rng, n, samples=SAMPLES):
+def random_motions(rng, n, samples=SAMPLE_COUNT):
     """Return random angles, rates and accelerations (q, dq, ddq).
 
     They are so large that every term of the dynamics matters.
@@ -26,9 +26,11 @@ def states(rng, n, samples=SAMPLES):
     )
 
 
-def agree(mine, reference):
+def arrays_agree(mine, reference):
     """Return True if two arrays agree within a tolerance relative to the largest entry."""
-    return np.abs(np.asarray(mine) - reference).max() <= TOLERANCE * np.abs(reference).max()
+    return (
+        np.abs(np.asarray(mine) - reference).max() <= RELATIVE_TOLERANCE * np.abs(reference).max()
+    )
 
 
 def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
@@ -59,25 +61,25 @@ def joint_rotation(digit: DigitModel, i: int) -> np.ndarray:
     return rotation if i else digit.mount_rotation.T @ rotation
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES)
+@pytest.mark.parametrize("gravity", GRAVITIES_M_S2)
 def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity):
     for digit in digits:
         digit = digit.with_gravity(gravity)
         model = pinocchio_by_hand(digit, gravity)
         data = model.createData()
-        for q, dq, ddq in states(rng, digit.joint_count):
+        for q, dq, ddq in random_motions(rng, digit.joint_count):
             tau = pinocchio.rnea(model, data, q, dq, ddq)
-            assert agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
+            assert arrays_agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
             standing = pinocchio.rnea(model, data, q, np.zeros_like(q), np.zeros_like(q))
             assert np.allclose(
-                dynamics.gravity_torque(digit, q), standing, rtol=0, atol=TOLERANCE * 1e-3
+                dynamics.gravity_torque(digit, q), standing, rtol=0, atol=RELATIVE_TOLERANCE * 1e-3
             )
             upper = np.triu(pinocchio.crba(model, data, q))
-            assert agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
-            assert agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
+            assert arrays_agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
+            assert arrays_agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES)
+@pytest.mark.parametrize("gravity", GRAVITIES_M_S2)
 def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
     model = pinocchio.buildModelFromXML(urdf_text(hand))
     model.gravity.linear = np.array(gravity)
@@ -87,14 +89,17 @@ def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
     model.armature = armature
     data = model.createData()
     digits = [digit.with_gravity(gravity) for digit in digits]
-    for q, dq, ddq in states(rng, len(hand.joints)):
+    for q, dq, ddq in random_motions(rng, len(hand.joints)):
         theirs = [np.zeros(model.nv) for _ in range(3)]
         for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
             vector[order] = mine
-        assert agree(whole_hand(digits, q, dq, ddq), pinocchio.rnea(model, data, *theirs)[order])
+        assert arrays_agree(
+            inverse_dynamics_of_hand(digits, q, dq, ddq),
+            pinocchio.rnea(model, data, *theirs)[order],
+        )
 
 
-@pytest.mark.parametrize("gravity", GRAVITIES)
+@pytest.mark.parametrize("gravity", GRAVITIES_M_S2)
 def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
     model = mujoco.MjModel.from_xml_string(urdf_text(hand))
     assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
@@ -105,17 +110,17 @@ def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
     data = mujoco.MjData(model)
     digits = [digit.with_gravity(gravity) for digit in digits]
     full = np.zeros((model.nv, model.nv))
-    for q, dq, ddq in states(rng, model.nv):
+    for q, dq, ddq in random_motions(rng, model.nv):
         data.qpos[:], data.qvel[:], data.qacc[:] = q, dq, ddq
         mujoco.mj_inverse(model, data)
-        assert agree(whole_hand(digits, q, dq, ddq), data.qfrc_inverse)
+        assert arrays_agree(inverse_dynamics_of_hand(digits, q, dq, ddq), data.qfrc_inverse)
         mujoco.mj_fullM(model, data, full)
         for digit in digits:
             block = full[digit.joints, digit.joints]
-            assert agree(dynamics.mass_matrix(digit, q[digit.joints]), block)
+            assert arrays_agree(dynamics.mass_matrix(digit, q[digit.joints]), block)
 
 
-def whole_hand(digits, q, dq, ddq):
+def inverse_dynamics_of_hand(digits, q, dq, ddq):
     """Return the inverse dynamics of a hand, with the joint torques of its digits in order."""
     return np.concatenate(
         [dynamics.inverse_dynamics(d, q[d.joints], dq[d.joints], ddq[d.joints]) for d in digits]
@@ -140,7 +145,7 @@ def test_one_joint_is_a_pendulum(rng):
     }
     digit = DigitModel.of(Hand.model_validate(alone), "thumb").with_gravity((0.0, -9.81, 0.0))
     inertia = digit.inertias[0, 2, 2] + digit.masses[0] * digit.coms[0, 0] ** 2 + digit.armature[0]
-    for q, dq, ddq in states(rng, 1, 50):
+    for q, dq, ddq in random_motions(rng, 1, 50):
         weight = digit.masses[0] * digit.coms[0, 0] * 9.81 * np.cos(q)
         assert np.allclose(
             dynamics.inverse_dynamics(digit, q, dq, ddq), inertia * ddq + weight, rtol=1e-12
@@ -149,7 +154,7 @@ def test_one_joint_is_a_pendulum(rng):
 
 def test_mass_matrix_is_symmetric_and_positive(digits, rng):
     for digit in digits:
-        for q, _, _ in states(rng, digit.joint_count, 200):
+        for q, _, _ in random_motions(rng, digit.joint_count, 200):
             mass = dynamics.mass_matrix(digit, q)
             assert np.array_equal(mass, mass.T)
             assert np.linalg.eigvalsh(mass).min() > 0.0
@@ -158,7 +163,7 @@ def test_mass_matrix_is_symmetric_and_positive(digits, rng):
 def test_coriolis_forces_do_no_work_of_their_own(digits, rng):
     """The matrix M' - 2 C is skew-symmetric, so q'. C q' = q'. M' q' / 2."""
     for digit in digits:
-        for q, dq, _ in states(rng, digit.joint_count, 200):
+        for q, dq, _ in random_motions(rng, digit.joint_count, 200):
             step = 1e-6 * dq / np.linalg.norm(dq)
             mass = dynamics.mass_matrix(digit, q + step)
             change = mass - dynamics.mass_matrix(digit, q - step)
@@ -172,7 +177,7 @@ def test_coriolis_forces_do_no_work_of_their_own(digits, rng):
 def test_gravity_and_springs_are_gradients_of_their_energies(digits, rng):
     for digit in digits:
         digit = digit.with_gravity(rng.normal(size=3) * 6)
-        for q, _, _ in states(rng, digit.joint_count, 100):
+        for q, _, _ in random_motions(rng, digit.joint_count, 100):
             for energy, torque in (
                 (dynamics.potential_energy, dynamics.gravity_torque),
                 (dynamics.spring_energy, dynamics.spring_torque),
@@ -218,14 +223,14 @@ def test_energy_is_conserved(digits):
 
 def test_sums_are_sums_of_their_parts(digits, rng):
     for digit in digits:
-        for q, dq, ddq in states(rng, digit.joint_count, 100):
+        for q, dq, ddq in random_motions(rng, digit.joint_count, 100):
             rigid = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
             passive = (
                 np.array(digit.spring_stiffness) * (q + digit.spring_preload)
                 + np.array(digit.joint_damping) * dq
             )
-            assert agree(dynamics.required_torque(digit, q, dq, ddq), rigid + passive)
-            assert agree(dynamics.passive_torque(digit, q, dq), passive)
+            assert arrays_agree(dynamics.required_torque(digit, q, dq, ddq), rigid + passive)
+            assert arrays_agree(dynamics.passive_torque(digit, q, dq), passive)
             weight = np.array(dynamics.gravity_torque(digit, q))
             assert np.allclose(
                 dynamics.static_torque(digit, q),
@@ -235,23 +240,23 @@ def test_sums_are_sums_of_their_parts(digits, rng):
             parts = (
                 dynamics.mass_matrix(digit, q) @ ddq + dynamics.bias_torque(digit, q, dq) + weight
             )
-            assert agree(rigid, parts)
+            assert arrays_agree(rigid, parts)
 
 
 def test_reduced_dynamics_is_the_projection(digits, rng):
     for digit in digits:
         coupling = digit.coupling
-        for theta, dtheta, ddtheta in states(rng, coupling.shape[1], 100):
+        for theta, dtheta, ddtheta in random_motions(rng, coupling.shape[1], 100):
             mass, rest = dynamics.reduced_dynamics(digit, theta, dtheta)
             full = dynamics.required_torque(
                 digit, coupling @ theta, coupling @ dtheta, coupling @ ddtheta
             )
-            assert agree(mass @ ddtheta + rest, coupling.T @ np.array(full))
+            assert arrays_agree(mass @ ddtheta + rest, coupling.T @ np.array(full))
 
 
 def test_lists_tuples_and_arrays_give_equal_results(digits, rng):
     for digit in digits:
-        q, dq, ddq = next(iter(states(rng, digit.joint_count, 1)))
+        q, dq, ddq = next(iter(random_motions(rng, digit.joint_count, 1)))
         as_array = dynamics.required_torque(digit, q, dq, ddq)
         assert as_array == dynamics.required_torque(
             digit, q.tolist(), tuple(dq.tolist()), ddq.tolist()

@@ -23,11 +23,11 @@ from handctl.hand.load import (
     read_toml,
 )
 
-PACKAGED = Path(handctl.__file__).parent / "hand" / "hand.schema.json"
-VALIDATOR = jsonschema.Draft7Validator(hand_schema())
+PACKAGED_SCHEMA_FILE = Path(handctl.__file__).parent / "hand" / "hand.schema.json"
+SCHEMA_VALIDATOR = jsonschema.Draft7Validator(hand_schema())
 
 
-def plain(content: dict[str, Any]) -> Any:
+def content_with_lists(content: dict[str, Any]) -> Any:
     """Return a hand's content with lists in place of tuples."""
     return json.loads(json.dumps(content))
 
@@ -44,7 +44,7 @@ def with_value(path: tuple[Any, ...], value: Any) -> dict[str, Any]:
 
 def test_the_packaged_file_is_fresh() -> None:
     text = "stale; run python -m tools.reference"
-    assert json.loads(PACKAGED.read_text("utf-8")) == hand_schema(), text
+    assert json.loads(PACKAGED_SCHEMA_FILE.read_text("utf-8")) == hand_schema(), text
 
 
 def test_json_schema_is_valid() -> None:
@@ -54,13 +54,15 @@ def test_json_schema_is_valid() -> None:
 @pytest.mark.parametrize("name", packaged_hands())
 def test_good_files_of_both_schemas_suit_it(name: str) -> None:
     path = hand_path(name)
-    VALIDATOR.validate(read_toml(path))
-    VALIDATOR.validate(plain(parse_toml(load_hand(name).to_toml(), "resolved")))
+    SCHEMA_VALIDATOR.validate(read_toml(path))
+    SCHEMA_VALIDATOR.validate(content_with_lists(parse_toml(load_hand(name).to_toml(), "resolved")))
     first = path.read_text("utf-8").splitlines()[0]
-    assert (PACKAGED_HANDS_FOLDER / first.removeprefix("#:schema ")).resolve() == PACKAGED.resolve()
+    assert (
+        PACKAGED_HANDS_FOLDER / first.removeprefix("#:schema ")
+    ).resolve() == PACKAGED_SCHEMA_FILE.resolve()
 
 
-WRONG = {
+WRONG_VALUES = {
     "a value in millimetres": (("digit_template", "finger", "link_length_m", 0), 30),
     "a value in millimetres for all links": (("default", "digit", "link_com_m"), 15),
     "an unknown key of a default": (("default", "tendon", "kneeN"), 200.0),
@@ -80,9 +82,9 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(("path", "value"), WRONG.values(), ids=WRONG.keys())
+@pytest.mark.parametrize(("path", "value"), WRONG_VALUES.values(), ids=WRONG_VALUES.keys())
 def test_json_schema_rejects_mistakes(path: tuple[Any, ...], value: Any) -> None:
-    assert not VALIDATOR.is_valid(with_value(path, value))
+    assert not SCHEMA_VALIDATOR.is_valid(with_value(path, value))
 
 
 def test_every_key_has_a_description() -> None:

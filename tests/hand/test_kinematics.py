@@ -25,7 +25,7 @@ from handctl.hand.kinematics import (
 from handctl.hand.link_bodies import rotation_of_rpy
 from handctl.hand.link_frames import link_transforms, quaternion_of_rotation
 from handctl.hand.load import load_hand
-from tests.hand.chains import random_hand
+from tests.hand.random_chains import random_hand
 
 
 def planar_tip(digit, q):
@@ -34,12 +34,12 @@ def planar_tip(digit, q):
     return x, y, float(np.sum(q))
 
 
-def angles(rng, digit, count=100):
+def random_angles(rng, digit, count=100):
     """Return random joint angles (count, joints) from below the lower to above the upper limits [rad]."""
     return rng.uniform(-2.5, 2.5, (count, digit.joint_count))
 
 
-def moved_hand() -> Hand:
+def hand_with_general_mounts() -> Hand:
     """Return a hand whose digits have general orientations, so that no rotation is the identity or a half turn."""
     content = load_hand("jamia").content
     tilts = ((25.0, -40.0, 70.0), (-160.0, 15.0, 5.0), (90.0, 0.0, 90.0), (10.0, 85.0, -120.0))
@@ -52,7 +52,7 @@ def moved_hand() -> Hand:
 
 @pytest.mark.parametrize(
     "hand",
-    [load_hand("jamia"), load_hand("jamia11"), moved_hand()],
+    [load_hand("jamia"), load_hand("jamia11"), hand_with_general_mounts()],
     ids=["jamia", "jamia11", "moved"],
 )
 def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
@@ -61,7 +61,7 @@ def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
     for digit in (DigitModel.of(hand, name) for name in hand.digit_names):
         columns = [model.joints[model.getJointId(joint)].idx_v for joint in digit.joint_names]
         tip = model.getFrameId(f"{digit.name}_tip")
-        for q in angles(rng, digit):
+        for q in random_angles(rng, digit):
             configuration = np.zeros(model.nq)
             configuration[columns] = q
             pinocchio.framesForwardKinematics(model, data, configuration)
@@ -91,7 +91,7 @@ def test_straight_fingers_point_out_of_the_palm_and_flex_towards_each_other(digi
 def test_jacobians_are_derivatives(digits, rng):
     h = 1e-6
     for digit in digits:
-        for q in angles(rng, digit, 30):
+        for q in random_angles(rng, digit, 30):
             steps = h * np.eye(digit.joint_count)
             slope = [
                 (joint_points(digit, q + s)[-1] - joint_points(digit, q - s)[-1]) / (2 * h)
@@ -113,7 +113,7 @@ def test_jacobians_are_derivatives(digits, rng):
 
 def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
     for digit in digits:
-        q = angles(rng, digit, 1)[0]
+        q = random_angles(rng, digit, 1)[0]
         pose = forward_kinematics(digit, q)
         assert np.allclose(pose.position, joint_points(digit, q)[-1])
         assert np.allclose(pose.rotation, digit.mount_rotation @ rotation_of_rpy(0.0, 0.0, q.sum()))
@@ -154,7 +154,7 @@ def test_quaternions_of_all_rotations(rng):
 
 def test_inverse_finds_the_angles_that_were_given(digits, rng):
     for digit in digits:
-        for q in angles(rng, digit):
+        for q in random_angles(rng, digit):
             x, y, angle = planar_tip(digit, q)
             solutions = inverse_kinematics(digit, x, y, angle)
             assert len(solutions) == 2

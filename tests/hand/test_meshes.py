@@ -31,10 +31,10 @@ from tests.hand.mesh_files import (
     assert_same_places,
     corners_by_link,
     corners_of_hand,
-    meshed,
-    obj,
-    plain,
-    triangles,
+    hand_with_meshes,
+    hand_without_meshes,
+    tetrahedron_obj,
+    tetrahedron_triangles,
     write_meshes,
 )
 from tools.meshes.__main__ import files
@@ -42,15 +42,19 @@ from tools.meshes.solids import stl
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def mesh_folder(tmp_path: Path) -> Path:
     write_meshes(tmp_path)
     return tmp_path
 
 
 def test_a_binary_stl_and_an_obj_have_the_same_triangles() -> None:
-    assert mesh_triangles(stl(triangles()), ".stl") == pytest.approx(triangles(), abs=1e-9)
-    assert mesh_triangles(obj(), ".OBJ") == pytest.approx(triangles())
-    assert mesh_triangles(obj(mixed=True), ".obj") == pytest.approx(triangles())
+    assert mesh_triangles(stl(tetrahedron_triangles()), ".stl") == pytest.approx(
+        tetrahedron_triangles(), abs=1e-9
+    )
+    assert mesh_triangles(tetrahedron_obj(), ".OBJ") == pytest.approx(tetrahedron_triangles())
+    assert mesh_triangles(tetrahedron_obj(mixed=True), ".obj") == pytest.approx(
+        tetrahedron_triangles()
+    )
 
 
 def test_a_face_of_more_corners_is_a_fan() -> None:
@@ -67,7 +71,7 @@ def test_pictures_have_the_same_triangles_as_mujoco() -> None:
         assert model.mesh_facenum[0] == len(mesh_triangles(content, ".stl"))
 
 
-MISTAKEN: dict[str, tuple[str, bytes, str]] = {
+INVALID_MESH_FILES: dict[str, tuple[str, bytes, str]] = {
     "text": (
         "a.stl",
         b"solid a\nfacet normal 0 0 1\n" * 9,
@@ -75,17 +79,17 @@ MISTAKEN: dict[str, tuple[str, bytes, str]] = {
     ),
     "short": (
         "a.stl",
-        stl(triangles())[:-1],
+        stl(tetrahedron_triangles())[:-1],
         "283 bytes for 4 triangles; expected a binary STL of 84 bytes and 50",
     ),
     "no header": ("a.stl", b"abc", "3 bytes; expected a binary STL"),
     "empty file": ("a.stl", b"", "0 bytes; expected a binary STL"),
     "no triangles": (
         "a.stl",
-        stl(triangles())[:80] + bytes(4),
+        stl(tetrahedron_triangles())[:80] + bytes(4),
         "no triangles; expected a mesh with at least one",
     ),
-    "not finite": ("a.stl", stl(triangles() * np.nan), "a corner that is not finite"),
+    "not finite": ("a.stl", stl(tetrahedron_triangles() * np.nan), "a corner that is not finite"),
     "no faces": ("a.obj", b"v 0 0 0\n", "no triangles"),
     "not an OBJ": (
         "a.obj",
@@ -97,25 +101,25 @@ MISTAKEN: dict[str, tuple[str, bytes, str]] = {
     "two coordinates": ("a.obj", b"v 0 0\n", "line 1 is 'v 0 0'"),
     "too many": (
         "a.stl",
-        stl(np.repeat(triangles(), 50_001, axis=0)),
+        stl(np.repeat(tetrahedron_triangles(), 50_001, axis=0)),
         "200004 triangles; expected at most 200000",
     ),
 }
 
 
-@pytest.mark.parametrize("kind", MISTAKEN)
+@pytest.mark.parametrize("kind", INVALID_MESH_FILES)
 def test_a_file_that_is_no_mesh_is_named_with_what_is_right(tmp_path: Path, kind: str) -> None:
-    file, content, text = MISTAKEN[kind]
+    file, content, text = INVALID_MESH_FILES[kind]
     (tmp_path / file).write_bytes(content)
-    hand = with_keys("t42", link_mesh=["", file])
+    hand = hand_with_mesh_keys("t42", link_mesh=["", file])
     (left, _) = mesh_mistakes(hand, tmp_path)
     assert text in f"{left.what}; expected {left.right}"
     assert left.where == "digit[left].link_mesh[1]"
 
 
-def with_keys(name: str, **keys: object):
+def hand_with_mesh_keys(name: str, **keys: object):
     """Return a packaged hand whose digits have given keys in place of their meshes."""
-    content = plain(name).content
+    content = hand_without_meshes(name).content
     content["digit"] = [digit | keys for digit in content["digit"]]
     return hand_from_content(content, name)
 
@@ -124,7 +128,7 @@ def test_a_missing_and_a_large_file_are_refused(tmp_path: Path) -> None:
     (tmp_path / "folder.stl").mkdir()
     with (tmp_path / "large.stl").open("wb") as large:
         large.truncate(17 << 20)
-    hand = with_keys("t42", link_mesh=["folder.stl", "large.stl"])
+    hand = hand_with_mesh_keys("t42", link_mesh=["folder.stl", "large.stl"])
     found = [*mesh_mistakes(hand, tmp_path), *mesh_mistakes(hand, tmp_path / "elsewhere")]
     assert [mistake.what for mistake in found] == 2 * [
         '"folder.stl": no such file',
@@ -160,8 +164,8 @@ def test_a_missing_and_a_large_file_are_refused(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_an_absurd_size_is_refused(folder: Path, keys: dict[str, object], text: str) -> None:
-    (left, right) = mesh_mistakes(with_keys("t42", **keys), folder)
+def test_an_absurd_size_is_refused(mesh_folder: Path, keys: dict[str, object], text: str) -> None:
+    (left, right) = mesh_mistakes(hand_with_mesh_keys("t42", **keys), mesh_folder)
     assert text in f"{left.what}; {left.right}"
     assert right.where == "digit[right].link_mesh[0]"
 
@@ -219,7 +223,7 @@ def test_an_absurd_size_is_refused(folder: Path, keys: dict[str, object], text: 
 )
 def test_keys_of_meshes_are_checked(keys: dict[str, object], text: str) -> None:
     with pytest.raises(ConfigError, match=re.escape(text)):
-        with_keys("t42", **keys)
+        hand_with_mesh_keys("t42", **keys)
 
 
 @pytest.mark.parametrize(
@@ -240,7 +244,7 @@ def test_keys_of_meshes_are_checked(keys: dict[str, object], text: str) -> None:
     ],
 )
 def test_keys_of_the_palm_are_checked(keys: dict[str, object], text: str) -> None:
-    content = plain("t42").content
+    content = hand_without_meshes("t42").content
     with pytest.raises(ConfigError, match=re.escape(text)):
         hand_from_content(content | {"mount": content["mount"] | keys}, "t42")
 
@@ -254,9 +258,9 @@ def test_one_scale_holds_for_all_links() -> None:
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_meshes_survive_the_log_and_leave_the_identity(name: str) -> None:
-    hand = meshed(name)
+    hand = hand_with_meshes(name)
     assert hand_from_content(parse_toml(hand.to_toml(), name), name) == hand
-    assert hand.identity == plain(name).identity == load_hand(name).identity
+    assert hand.identity == hand_without_meshes(name).identity == load_hand(name).identity
     links = {PALM_LINK} | {
         f"{digit.name}_link{i + 1}" for digit in hand.digit for i in range(len(digit.joints)) if i
     }
@@ -267,23 +271,25 @@ def test_packaged_meshes_are_those_of_their_script() -> None:
     for path, content in files():
         assert path.read_bytes() == content, f"{path.name}: run python -m tools.meshes"
     hand = load_hand("t42")
-    folder = Path(next(files())[0]).parents[1]
-    assert not list(mesh_mistakes(hand, folder))
+    mesh_folder = Path(next(files())[0]).parents[1]
+    assert not list(mesh_mistakes(hand, mesh_folder))
 
 
 def random_angles(hand, rng: np.random.Generator) -> np.ndarray:
     return rng.uniform(*hand.joint_limits)
 
 
-def exported_models(hand, folder: Path) -> dict[str, mujoco.MjModel]:
+def exported_models(hand, mesh_folder: Path) -> dict[str, mujoco.MjModel]:
     """Return MuJoCo models of a hand: those of its exports, and the one that the simulator draws."""
-    output = folder / "out"
+    output = mesh_folder / "out"
     output.mkdir()
-    meshes = exported_meshes(hand, folder, output)
+    meshes = exported_meshes(hand, mesh_folder, output)
     (output / "hand.xml").write_text(mjcf_text(hand, meshes))
     (output / "hand.urdf").write_text(urdf_text(hand, meshes))
-    (folder / "hand.toml").write_text(hand.to_toml())
-    drawn = model_text(simulated_hand(str(folder / "hand.toml")), load_scene(None), meshes=True)
+    (mesh_folder / "hand.toml").write_text(hand.to_toml())
+    drawn = model_text(
+        simulated_hand(str(mesh_folder / "hand.toml")), load_scene(None), meshes=True
+    )
     return {
         "mjcf": mujoco.MjModel.from_xml_path(str(output / "hand.xml")),
         "urdf": mujoco.MjModel.from_xml_path(str(output / "hand.urdf")),
@@ -293,31 +299,33 @@ def exported_models(hand, folder: Path) -> dict[str, mujoco.MjModel]:
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_exports_put_each_mesh_where_its_link_is(
-    folder: Path, name: str, rng: np.random.Generator
+    mesh_folder: Path, name: str, rng: np.random.Generator
 ) -> None:
-    hand = meshed(name)
-    models = exported_models(hand, folder)
+    hand = hand_with_meshes(name)
+    models = exported_models(hand, mesh_folder)
     for _ in range(3):
         q = random_angles(hand, rng)
-        expected = corners_of_hand(hand, folder, q)
+        expected = corners_of_hand(hand, mesh_folder, q)
         for model in models.values():
             assert_same_places(corners_by_link(model, q), expected)
 
 
 @pytest.mark.parametrize("name", packaged_hands())
 def test_meshes_have_no_effect_on_the_dynamics(
-    folder: Path, name: str, rng: np.random.Generator
+    mesh_folder: Path, name: str, rng: np.random.Generator
 ) -> None:
-    hand, bare = meshed(name), plain(name)
-    (folder / "bare.toml").write_text(bare.to_toml())
-    models = exported_models(hand, folder)
-    simulated = simulated_hand(str(folder / "bare.toml"))
+    hand, bare = hand_with_meshes(name), hand_without_meshes(name)
+    (mesh_folder / "bare.toml").write_text(bare.to_toml())
+    models = exported_models(hand, mesh_folder)
+    simulated = simulated_hand(str(mesh_folder / "bare.toml"))
     without = {
         "mjcf": mujoco.MjModel.from_xml_string(mjcf_text(bare)),
         "simulator": mujoco.MjModel.from_xml_string(model_text(simulated, load_scene(None))),
     }
     # The MuJoCo text that a run simulates is the same as without meshes.
-    meshed_plant = model_text(simulated_hand(str(folder / "hand.toml")), load_scene("cylinder"))
+    meshed_plant = model_text(
+        simulated_hand(str(mesh_folder / "hand.toml")), load_scene("cylinder")
+    )
     assert meshed_plant == model_text(simulated, load_scene("cylinder"))
     for kind, other in without.items():
         model = models[kind]
@@ -341,24 +349,24 @@ def test_meshes_have_no_effect_on_the_dynamics(
         assert np.array_equal(*ends)
 
 
-def test_other_libraries_read_the_urdf_with_its_meshes(folder: Path) -> None:
-    hand = meshed("orca_like")
-    exported_models(hand, folder)
-    path = str(folder / "out" / "hand.urdf")
+def test_other_libraries_read_the_urdf_with_its_meshes(mesh_folder: Path) -> None:
+    hand = hand_with_meshes("orca_like")
+    exported_models(hand, mesh_folder)
+    path = str(mesh_folder / "out" / "hand.urdf")
     model = pinocchio.buildModelFromUrdf(path)
     kind = pinocchio.GeometryType.VISUAL
-    visual = pinocchio.buildGeomFromUrdf(model, path, kind, package_dirs=[str(folder / "out")])
+    visual = pinocchio.buildGeomFromUrdf(model, path, kind, package_dirs=[str(mesh_folder / "out")])
     meshes = [file for shape in visual.geometryObjects if (file := Path(shape.meshPath)).suffix]
     assert len(meshes) == len(meshes_of_hand(hand))
     assert all(mesh.is_file() for mesh in meshes)
 
 
 def test_meshes_of_a_copied_file_are_found(
-    folder: Path, tmp_path_factory: pytest.TempPathFactory
+    mesh_folder: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     elsewhere = tmp_path_factory.mktemp("elsewhere")
-    hand = meshed("t42")
-    moved = hand_from_content(with_meshes_from(hand.content, folder), "t42")
+    hand = hand_with_meshes("t42")
+    moved = hand_from_content(with_meshes_from(hand.content, mesh_folder), "t42")
     assert list(mesh_mistakes(hand, elsewhere))
     assert not list(mesh_mistakes(moved, elsewhere))
     assert [mesh.link for mesh in meshes_of_hand(moved)] == [

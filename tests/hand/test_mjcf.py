@@ -10,7 +10,7 @@ from handctl.hand.kinematics import joint_points
 
 
 @pytest.fixture
-def model(hand):
+def mjcf_model(hand):
     return mujoco.MjModel.from_xml_string(mjcf_text(hand))
 
 
@@ -20,10 +20,10 @@ def random_angles(hand, rng):
     return rng.uniform(low, high)
 
 
-def test_names_and_limits_are_the_hand_s(hand, model):
-    assert [model.joint(i).name for i in range(model.njnt)] == list(hand.joints)
-    assert [model.tendon(i).name for i in range(model.ntendon)] == list(hand.tendon_names)
-    assert [model.actuator(i).name for i in range(model.nu)] == [
+def test_names_and_limits_are_the_hand_s(hand, mjcf_model):
+    assert [mjcf_model.joint(i).name for i in range(mjcf_model.njnt)] == list(hand.joints)
+    assert [mjcf_model.tendon(i).name for i in range(mjcf_model.ntendon)] == list(hand.tendon_names)
+    assert [mjcf_model.actuator(i).name for i in range(mjcf_model.nu)] == [
         tendon.motor for tendon in hand.tendon
     ]
     limits = [
@@ -31,16 +31,16 @@ def test_names_and_limits_are_the_hand_s(hand, model):
         for d in hand.digit
         for low, high in zip(d.joint_min_deg, d.joint_max_deg, strict=True)
     ]
-    assert np.degrees(model.jnt_range) == pytest.approx(np.array(limits))
+    assert np.degrees(mjcf_model.jnt_range) == pytest.approx(np.array(limits))
 
 
-def test_tips_masses_and_torques_are_the_model_s(hand, digits, model, rng):
-    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+def test_tips_masses_and_torques_are_the_model_s(hand, digits, mjcf_model, rng):
+    data, full = mujoco.MjData(mjcf_model), np.zeros((mjcf_model.nv, mjcf_model.nv))
     for _ in range(20):
         data.qpos[:] = q = random_angles(hand, rng)
         data.ctrl[:] = tension = rng.uniform(0.0, [tendon.tension_max_N for tendon in hand.tendon])
-        mujoco.mj_forward(model, data)
-        mujoco.mj_fullM(model, data, full)
+        mujoco.mj_forward(mjcf_model, data)
+        mujoco.mj_fullM(mjcf_model, data, full)
         for digit in digits:
             own = q[digit.joints]
             tip = joint_points(digit, own)[-1]
@@ -56,8 +56,8 @@ def test_tips_masses_and_torques_are_the_model_s(hand, digits, model, rng):
         assert data.qfrc_actuator == pytest.approx(hand.moment_arms.T @ tension, rel=1e-9)
 
 
-def test_the_springs_hold_the_free_hand_open(hand, model):
-    data = mujoco.MjData(model)
+def test_the_springs_hold_the_free_hand_open(hand, mjcf_model):
+    data = mujoco.MjData(mjcf_model)
     for _ in range(1000):
-        mujoco.mj_step(model, data)
+        mujoco.mj_step(mjcf_model, data)
     assert np.degrees(np.abs(data.qpos)).max() < 0.5

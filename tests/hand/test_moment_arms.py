@@ -17,18 +17,18 @@ from handctl.hand.moment_arms import polynomial_of_arm, table_residual
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
-from tests.hand.varied import with_varying_arms
+from tests.hand.varying_arms import with_varying_arms
 
-HANDS = packaged_hands()
-SEEDS = range(3)
+PACKAGED_HANDS = packaged_hands()
+ANGLE_SEEDS = range(3)
 
 
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("name", PACKAGED_HANDS)
 @pytest.mark.parametrize("kind", ["polynomial", "table"])
 def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -> None:
     hand = with_varying_arms(name, 0.3, kind)
     for digit in (DigitModel.of(hand, one) for one in hand.digit_names):
-        for seed in SEEDS:
+        for seed in ANGLE_SEEDS:
             # Some angles are outside the joint limits, where a moment arm is constant.
             q = np.random.default_rng(seed).uniform(digit.joint_min - 0.2, digit.joint_max + 0.2)
             step = 1e-6
@@ -43,7 +43,7 @@ def test_moment_arms_are_the_derivative_of_the_excursion(name: str, kind: str) -
             np.testing.assert_allclose(found, theta, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("name", PACKAGED_HANDS)
 def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
     constant = load_hand(name)
     hand = with_varying_arms(name, 0.0)
@@ -60,7 +60,7 @@ def test_a_polynomial_of_one_coefficient_is_a_constant_arm(name: str) -> None:
         )
 
 
-@pytest.mark.parametrize("name", HANDS)
+@pytest.mark.parametrize("name", PACKAGED_HANDS)
 @pytest.mark.parametrize("kind", ["polynomial", "table"])
 def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
     name: str, kind: str, tmp_path
@@ -73,7 +73,7 @@ def test_the_simulator_has_the_same_arms_from_its_own_polynomials(
     routing = TendonRouting(
         described.tendons, described.joints, motors, [0.005] * len(motors), compiled=False
     )
-    for seed in SEEDS:
+    for seed in ANGLE_SEEDS:
         q = np.random.default_rng(seed).uniform(
             hand.joint_limits[0] - 0.1, hand.joint_limits[1] + 0.1
         )
@@ -108,7 +108,7 @@ def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> Non
     )
 
 
-MISTAKES = {
+MOMENT_ARM_MISTAKES = {
     "sign": (
         {"polynomial_m": [0.001, -0.002]},
         "the arm changes its sign at 29 deg; expected one sign over",
@@ -156,9 +156,9 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("case", MISTAKES)
+@pytest.mark.parametrize("case", MOMENT_ARM_MISTAKES)
 def test_a_mistake_in_a_moment_arm_is_one_line(case: str) -> None:
-    arm, text = MISTAKES[case]
+    arm, text = MOMENT_ARM_MISTAKES[case]
     content = with_varying_arms("jamia", 0.0, "content")
     content["tendon"][0]["moment_arm_m"]["index_j1"] = arm
     with pytest.raises(ConfigError) as caught:

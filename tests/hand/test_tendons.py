@@ -16,19 +16,19 @@ from handctl.hand.tendons import (
     reflected_inertia,
 )
 
-LAWS = [
+TENDON_ELASTICITIES = [
     TendonElasticity.of(load_hand("jamia").tendon[0]),
     TendonElasticity(
         stiffness=1e5, stiffness_beyond=3e5, knee=200.0, knee_width=3e-4, damping=30.0
     ),
     TendonElasticity(stiffness=7e4, stiffness_beyond=7e2, knee=50.0, knee_width=1e-5, damping=0.0),
 ]
-law_of_each_kind = pytest.mark.parametrize(
-    "law", LAWS, ids=["softening", "hardening", "nearly plastic"]
+with_each_elasticity = pytest.mark.parametrize(
+    "law", TENDON_ELASTICITIES, ids=["softening", "hardening", "nearly plastic"]
 )
 
 
-@law_of_each_kind
+@with_each_elasticity
 def test_the_knee_is_smooth(law):
     at = law.knee / law.stiffness
     for h in (1e-9, 1e-10):
@@ -46,7 +46,7 @@ def test_the_knee_is_smooth(law):
     assert math.isclose(law.tangent_stiffness(1.0), law.stiffness_beyond, rel_tol=1e-9)
 
 
-@law_of_each_kind
+@with_each_elasticity
 def test_tension_is_the_integral_of_the_tangent_stiffness(law):
     knee = law.knee / law.stiffness
     for stretch in np.linspace(0.1, 3.0, 12) * knee:
@@ -60,7 +60,7 @@ def test_tension_is_the_integral_of_the_tangent_stiffness(law):
         assert math.isclose(law.elastic_tension(stretch), total, rel_tol=1e-8)
 
 
-@law_of_each_kind
+@with_each_elasticity
 def test_stretch_is_the_exact_inverse(law):
     for tension in np.concatenate(
         (np.geomspace(1e-9, 3000.0, 300), law.knee + np.geomspace(1e-12, 10.0, 50))
@@ -72,13 +72,13 @@ def test_stretch_is_the_exact_inverse(law):
             law.stretch(tension)
 
 
-@law_of_each_kind
+@with_each_elasticity
 def test_tension_rises_with_stretch(law):
     tensions = [law.elastic_tension(stretch) for stretch in np.linspace(0.0, 5e-3, 2000)]
     assert (np.diff(tensions) > 0.0).all()
 
 
-@law_of_each_kind
+@with_each_elasticity
 def test_a_slack_or_slackening_tendon_never_pushes(law, rng):
     for stretch, rate in zip(
         rng.normal(size=2000) * 2e-3, rng.normal(size=2000) * 5.0, strict=True
@@ -96,7 +96,7 @@ def test_a_slack_or_slackening_tendon_never_pushes(law, rng):
 
 
 def test_known_numbers_of_the_packaged_tendon():
-    law = LAWS[0]
+    law = TENDON_ELASTICITIES[0]
     assert math.isclose(law.stretch(110.0), 1.1e-3, rel_tol=1e-12)
     assert math.isclose(law.knee / law.stiffness, 2.0e-3, rel_tol=1e-12)
     one_beyond = 200.0 + 0.4e5 * 1e-3 + 0.6e5 * 3e-4 * (1 - math.exp(-1e-3 / 3e-4))

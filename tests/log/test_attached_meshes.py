@@ -15,7 +15,7 @@ from handctl.log.attached_meshes import MAX_BYTES, attached_meshes, mesh_attachm
 from handctl.log.read.log_hand import described_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.recover import recover_log
-from tests.hand.mesh_files import meshed, triangles, write_meshes
+from tests.hand.mesh_files import hand_with_meshes, tetrahedron_triangles, write_meshes
 
 
 def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
@@ -43,7 +43,7 @@ def test_a_log_has_the_meshes_of_its_hand(tmp_path: Path) -> None:
 
 def test_a_mesh_of_several_links_is_there_once_and_placed_on_each(tmp_path: Path) -> None:
     write_meshes(tmp_path)
-    hand = meshed("jamia")
+    hand = hand_with_meshes("jamia")
     attachments, left_out = mesh_attachments(hand, tmp_path)
     assert not left_out
     assert set(attachments) == {"mesh/m.stl", "mesh/sub/mm.stl", "mesh/sub/mm.obj"}
@@ -51,7 +51,7 @@ def test_a_mesh_of_several_links_is_there_once_and_placed_on_each(tmp_path: Path
     assert not missing
     assert found.keys() == {mesh.link for mesh in meshes_of_hand(hand)}
     for mesh in meshes_of_hand(hand):
-        expected = triangles() / max(
+        expected = tetrahedron_triangles() / max(
             abs(factor) for factor in (mesh.scale if mesh.file == "m.stl" else (1e-3,))
         )
         assert found[mesh.link].triangles == pytest.approx(mesh.place(expected), abs=1e-9)
@@ -61,7 +61,7 @@ def test_meshes_beyond_the_bound_are_left_out_with_a_line(tmp_path: Path) -> Non
     write_meshes(tmp_path)
     with (tmp_path / "m.stl").open("r+b") as large:
         large.truncate(MAX_BYTES)
-    attachments, left_out = mesh_attachments(meshed("t42"), tmp_path)
+    attachments, left_out = mesh_attachments(hand_with_meshes("t42"), tmp_path)
     assert not attachments
     assert left_out == [
         "the meshes have 4.2 MB, more than 4.2 MB, and are not stored in the log: its views show capsules"
@@ -71,18 +71,18 @@ def test_meshes_beyond_the_bound_are_left_out_with_a_line(tmp_path: Path) -> Non
 def test_a_mesh_that_is_wrong_is_left_out_with_a_line(tmp_path: Path) -> None:
     write_meshes(tmp_path)
     (tmp_path / "sub" / "mm.obj").unlink()
-    attachments, left_out = mesh_attachments(meshed("t42"), tmp_path)
+    attachments, left_out = mesh_attachments(hand_with_meshes("t42"), tmp_path)
     assert left_out == [
         'digit[left].link_mesh[1]: "sub/mm.obj": no such file; expected a file, relative to the hand file'
     ]
-    found, missing = attached_meshes(meshed("t42"), attachments)
+    found, missing = attached_meshes(hand_with_meshes("t42"), attachments)
     assert missing == ["left_link2"]
     assert found.keys() == {"palm", "right_link2"}
 
 
 def test_a_damaged_mesh_in_a_log_is_missing(tmp_path: Path) -> None:
     write_meshes(tmp_path)
-    hand = meshed("t42")
+    hand = hand_with_meshes("t42")
     attachments, _ = mesh_attachments(hand, tmp_path)
     assert attached_meshes(hand, {})[1] == ["palm", "left_link2", "right_link2"]
     damaged = attachments | {"mesh/sub/mm.stl": attachments["mesh/sub/mm.stl"][:-7]}

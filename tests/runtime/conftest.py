@@ -29,9 +29,9 @@ def processes():
 
 
 @pytest.fixture
-def scale(request, slower):
+def scale(request, repeat_time_scale):
     """Return the command-line options for the time scale. A test module may set its own ``SCALE``."""
-    return scaled(getattr(request.module, "SCALE", SCALE) * slower)
+    return scaled(getattr(request.module, "SCALE", SCALE) * repeat_time_scale)
 
 
 @pytest.fixture

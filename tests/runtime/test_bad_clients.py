@@ -1,6 +1,6 @@
 """Test clients that misbehave, in real time and judged by the truth of the simulator.
 
-tests/controller/test_stream.py has such tests in lockstep.
+tests/controller/test_target_streams.py has such tests in lockstep.
 """
 
 import os
@@ -33,8 +33,8 @@ def homed(place) -> Homed:
 
 
 @pytest.mark.realtime
-def test_invalid_clients_do_not_disturb_a_run(homed, slower):
-    rows = measure_clients(SAMPLE, BUS, SCALE * slower, homed)
+def test_invalid_clients_do_not_disturb_a_run(homed, repeat_time_scale):
+    rows = measure_clients(SAMPLE, BUS, SCALE * repeat_time_scale, homed)
     hand = load_hand("jamia")
     assert list(rows) == SAMPLE
     for name, row in rows.items():

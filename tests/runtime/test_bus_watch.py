@@ -14,9 +14,9 @@ from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.load import load_hand
 from handctl.runtime.diagnostics.watch import BusWatch, SensorReading, is_saturated
 from handctl.runtime.mailbox import Mailbox
-from tests.drives.bench_process import drives
-from tests.drives.protocol_bench import hand_file, on_two_buses
-from tests.drives.test_cia404 import with_amplifiers
+from tests.drives.bench_process import run_simulated_drives
+from tests.drives.protocol_bench import hand_file, move_to_second_bus
+from tests.drives.test_cia404 import hand_with_amplifiers
 
 PERIOD_NS = 10_000_000
 TURNED_RAD = -0.5
@@ -97,7 +97,7 @@ def test_every_protocol_is_read_without_torque(protocol, tmp_path):
 
 
 def test_two_buses_and_joint_encoders_are_read(tmp_path):
-    _, watch = watched(on_two_buses(hand_file(tmp_path, ["mit"])))
+    _, watch = watched(move_to_second_bus(hand_file(tmp_path, ["mit"])))
     for _ in range(120):
         watch.tick()
     assert watch.silent() == []
@@ -111,7 +111,7 @@ def test_two_buses_and_joint_encoders_are_read(tmp_path):
 @pytest.mark.parametrize("value", ["int32", "real32"])
 def test_amplifiers_are_set_up_and_read(value, tmp_path):
     path = tmp_path / "hand.toml"
-    path.write_text(with_amplifiers(process_value=value).to_toml())
+    path.write_text(hand_with_amplifiers(process_value=value).to_toml())
     place, watch = watched(path)
     for _ in range(120):
         watch.tick()
@@ -165,7 +165,7 @@ def test_a_load_cell_at_an_end_of_its_range_is_marked():
 
 
 def test_lines_of_json_are_printed_and_silent_motors_named(capsys):
-    with drives("local:d", "mit", "--ids", "1,2"):
+    with run_simulated_drives("local:d", "mit", "--ids", "1,2"):
         assert main(["bus", "watch", "--bus", "local:d", "--for", "2", "--json"]) == 1
     out, err = capsys.readouterr()
     lines = [json.loads(line) for line in out.splitlines()]
@@ -179,7 +179,7 @@ def test_lines_of_json_are_printed_and_silent_motors_named(capsys):
 
 
 def test_a_table_is_printed_into_a_pipe(capsys):
-    with drives("local:d", "mit", "--ids", "1,2,3,4"):
+    with run_simulated_drives("local:d", "mit", "--ids", "1,2,3,4"):
         assert main(["bus", "watch", "--bus", "local:d", "--for", "2"]) == 0
     assert "angle [deg]" in capsys.readouterr().out
 

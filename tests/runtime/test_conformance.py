@@ -17,7 +17,7 @@ from handctl.runtime.diagnostics.conformance import (
     run_checks,
 )
 from handctl.runtime.diagnostics.drive_rig import DriveRig
-from tests.drives.virtual_bench import VirtualBench, rig_on
+from tests.drives.virtual_bench import VirtualBench, drive_rig_on
 
 LIMIT = 0.1
 
@@ -26,7 +26,7 @@ def check_results(
     protocol, fault="", options=None, inertia=None, delay=0
 ) -> tuple[dict[str, ConformanceCheck], VirtualBench, DriveRig]:
     place = VirtualBench(protocol, fault, inertia, delay)
-    rig = rig_on(place, protocol, LIMIT, options)
+    rig = drive_rig_on(place, protocol, LIMIT, options)
     return (
         {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))},
         place,
@@ -46,7 +46,7 @@ def failed(found):
 def test_a_good_drive_passes_every_conformance_check(protocol):
     failures, place, rig = check_results(protocol)
     assert [check for check in failures.values() if check.verdict is not CheckVerdict.PASSED] == []
-    assert 0.0 < place.top <= LIMIT * 1.001
+    assert 0.0 < place.largest_torque <= LIMIT * 1.001
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
 
@@ -58,12 +58,12 @@ def test_a_good_drive_passes_three_times_running(protocol):
     """
     place = VirtualBench(protocol)
     for _ in range(3):
-        rig = rig_on(place, protocol, LIMIT)
+        rig = drive_rig_on(place, protocol, LIMIT)
         found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))}
         assert failed(found) == []
         assert release_drive(rig, 0.05)
         place.pass_time(2.0)
-        late = rig_on(place, protocol, LIMIT)
+        late = drive_rig_on(place, protocol, LIMIT)
         late.tick(DriveTarget.LISTEN)
         late.keep(DriveTarget.POLL, 0.3)
         assert late.state.error_text == "", "nothing is latched after a silence of two seconds"
@@ -95,7 +95,7 @@ def test_a_broken_drive_fails_its_check(protocol, fault):
         pytest.skip("its simulated drive cannot follow a torque command while disabled")
     failures, place, _ = check_results(protocol, fault)
     assert FAILED_CHECK[fault] in failed(failures)
-    assert place.top <= LIMIT * 1.001
+    assert place.largest_torque <= LIMIT * 1.001
 
 
 @pytest.mark.parametrize("fault", ["deaf", "eager", "mute", "sign", "twin"])
@@ -109,13 +109,13 @@ def test_a_broken_motor_without_guards_fails_its_check(protocol, fault):
     broken, place, _ = check_results(protocol, fault)
     assert FAILED_CHECK[fault] not in failed(good)
     assert FAILED_CHECK[fault] in failed(broken)
-    assert place.top <= LIMIT * 1.05
+    assert place.largest_torque <= LIMIT * 1.05
 
 
 @pytest.mark.parametrize("fault", ["", "deaf", "twin"])
 def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
     place = VirtualBench("odrive", fault, firmware="0.5", usb_watchdog_s=0.1)
-    rig = rig_on(place, "odrive", LIMIT, {"firmware": "0.5"})
+    rig = drive_rig_on(place, "odrive", LIMIT, {"firmware": "0.5"})
     found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.1))}
     assert failed(found)[:1] == ([FAILED_CHECK[fault]] if fault else [])
     assert not any("nan" in check.reason for check in found.values())
@@ -124,7 +124,7 @@ def test_an_odrive_of_firmware_05_is_judged_without_torque_reports(fault):
 def test_a_second_drive_never_turns(protocol):
     """The checks enable no drive after a second drive has replied."""
     _, place, _ = check_results(protocol, "twin")
-    assert place.top == 0.0
+    assert place.largest_torque == 0.0
 
 
 def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
@@ -154,7 +154,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
     node = place.bench.nodes[0]
     node.registers.write(10, (3).to_bytes(4, "little"))
     node._update_derived()
-    rig = rig_on(place, "mit", LIMIT)
+    rig = drive_rig_on(place, "mit", LIMIT)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     assert node.mode == 1
 
@@ -163,7 +163,7 @@ def test_a_motor_in_velocity_mode_is_set_to_mit_mode():
 def test_an_error_is_cleared_whether_the_clear_command_is_answered_or_not(answers):
     """Regression: a host that waited for a reply to the clear command never found the motor ready."""
     place = VirtualBench("mit", clear_answers=answers)
-    rig = rig_on(place, "mit", LIMIT)
+    rig = drive_rig_on(place, "mit", LIMIT)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     place.bench.faults.inject("error node=33")
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "FAULT", 1.0)
@@ -180,7 +180,7 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
     Regression: a motor whose watchdog fires while it is disabled was in fault before arming.
     """
     place = VirtualBench("mit", watchdog=watchdog)
-    rig = rig_on(place, "mit", LIMIT)
+    rig = drive_rig_on(place, "mit", LIMIT)
     assert rig.until(DriveTarget.POLL, lambda state: state.phase.name == "READY", 2.0)
     seen = set()
 
@@ -204,7 +204,7 @@ def test_a_disabled_motor_is_ready_whenever_its_watchdog_fires(watchdog):
 def test_a_motor_whose_watchdog_also_fires_while_disabled_passes_three_times():
     place = VirtualBench("mit", watchdog="always")
     for _ in range(3):
-        rig = rig_on(place, "mit", LIMIT)
+        rig = drive_rig_on(place, "mit", LIMIT)
         rig.clear()
         found = {check.name: check for check in run_checks(DeviceUnderTest(rig, LIMIT, 0.05))}
         assert failed(found) == [], {name: check.reason for name, check in found.items()}

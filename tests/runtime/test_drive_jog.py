@@ -14,7 +14,7 @@ from handctl.runtime.diagnostics.conformance import release_drive
 from handctl.runtime.diagnostics.drive_jog import JogGoal, distance_at, jog_drive
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import motor_on_bench
-from tests.drives.virtual_bench import NODE, OPTIONS, VirtualBench
+from tests.drives.virtual_bench import DRIVE_NODE_ID, OPTIONS_BY_PROTOCOL, VirtualBench
 
 LIMIT = 0.2
 LIMITS = MotionLimits(3.0, 10.0)
@@ -28,7 +28,12 @@ MODES.append(("mit", DriveMode.FORCE_POSITION))
 def bench_of(protocol, mode, fault="", direction=1, zero=0.0, limits=LIMITS):
     place = VirtualBench(protocol, fault)
     motor = motor_on_bench(
-        protocol, NODE, LIMIT, OPTIONS[protocol], direction=direction, zero_rad=zero
+        protocol,
+        DRIVE_NODE_ID,
+        LIMIT,
+        OPTIONS_BY_PROTOCOL[protocol],
+        direction=direction,
+        zero_rad=zero,
     )
     return (
         place,
@@ -68,7 +73,7 @@ def test_every_protocol_has_the_torque_mode(protocol):
     )
     assert result.failure == ""
     assert result.moved_rad > 0.01
-    assert place.top <= 0.06
+    assert place.largest_torque <= 0.06
     assert release_drive(rig, 0.05, torque_drive)
 
 
@@ -161,7 +166,7 @@ def test_a_target_beyond_the_range_is_refused_before_it_is_enabled():
 def test_a_drive_that_loses_its_largest_speed_is_a_fault():
     place, rig, _ = bench_of("mit", DriveMode.VELOCITY)
     assert jog_drive(rig, goal_of(DriveMode.VELOCITY, 1.0, 0.5)).failure == ""
-    place.bench.receive(SimFrame(0x7FF, struct.pack("<HBBf", NODE, 0x55, 6, 25.0)))
+    place.bench.receive(SimFrame(0x7FF, struct.pack("<HBBf", DRIVE_NODE_ID, 0x55, 6, 25.0)))
     rig.keep(DriveTarget.ENABLE, 2.5)
     assert "MAX_SPD" in rig.state.error_text
 

@@ -21,11 +21,11 @@ def all_batches(times, seed, scale):
 
 
 @pytest.mark.timeout(300 + 15 * TIMES)
-def test_drives_remove_torque_and_logs_end_with_the_last_tick(slower):
+def test_drives_remove_torque_and_logs_end_with_the_last_tick(repeat_time_scale):
     # A forked controller locks its memory. It is therefore forked from a small process and not from
     # this one, which has all tests.
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        runs = pool.apply(all_batches, (TIMES, 20261121, SCALE * slower))
+        runs = pool.apply(all_batches, (TIMES, 20261121, SCALE * repeat_time_scale))
     assert [run for run in runs if not run.safe] == [], "torque is left after the drives' watchdog"
     assert [run for run in runs if not run.complete] == [], (
         "a log lacks the last ticks that were on the bus"

@@ -26,7 +26,7 @@ from handctl.runtime.mailbox import (
     is_running,
 )
 from handctl.runtime.paths import local_bus_path, mailbox_path, run_dir, truth_path
-from tests.drives.protocol_bench import hand_file, on_two_buses
+from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 
 @pytest.fixture(autouse=True)
@@ -110,7 +110,7 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    hand = on_two_buses(hand_file(tmp_path, ["mit"]))
+    hand = move_to_second_bus(hand_file(tmp_path, ["mit"]))
     box = Mailbox("local:y")
     words = ["--hand", str(hand), "--bus", "main=local:x", "--bus", "second=local:y"]
     assert main(["commission", *words, "--json"]) == 1

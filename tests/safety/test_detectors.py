@@ -16,19 +16,25 @@ from handctl.safety.faults.markdown import (
     late_rows,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
-from tests.safety.cases import error, merge_inputs, rested_monitor, tensions, without_torque
+from tests.safety.fault_cases import (
+    drive_error,
+    measured_tensions,
+    merge_inputs,
+    rested_monitor,
+    without_torque,
+)
 
 
 def test_causes_of_a_drive_s_error() -> None:
     assert len(ROW_OF_CAUSE) == len(DriveFaultCause)
     assert PHASE_FAULT == DrivePhase.FAULT
-    shown = merge_inputs(
-        error(0, DriveFaultCause.OTHER, 9),
-        error(1, DriveFaultCause.HOT, 11),
-        error(2, DriveFaultCause.LOST, 12),
+    tick_input = merge_inputs(
+        drive_error(0, DriveFaultCause.OTHER, 9),
+        drive_error(1, DriveFaultCause.HOT, 11),
+        drive_error(2, DriveFaultCause.LOST, 12),
     )
-    assert rested_monitor().tick(shown.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
-    assert "N11" not in rested_monitor().tick(without_torque(shown).rows)
+    assert rested_monitor().tick(tick_input.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
+    assert "N11" not in rested_monitor().tick(without_torque(tick_input).rows)
     rows = {
         cause: DETECTOR_ROWS[row][0].id
         for cause, row in zip(DriveFaultCause, ROW_OF_CAUSE, strict=True)
@@ -42,22 +48,22 @@ def test_causes_of_a_drive_s_error() -> None:
 
 def test_a_tension_above_its_limit_is_detected() -> None:
     nan = float("nan")
-    assert rested_monitor().tick(tensions(t0=140.0, t1=50.5).rows)["T03"] == {"t1": 50.5}
-    assert "T03" not in rested_monitor().tick(tensions(t0=140.0, t1=50.0).rows)
-    assert rested_monitor().tick(tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {
+    assert rested_monitor().tick(measured_tensions(t0=140.0, t1=50.5).rows)["T03"] == {"t1": 50.5}
+    assert "T03" not in rested_monitor().tick(measured_tensions(t0=140.0, t1=50.0).rows)
+    assert rested_monitor().tick(measured_tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {
         "t0": 150.0,
         "t2": 140.5,
     }
 
 
-ONE = Fault(
+EXAMPLE_FAULT = Fault(
     "X01b", "a title", "a sign", Action.HOLD, "by itself", "Why.", "Do.", debounce=3, reports=("x",)
 )
 
 
 def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
-    assert (ONE.row, ONE.latched) == ("X01", False)
-    assert fault_table_markdown((ONE,)).splitlines() == [
+    assert (EXAMPLE_FAULT.row, EXAMPLE_FAULT.latched) == ("X01", False)
+    assert fault_table_markdown((EXAMPLE_FAULT,)).splitlines() == [
         "| id | fault | what happens | action | cleared |", "|---|---|---|---|---|",
         "| X01b | a title | a sign | HOLD | by itself |",
     ]  # fmt: skip

@@ -12,12 +12,12 @@ from handctl.core.detectors import losses, stuck
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import TickEvent
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
-from tests.safety.monitor import (
+from tests.safety.synthetic_monitor import (
     NOW_NS,
     PERIOD_NS,
-    SPOOL_M,
-    Monitor,
-    Rows,
+    SPOOL_RADIUS_M,
+    StateRows,
+    SyntheticMonitor,
     call_interpreted,
     synthetic_limits,
 )
@@ -25,23 +25,23 @@ from tests.safety.monitor import (
 NAN = np.nan
 
 
-def bits(text: str) -> int:
+def loss_bits(text: str) -> int:
     """Return the bits of a text of 0 and 1. The last character is the newest tick."""
     return int(text, 2)
 
 
-def words(window: int) -> tuple[int, int]:
+def window_words(window: int) -> tuple[int, int]:
     """Return the two words that store a window of losses: the newer and the older half of its bits."""
     return window & losses.WORD_MASK, window >> losses.BITS_PER_WORD
 
 
-class Window(Monitor):
+class LossWindows(SyntheticMonitor):
     """A motor and its load cell. For each there is a window with one bit for each tick, set if a frame was lost."""
 
     def __init__(self, motor: int = 0, cells: int = 0, **constants: Any) -> None:
         super().__init__(synthetic_limits(1), **constants)
-        pairs = (words(motor), words(cells))
-        self.set(
+        pairs = (window_words(motor), window_words(cells))
+        self.set_rows(
             {
                 "lost": {
                     (half, node): pair[half] for node, pair in enumerate(pairs) for half in (0, 1)
@@ -49,16 +49,18 @@ class Window(Monitor):
             }
         )
 
-    def count(self, motor: bool = False, cells: bool = False, **rows: Any) -> tuple[int, int]:
+    def run_tick_without_replies(
+        self, motor: bool = False, cells: bool = False, **rows: Any
+    ) -> tuple[int, int]:
         """Run one tick in which the given nodes have not replied, and return their windows of losses."""
         self.tick(
             {"feedback_ns": NOW_NS - motor * PERIOD_NS, "group_ns": NOW_NS - cells * PERIOD_NS},
             **rows,
         )
-        return self.windows
+        return self.loss_windows
 
     @property
-    def windows(self) -> tuple[int, int]:
+    def loss_windows(self) -> tuple[int, int]:
         """Return the losses of motor and load cells, one bit per tick."""
         lost = self.view("lost")
         return tuple(
@@ -82,11 +84,11 @@ HALF_WINDOW = LOSS_WINDOW_TICKS // 2
     ((1 << (HALF_WINDOW - 1), 1 << HALF_WINDOW), (False, True), (1 << HALF_WINDOW, 1 << HALF_WINDOW + 1 | 1)),
 ])  # fmt: skip
 def test_window_shifts_by_one_bit_per_tick(before, now, after):
-    assert Window(*before).count(*now) == after
+    assert LossWindows(*before).run_tick_without_replies(*now) == after
 
 
 def test_lost_replies_are_counted_per_window():
-    window = Window(0b1011, (1 << LOSS_WINDOW_TICKS) - 1)
+    window = LossWindows(0b1011, (1 << LOSS_WINDOW_TICKS) - 1)
     assert [
         call_interpreted(losses.count_lost_replies, window.state_tables, node) for node in (0, 1)
     ] == [
@@ -100,9 +102,11 @@ def test_lost_replies_are_counted_per_window():
         ((1 << 62) - 1, 62),
     ):
         assert call_interpreted(losses.count_set_bits, number) == ones
-    window.set({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
+    window.set_rows({"misshapen": 1 << (MALFORMED_WINDOW_TICKS - 1) | 0b1})
     window.tick({"misread_now": 1})
-    assert window.get("misshapen") == [0b11, 0b11], "so many of the last ticks, and no longer"
+    assert window.field_values("misshapen") == [0b11, 0b11], (
+        "so many of the last ticks, and no longer"
+    )
 
 
 @pytest.mark.parametrize(("pattern", "half"), [
@@ -114,21 +118,24 @@ def test_lost_replies_are_counted_per_window():
 ])  # fmt: skip
 def test_missing_every_second_tick_is_detected(pattern, half):
     assert (
-        call_interpreted(losses.misses_every_second, Window(bits(pattern)).state_tables, 0) is half
+        call_interpreted(
+            losses.misses_every_second, LossWindows(loss_bits(pattern)).state_tables, 0
+        )
+        is half
     )
 
 
 def test_the_count_of_unknown_frames_decays_in_a_second():
-    def after(unknown: float, strange: int = 0, rate: float = 100.0) -> float:
-        window = Window(period=1.0 / rate)
-        window.count(strange=strange, unknown=unknown)
+    def unknown_count_after(unknown: float, strange: int = 0, rate: float = 100.0) -> float:
+        window = LossWindows(period=1.0 / rate)
+        window.run_tick_without_replies(strange=strange, unknown=unknown)
         return float(window.view("unknown").item())
 
-    assert after(0.0, 3) == 3.0
-    assert after(3.0, 2) == pytest.approx(3.0 * 0.99 + 2.0)
-    assert after(1.02e-3) > 0.0
-    assert after(1.01e-3) == 0.0
-    assert after(2e-3, rate=2.0) == 0.0, "a thousandth is forgotten"
+    assert unknown_count_after(0.0, 3) == 3.0
+    assert unknown_count_after(3.0, 2) == pytest.approx(3.0 * 0.99 + 2.0)
+    assert unknown_count_after(1.02e-3) > 0.0
+    assert unknown_count_after(1.01e-3) == 0.0
+    assert unknown_count_after(2e-3, rate=2.0) == 0.0, "a thousandth is forgotten"
 
 
 def refusal_counter(rate: float) -> Any:
@@ -136,12 +143,12 @@ def refusal_counter(rate: float) -> Any:
 
     It returns the ticks of all refusals that still count.
     """
-    window = Window()
+    window = LossWindows()
     state = State(window.layout, window.block, Decisions((), None))  # type: ignore[arg-type]
     controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / rate))
 
-    def step(refused: int, k: int) -> tuple[int, ...]:
-        window.set({"k": k})
+    def count_refusals(refused: int, k: int) -> tuple[int, ...]:
+        window.set_rows({"k": k})
         Controller._count_refusals(
             controller, state, (TickEvent("warn", "request", "", ""),) * refused
         )
@@ -149,27 +156,27 @@ def refusal_counter(rate: float) -> Any:
         assert int(window.view("refused").item()) == len(lately)
         return lately
 
-    return step
+    return count_refusals
 
 
 def test_refused_goals_are_those_of_the_last_second():
-    step = refusal_counter(100.0)
-    assert step(2, 10) == (10, 10)
-    assert step(1, 109) == (10, 10, 109)
-    assert step(0, 110) == (109,)
-    assert step(0, 209) == ()
+    count_refusals = refusal_counter(100.0)
+    assert count_refusals(2, 10) == (10, 10)
+    assert count_refusals(1, 109) == (10, 10, 109)
+    assert count_refusals(0, 110) == (109,)
+    assert count_refusals(0, 209) == ()
 
 
 def test_lost_and_malformed_replies_are_counted_separately():
-    window = Window()
-    window.set({"misread_now": {1: 1}})
-    assert window.count(motor=True) == (1, 0)
-    assert window.get("misshapen") == [0, 1]
-    assert window.count(misread_now=0) == (2, 0)
-    assert window.get("misshapen") == [0, 2]
+    window = LossWindows()
+    window.set_rows({"misread_now": {1: 1}})
+    assert window.run_tick_without_replies(motor=True) == (1, 0)
+    assert window.field_values("misshapen") == [0, 1]
+    assert window.run_tick_without_replies(misread_now=0) == (2, 0)
+    assert window.field_values("misshapen") == [0, 2]
 
 
-class Positions(Monitor):
+class ScreenedPositions(SyntheticMonitor):
     """Motors whose reported positions are screened.
 
     Each has the largest step that is permitted in a period [rad].
@@ -177,22 +184,22 @@ class Positions(Monitor):
 
     def __init__(self, limits: list[float], **before: list[float]) -> None:
         super().__init__(synthetic_limits(len(limits)), step_limit=limits)
-        self.set(before)
+        self.set_rows(before)
 
-    def screen(self, value: list[float], missed: int = 0) -> list[float]:
+    def screen_positions(self, value: list[float], missed: int = 0) -> list[float]:
         """Screen one position per motor, NaN where it is missing, and return the size of the jump of each."""
         given = np.array(value)
-        self.observe({"answered": ~np.isnan(given), "position": given, "missed": missed})
-        return self.get("jump")
+        self.observe_readings({"answered": ~np.isnan(given), "position": given, "missed": missed})
+        return self.field_values("jump")
 
 
 def test_the_first_position_is_accepted_wherever_it_is():
-    positions = Positions([0.1] * 3)
-    assert positions.screen([5.0, -1e9, NAN]) == [0.0] * 3
-    accepted = positions.get("accepted")
+    positions = ScreenedPositions([0.1] * 3)
+    assert positions.screen_positions([5.0, -1e9, NAN]) == [0.0] * 3
+    accepted = positions.field_values("accepted")
     assert accepted[:2] == [5.0, -1e9]
     assert np.isnan(accepted[2])
-    assert positions.get("accepted_gap") == [0.0, 0.0, 1.0]
+    assert positions.field_values("accepted_gap") == [0.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize(("value", "gap", "wrong"), [
@@ -201,30 +208,36 @@ def test_the_first_position_is_accepted_wherever_it_is():
     (1.5, 3, 0.0), (1.51, 3, 0.51),
 ])  # fmt: skip
 def test_an_impossible_step_is_rejected_and_the_allowed_step_grows(value, gap, wrong):
-    positions = Positions([0.125], accepted=[1.0], accepted_gap=[float(gap)])
-    assert positions.screen([value])[0] == pytest.approx(wrong)
-    assert positions.get("accepted") == [1.0 if wrong else value]
-    assert positions.get("accepted_gap") == [gap + 1 if wrong else 0]
+    positions = ScreenedPositions([0.125], accepted=[1.0], accepted_gap=[float(gap)])
+    assert positions.screen_positions([value])[0] == pytest.approx(wrong)
+    assert positions.field_values("accepted") == [1.0 if wrong else value]
+    assert positions.field_values("accepted_gap") == [gap + 1 if wrong else 0]
     assert np.isnan(positions.view("measured_position")[0]) == bool(wrong), "nothing else sees it"
 
 
 def test_a_missing_position_is_no_jump():
-    positions = Positions([0.1], accepted=[1.0], accepted_gap=[2.0])
-    assert positions.screen([NAN]) == [0.0]
-    assert (positions.get("accepted"), positions.get("accepted_gap")) == ([1.0], [3.0])
+    positions = ScreenedPositions([0.1], accepted=[1.0], accepted_gap=[2.0])
+    assert positions.screen_positions([NAN]) == [0.0]
+    assert (positions.field_values("accepted"), positions.field_values("accepted_gap")) == (
+        [1.0],
+        [3.0],
+    )
 
 
 def test_tick_without_measurements_changes_nothing():
-    positions = Positions(
+    positions = ScreenedPositions(
         [0.1] * 2, accepted=[1.0, 2.0], accepted_gap=[0.0, 3.0], dropped=[0.0, 2.0]
     )
-    positions.screen([NAN, NAN])
-    assert (positions.get("accepted"), positions.get("accepted_gap")) == ([1.0, 2.0], [1.0, 4.0])
-    assert positions.get("dropped") == [0.0, 2.0]
+    positions.screen_positions([NAN, NAN])
+    assert (positions.field_values("accepted"), positions.field_values("accepted_gap")) == (
+        [1.0, 2.0],
+        [1.0, 4.0],
+    )
+    assert positions.field_values("dropped") == [0.0, 2.0]
 
 
 def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
-    positions, dropped = Positions([0.125] * 2, accepted=[0.0, 0.0]), []
+    positions, dropped = ScreenedPositions([0.125] * 2, accepted=[0.0, 0.0]), []
     for both in [
         (1.0, 0.0),
         (NAN, 0.0),
@@ -234,8 +247,8 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
         (1.5, 2.0),
         (0.1, 0.0),
     ]:
-        positions.screen(list(both))
-        dropped.append(positions.get("dropped"))
+        positions.screen_positions(list(both))
+        dropped.append(positions.field_values("dropped"))
     assert [int(a) for a, _ in dropped] == [1, 1, 2, 2, 0, 1, 0]
     assert [int(b) for _, b in dropped] == [0, 0, 0, 0, 0, 1, 0]
 
@@ -251,28 +264,28 @@ def test_consecutive_rejected_readings_are_counted_and_missing_ones_are_not():
 def test_allowed_step_grows_over_skipped_ticks(missed, steps, allowed_steps):
     """The other motor is once at a known position, and once it has never been read."""
     for other in (0.0, NAN):
-        positions, at, seen = Positions([1.0] * 2, accepted=[0.0, other]), 0.0, []
+        positions, at, seen = ScreenedPositions([1.0] * 2, accepted=[0.0, other]), 0.0, []
         for k, step in enumerate(steps):
             at += step
-            seen.append(int(positions.screen([at, other], 0 if k else missed)[0] > 0.0))
+            seen.append(int(positions.screen_positions([at, other], 0 if k else missed)[0] > 0.0))
         assert tuple(seen) == allowed_steps, other
 
 
 def test_a_missing_reading_after_skipped_ticks_increases_the_allowed_step():
-    positions = Positions([0.1], accepted=[1.0], accepted_gap=[1.0])
-    positions.screen([NAN], 3)
-    assert positions.get("accepted_gap") == [5.0]
+    positions = ScreenedPositions([0.1], accepted=[1.0], accepted_gap=[1.0])
+    positions.screen_positions([NAN], 3)
+    assert positions.field_values("accepted_gap") == [5.0]
 
 
 def add_reading(
-    monitor: Monitor, value: float, goal: float, tension: float
+    monitor: SyntheticMonitor, value: float, goal: float, tension: float
 ) -> tuple[int, float, float]:
     """Run a tick with an encoder reading, a target and a tension.
 
     Return the number of ticks without a change of the reading, and the motion of target and tension
     since its last change.
     """
-    rows: Rows = {"measured_position": value, "followed": goal, "residual": {TENSION: tension}}
+    rows: StateRows = {"measured_position": value, "followed": goal, "residual": {TENSION: tension}}
     monitor.tick(rows)
     anchor = monitor.view("motor_anchor")[:, 0].tolist()
     away = [
@@ -287,7 +300,7 @@ def ticks_and_motion(values, witnesses):
 
     The correlated signals of a reading are its target and its tension.
     """
-    monitor = Monitor(synthetic_limits(1), residual_fraction=0.0)
+    monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     return monitor, [
         add_reading(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)
     ]
@@ -302,10 +315,10 @@ def test_constant_reading_counts_while_its_references_move():
 
 def test_an_encoder_is_stuck_although_the_carrier_of_its_digit_moves():
     """A wrist changes the travel of tendons that pass it. This change does not show that their motors turn."""
-    monitor = Monitor(synthetic_limits(1), residual_fraction=0.0)
+    monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
     for k in range(5):
         monitor.tick({"measured_position": 1.0, "measured_travel": 1e-4 * k, "followed": 0.0})
-    assert monitor.get("motor_stuck") == [4.0]
+    assert monitor.field_values("motor_stuck") == [4.0]
 
 
 def test_a_missing_reading_is_neither_constant_nor_changed():
@@ -314,7 +327,7 @@ def test_a_missing_reading_is_neither_constant_nor_changed():
     )
     assert [ticks for ticks, *_ in seen] == [0, 0, 1, 1, 0]
     assert [first for _, first, _ in seen] == [0.0, 1.0, 2.0, 3.0, 0.0]
-    assert monitor.get("motor_value") == [pytest.approx(2.0 * SPOOL_M)]
+    assert monitor.field_values("motor_value") == [pytest.approx(2.0 * SPOOL_RADIUS_M)]
 
 
 def test_missing_reference_is_used_once_it_is_read():
@@ -325,21 +338,24 @@ def test_missing_reference_is_used_once_it_is_read():
 
 def test_goal_jump_moves_the_reference_of_the_stuck_test():
     """A target jumps when it is reset to the measured position. No motor has to follow this jump."""
-    monitor = Monitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
+    monitor = SyntheticMonitor(synthetic_limits(3), moment_arms=0.02 * np.eye(3))
     rows = {
         "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],
         "motor_value": 0.5, "excursion": [0.0, 11e-3, 2.3e-3], "q_goal": [0.0, 11e-3 / 0.02, 2.3e-3 / 0.02],
     }  # fmt: skip
-    monitor.remember(rows)
+    monitor.store_commands(rows)
     np.testing.assert_allclose(
         monitor.view("motor_anchor"), [[1.0, 2.010, 3.0], [4.0, 5.0, 6.0]], rtol=0, atol=1e-12
     )
-    assert monitor.get("followed") == rows["excursion"]
-    assert (monitor.get("motor_value"), monitor.get("motor_stuck")) == ([0.5] * 3, [7, 8, 9])
+    assert monitor.field_values("followed") == rows["excursion"]
+    assert (monitor.field_values("motor_value"), monitor.field_values("motor_stuck")) == (
+        [0.5] * 3,
+        [7, 8, 9],
+    )
 
 
 def test_no_history_is_known_at_first():
-    monitor = Monitor(synthetic_limits(2))
+    monitor = SyntheticMonitor(synthetic_limits(2))
     for name in (
         "motor_anchor",
         "cell_anchor",
@@ -350,5 +366,5 @@ def test_no_history_is_known_at_first():
     ):
         assert np.isnan(monitor.view(name)).all()
     for name in ("motor_stuck", "cell_stuck", "joint_stuck"):
-        assert monitor.get(name) == [0, 0]
+        assert monitor.field_values(name) == [0, 0]
         assert monitor.view(name).dtype == np.int64

@@ -15,17 +15,19 @@ from handctl.core.detectors import replays
 from handctl.core.types import Mode
 from handctl.safety.faults.node import SWING_S
 from handctl.session.plan import default_rate
-from tests.safety.monitor import Monitor, synthetic_limits
+from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-SEEDS = range(20)
-STEP_N = 0.0625
+NOISE_SEEDS = range(20)
+READING_STEP_N = 0.0625
 
 
-def readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarray:
+def noisy_readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarray:
     """Return readings (ticks, n) [N] of load cells at 20 N with noise [N], rounded to their counts."""
     chance = np.random.default_rng(seed)
-    return np.round((20.0 + chance.normal(0.0, noise, (ticks, n))) / STEP_N) * STEP_N
+    return (
+        np.round((20.0 + chance.normal(0.0, noise, (ticks, n))) / READING_STEP_N) * READING_STEP_N
+    )
 
 
 def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
@@ -33,7 +35,7 @@ def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
 
     The tick is -1 if none are found.
     """
-    monitor = Monitor(synthetic_limits(rows.shape[1]))
+    monitor = SyntheticMonitor(synthetic_limits(rows.shape[1]))
     for k, row in enumerate(rows):
         if found := monitor.tick(measured_tension=row).get("T05b"):
             return k, [
@@ -43,9 +45,9 @@ def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
 
 
 @pytest.mark.parametrize("age", [16, 32, 50, replays.MAX_AGE_TICKS])
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", NOISE_SEEDS)
 def test_repeated_content_is_found_within_sixteen_ticks(seed: int, age: int) -> None:
-    rows = readings(seed, 300, 0.5)
+    rows = noisy_readings(seed, 300, 0.5)
     late = rows.copy()
     late[200:, 2] = rows[200 - age : 300 - age, 2]
     k, found = first_found(late)
@@ -57,7 +59,7 @@ def test_repeated_content_is_found_within_sixteen_ticks(seed: int, age: int) -> 
 @pytest.mark.parametrize("seed", range(20 if NIGHTLY else 4))
 def test_fresh_readings_are_no_repetition_at_any_noise(seed: int, noise: float) -> None:
     """This includes a load cell whose readings are constant or toggle between two counts."""
-    assert first_found(readings(seed, 20_000 if NIGHTLY else 3_000, noise)) == (-1, [])
+    assert first_found(noisy_readings(seed, 20_000 if NIGHTLY else 3_000, noise)) == (-1, [])
 
 
 @pytest.mark.parametrize(
@@ -72,7 +74,7 @@ def test_limit_cycle_of_a_few_counts_is_no_repetition(cycle: list[float]) -> Non
 
 
 def test_a_missing_reading_is_no_repetition() -> None:
-    rows = readings(0, 300, 0.5)
+    rows = noisy_readings(0, 300, 0.5)
     rows[100:200] = np.nan
     assert first_found(rows) == (-1, [])
 
@@ -82,7 +84,7 @@ def first_oscillation(deviation: np.ndarray, period: float) -> tuple[float, floa
 
     The time is -1 if it never counts as an oscillation.
     """
-    monitor = Monitor(synthetic_limits(2), period=period)
+    monitor = SyntheticMonitor(synthetic_limits(2), period=period)
     for k, value in enumerate(deviation):
         if found := monitor.tick(measured_tension=[value, 0.0], wanted=0.0).get("N14b"):
             assert list(found) == ["t0"]
@@ -113,7 +115,7 @@ def test_step_and_small_swing_are_no_oscillation(rate: float) -> None:
     assert first_oscillation(np.full(len(t), np.nan), 1.0 / rate)[0] < 0.0
 
 
-@pytest.mark.parametrize("seed", SEEDS if NIGHTLY else (3,))
+@pytest.mark.parametrize("seed", NOISE_SEEDS if NIGHTLY else (3,))
 @pytest.mark.parametrize(
     ("fault", "rows", "seconds"),
     [

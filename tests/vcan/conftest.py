@@ -16,11 +16,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.vcan import uml
+from tests.vcan import uml_guest
 
-INSIDE = Path(__file__).parent / "inside"
+INSIDE_FOLDER = Path(__file__).parent / "inside"
 REPORTS_FILE = os.environ.get("HANDCTL_VCAN_REPORTS")
-REQUIRED = os.environ.get("HANDCTL_REQUIRE_VCAN") == "1"
+VCAN_IS_REQUIRED = os.environ.get("HANDCTL_REQUIRE_VCAN") == "1"
 GUEST_TIMEOUT_S = 1500.0
 GUEST_FILES = (
     ("test_run.py", "test_drive.py", "test_bus_doctor.py"),
@@ -31,14 +31,14 @@ GUEST_FILES = (
 The three groups take about the same time. A guest has one core and uses less than half of the
 core's time, because hands run in slowed time.
 """
-Reports = dict[str, list[pytest.TestReport]]
-_reports = pytest.StashKey[Reports]()
+ReportsByTest = dict[str, list[pytest.TestReport]]
+_reports_key = pytest.StashKey[ReportsByTest]()
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
     item.add_marker("realtime")
     item.add_marker("alone")
-    if item.path.is_relative_to(INSIDE):
+    if item.path.is_relative_to(INSIDE_FOLDER):
         item.add_marker("vcan")
         if not REPORTS_FILE:
             item.add_marker(
@@ -61,24 +61,25 @@ def pytest_runtest_makereport(
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
-    if REPORTS_FILE or not item.path.is_relative_to(INSIDE):
+    if REPORTS_FILE or not item.path.is_relative_to(INSIDE_FOLDER):
         return None
-    if _reports not in item.session.stash:
-        inner = [other for other in item.session.items if other.path.is_relative_to(INSIDE)]
-        item.session.stash[_reports] = _run_inside(inner)
+    if _reports_key not in item.session.stash:
+        inner = [other for other in item.session.items if other.path.is_relative_to(INSIDE_FOLDER)]
+        item.session.stash[_reports_key] = _run_inside(inner)
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
-    for report in item.session.stash[_reports][item.nodeid]:
+    for report in item.session.stash[_reports_key][item.nodeid]:
         item.ihook.pytest_runtest_logreport(report=_unless_required(report))
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
 
 
-def _run_inside(items: Sequence[pytest.Item]) -> Reports:
+def _run_inside(items: Sequence[pytest.Item]) -> ReportsByTest:
     """Run tests, each in the guest that runs its file, and return their reports."""
-    kind, reason = uml.vcan_access()
+    kind, reason = uml_guest.vcan_access()
     if not kind:
         return {
-            item.nodeid: [_report(item, "skipped", (str(item.path), 0, reason))] for item in items
+            item.nodeid: [_make_report(item, "skipped", (str(item.path), 0, reason))]
+            for item in items
         }
     parts_of: dict[int, list[pytest.Item]] = defaultdict(list)
     for item in items:
@@ -92,32 +93,35 @@ def _run_inside(items: Sequence[pytest.Item]) -> Reports:
     return {nodeid: reports for part in parts for nodeid, reports in part.items()}
 
 
-def _run_in_guest(items: Sequence[pytest.Item]) -> Reports:
+def _run_in_guest(items: Sequence[pytest.Item]) -> ReportsByTest:
     """Run tests in one guest, and return their reports. A test without a report counts as failed."""
     output: list[str] = []
     with tempfile.TemporaryDirectory(prefix="handctl-vcan-reports-") as folder:
         file = Path(folder) / "reports"
-        status = uml.run(
-            _pytest(items), {"HANDCTL_VCAN_REPORTS": str(file)}, GUEST_TIMEOUT_S, output.append
+        status = uml_guest.run_with_vcan(
+            _pytest_command(items),
+            {"HANDCTL_VCAN_REPORTS": str(file)},
+            GUEST_TIMEOUT_S,
+            output.append,
         )
         lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
-    reports = _read(lines, items[0].config)
+    reports = _read_reports(lines, items[0].config)
     tail = "\n".join(
         [f"the guest ended with status {status} and without a word about this test", *output[-50:]]
     )
     for item in items:
         if not any(report.when == "teardown" for report in reports[item.nodeid]):
-            reports[item.nodeid].append(_report(item, "failed", tail))
+            reports[item.nodeid].append(_make_report(item, "failed", tail))
     return reports
 
 
-def _pytest(items: Sequence[pytest.Item]) -> list[str]:
+def _pytest_command(items: Sequence[pytest.Item]) -> list[str]:
     ids = [str(item.config.rootpath / item.nodeid) for item in items]
     return [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--tb=short", *ids]
 
 
-def _read(lines: Sequence[str], config: pytest.Config) -> Reports:
-    reports: Reports = defaultdict(list)
+def _read_reports(lines: Sequence[str], config: pytest.Config) -> ReportsByTest:
+    reports: ReportsByTest = defaultdict(list)
     for line in lines:
         report = config.hook.pytest_report_from_serializable(config=config, data=json.loads(line))
         if report.skipped and isinstance(report.longrepr, list):
@@ -128,7 +132,7 @@ def _read(lines: Sequence[str], config: pytest.Config) -> Reports:
     return reports
 
 
-def _report(
+def _make_report(
     item: pytest.Item, outcome: str, reason: str | tuple[str, int, str]
 ) -> pytest.TestReport:
     data = {
@@ -142,7 +146,7 @@ def _report(
 
 def _unless_required(report: pytest.TestReport) -> pytest.TestReport:
     waits = "HANDCTL_NIGHTLY" in str(report.longrepr)
-    if REQUIRED and report.skipped and not waits and not hasattr(report, "wasxfail"):
+    if VCAN_IS_REQUIRED and report.skipped and not waits and not hasattr(report, "wasxfail"):
         report.outcome = "failed"
         report.longrepr = f"HANDCTL_REQUIRE_VCAN=1, but this test was skipped: {report.longrepr}"
     return report

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.vcan import uml
+from tests.vcan import uml_guest
 
 
 @pytest.fixture
-def _possible() -> None:
-    kind, reason = uml.vcan_access()
+def _require_guest() -> None:
+    kind, reason = uml_guest.vcan_access()
     if not kind:
         pytest.skip(reason)
 
@@ -30,22 +30,22 @@ def processes_of(folder: str) -> list[int]:
 
 @pytest.mark.parametrize("end", ["exit 7", "kill -SEGV $$"])
 def test_a_kernel_with_vcan_needs_no_guest(monkeypatch: pytest.MonkeyPatch, end: str) -> None:
-    monkeypatch.setattr(uml, "INTERFACES", "true\n")  # as if the kernel had vcan
-    monkeypatch.setattr(uml, "_namespace", lambda: ["env"])
+    monkeypatch.setattr(uml_guest, "MAKE_INTERFACES_SCRIPT", "true\n")  # as if the kernel had vcan
+    monkeypatch.setattr(uml_guest, "_namespace_command", lambda: ["env"])
     output: list[str] = []
-    status = uml.run(
+    status = uml_guest.run_with_vcan(
         ["bash", "-c", f"echo $WORD; pwd; {end}"], {"WORD": "a  b"}, report_line=output.append
     )
-    assert uml.vcan_access() == ("native", "")
+    assert uml_guest.vcan_access() == ("native", "")
     assert output[:2] == ["a b", str(Path.cwd())]
     assert status == {"exit 7": 7, "kill -SEGV $$": 128 + 11}[end]
 
 
-@pytest.mark.usefixtures("_possible")
+@pytest.mark.usefixtures("_require_guest")
 def test_output_and_status_are_returned() -> None:
     output: list[str] = []
     script = "seq 20000; echo $WORD; ip -brief link show vcan1; printf 'no line feed'; exit 7"
-    status = uml.run(
+    status = uml_guest.run_with_vcan(
         ["bash", "-c", script], {"WORD": "a 'quoted' $word"}, report_line=output.append
     )
     assert status == 7
@@ -55,13 +55,16 @@ def test_output_and_status_are_returned() -> None:
     assert output[20002:] == ["no line feed"]
 
 
-@pytest.mark.usefixtures("_possible")
+@pytest.mark.usefixtures("_require_guest")
 def test_a_crash_differs_from_an_exit() -> None:
     output: list[str] = []
-    assert uml.run(["bash", "-c", "kill -SEGV $$"], report_line=output.append) == 128 + 11
+    assert (
+        uml_guest.run_with_vcan(["bash", "-c", "kill -SEGV $$"], report_line=output.append)
+        == 128 + 11
+    )
 
 
-@pytest.mark.usefixtures("_possible")
+@pytest.mark.usefixtures("_require_guest")
 def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.MonkeyPatch) -> None:
     output: list[str] = []
     cores: list[set[int]] = []
@@ -71,17 +74,17 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
         cores.extend(os.sched_getaffinity(process) for process in processes_of(folder))
 
     start_s = time.monotonic()
-    assert uml.run(["true"]) == 0
+    assert uml_guest.run_with_vcan(["true"]) == 0
     started_s = time.monotonic() - start_s
     with tempfile.TemporaryDirectory() as folder:
         monkeypatch.setattr(tempfile, "tempdir", folder)  # marks the processes of this run
         script = "echo started; sleep 1000"
-        status = uml.run(
+        status = uml_guest.run_with_vcan(
             ["bash", "-c", script], timeout_s=5.0 + 4.0 * started_s, report_line=record_line
         )
-        assert status == uml.TIMED_OUT
+        assert status == uml_guest.TIMED_OUT_STATUS
         assert output == ["started"]
-        if uml.vcan_access()[0] == "uml":
+        if uml_guest.vcan_access()[0] == "uml":
             assert {len(allowed) for allowed in cores} == {1}, (
                 "kernel and program of a guest use one core"
             )

@@ -15,7 +15,7 @@ from handctl.log.attached_meshes import mesh_attachments
 from handctl.log.header import RunHeader
 from handctl.view.feed import write_rrd
 from handctl.view.scene.geometry import MEDIA_TYPES, link_colour
-from tests.hand.mesh_files import meshed, write_meshes
+from tests.hand.mesh_files import hand_with_meshes, write_meshes
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def mesh_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files = folder / "files"
     files.mkdir()
     write_meshes(files)
-    hand = meshed("jamia")
+    hand = hand_with_meshes("jamia")
     attachments, _ = mesh_attachments(hand, files)
     attachments["hand.urdf"] = urdf_text(hand).encode()
     header = RunHeader.of_hand(

@@ -18,12 +18,12 @@ TIME_SCALE = 0.15
 
 The guest is slow: it has one core, and each reading of a clock is a system call.
 """
-READY_S, END_S = 60.0, 20.0
+READY_TIMEOUT_S, EXIT_TIMEOUT_S = 60.0, 20.0
 STALL_FAULTS = ("H03", "B02", "N02", "B17", "N08")
 """Faults that rightly end a run if the host or the simulator does not run for a while."""
 
 
-SIMULATOR = """
+SIMULATOR_CODE = """
 import ctypes, runpy, mujoco
 mujoco.set_mjcb_time(ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double)))
 runpy.run_module("firmware_sim", run_name="__main__", alter_sys=True)
@@ -37,7 +37,7 @@ profile.
 
 
 @contextlib.contextmanager
-def serving(
+def run_simulator(
     *options: str, stderr_file: Path | None = None, time_scale: float = TIME_SCALE
 ) -> Iterator["subprocess.Popen[str]"]:
     """Run ``firmware_sim`` with the hand jamia on vcan0, and check that its process ends in order.
@@ -59,7 +59,7 @@ def serving(
     ]
     with stderr_file.open("w") if stderr_file else contextlib.nullcontext() as stderr:
         process = subprocess.Popen(
-            [sys.executable, "-c", SIMULATOR, *words],
+            [sys.executable, "-c", SIMULATOR_CODE, *words],
             stdout=subprocess.PIPE,
             stderr=stderr,
             text=True,
@@ -68,7 +68,7 @@ def serving(
         wait_until_ready(process)
         yield process
         process.send_signal(signal.SIGTERM)
-        assert process.wait(END_S) == 0
+        assert process.wait(EXIT_TIMEOUT_S) == 0
     finally:
         process.kill()
         process.wait()
@@ -77,16 +77,18 @@ def serving(
 @pytest.fixture(scope="module")
 def simulator(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
     """Run a simulated hand for all tests of a module. The parameter of the fixture has its options."""
-    with serving(*getattr(request, "param", ())) as process:
+    with run_simulator(*getattr(request, "param", ())) as process:
         yield process
 
 
 def wait_until_ready(process: "subprocess.Popen[str]") -> None:
     assert process.stdout is not None
-    end = time.monotonic() + READY_S
+    end = time.monotonic() + READY_TIMEOUT_S
     while select.select([process.stdout], [], [], max(0.0, end - time.monotonic()))[0]:
         line = process.stdout.readline()
-        assert line, f"firmware_sim ended with status {process.wait(END_S)} before it served"
+        assert line, (
+            f"firmware_sim ended with status {process.wait(EXIT_TIMEOUT_S)} before it served"
+        )
         if line.startswith("firmware_sim: ready"):
             return
-    pytest.fail(f"firmware_sim did not serve within {READY_S} s")
+    pytest.fail(f"firmware_sim did not serve within {READY_TIMEOUT_S} s")

@@ -12,23 +12,23 @@ from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 
-CLASSICAL = struct.Struct("=IB3x8s")
-NOMINAL, DATA = 1_000_000, 5_000_000
+CLASSICAL_FRAME = struct.Struct("=IB3x8s")
+NOMINAL_BITRATE, DATA_BITRATE = 1_000_000, 5_000_000
 WAIT_S = 20.0
-INDEX = 1
+BUS_INDEX = 1
 """Index of the bus on vcan0 among the buses of a hand."""
 
 
 @pytest.fixture
 def bus() -> Iterator[Bus]:
-    opened = open_bus("socketcan:vcan0", INDEX, NOMINAL, DATA, stamp=int)
+    opened = open_bus("socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, stamp=int)
     yield opened
     opened.close()
 
 
 @pytest.fixture
-def peer() -> Iterator[Bus]:
-    opened = open_bus("socketcan:vcan0", INDEX, NOMINAL, DATA, stamp=int)
+def other_bus() -> Iterator[Bus]:
+    opened = open_bus("socketcan:vcan0", BUS_INDEX, NOMINAL_BITRATE, DATA_BITRATE, stamp=int)
     yield opened
     opened.close()
 
@@ -42,74 +42,74 @@ def drain_bus(bus: Bus, count: int) -> list[Frame]:
     return frames
 
 
-def contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
+def frame_contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
     return [(frame.can_id, frame.data, frame.flags & (FDF | BRS)) for frame in frames]
 
 
-def link(state: str) -> None:
+def set_link(state: str) -> None:
     subprocess.run(["ip", "link", "set", "vcan0", state], check=True)
 
 
-def test_a_batch_of_both_kinds_arrives_whole_and_in_order(bus: Bus, peer: Bus) -> None:
-    classical = [Frame(n, bytes([n]) * (n % 9), 0, INDEX) for n in range(50)]
-    fd = [Frame(n | EXTENDED, bytes([n]) * 48, FDF | BRS, INDEX) for n in range(50)]
+def test_a_batch_of_both_kinds_arrives_whole_and_in_order(bus: Bus, other_bus: Bus) -> None:
+    classical = [Frame(n, bytes([n]) * (n % 9), 0, BUS_INDEX) for n in range(50)]
+    fd = [Frame(n | EXTENDED, bytes([n]) * 48, FDF | BRS, BUS_INDEX) for n in range(50)]
     batch = [frame for pair in zip(classical, fd, strict=True) for frame in pair]
     assert bus.send(batch) == len(batch)
-    received = drain_bus(peer, len(batch))
-    assert contents(received) == contents(batch)
-    assert {frame.bus for frame in received} == {INDEX}
-    assert peer.take_events() == []
+    received = drain_bus(other_bus, len(batch))
+    assert frame_contents(received) == frame_contents(batch)
+    assert {frame.bus for frame in received} == {BUS_INDEX}
+    assert other_bus.take_events() == []
 
 
-def test_a_sender_does_not_receive_its_frames(bus: Bus, peer: Bus) -> None:
-    bus.send([Frame(1, b"mine", bus=INDEX)])
-    peer.send([Frame(2, b"yours", bus=INDEX)])
-    assert [frame.can_id for frame in drain_bus(peer, 1)] == [1]
+def test_a_sender_does_not_receive_its_frames(bus: Bus, other_bus: Bus) -> None:
+    bus.send([Frame(1, b"mine", bus=BUS_INDEX)])
+    other_bus.send([Frame(2, b"yours", bus=BUS_INDEX)])
+    assert [frame.can_id for frame in drain_bus(other_bus, 1)] == [1]
     assert [frame.can_id for frame in drain_bus(bus, 1)] == [2]
 
 
-def test_stamps_are_times_of_reception(bus: Bus, peer: Bus) -> None:
+def test_stamps_are_times_of_reception(bus: Bus, other_bus: Bus) -> None:
     before = time.monotonic_ns()
-    bus.send([Frame(1, b"", bus=INDEX)])
+    bus.send([Frame(1, b"", bus=BUS_INDEX)])
     first_sent = time.monotonic_ns()
     time.sleep(0.2)
-    bus.send([Frame(2, b"", bus=INDEX)])
+    bus.send([Frame(2, b"", bus=BUS_INDEX)])
     time.sleep(0.2)
-    first, second = drain_bus(peer, 2)
+    first, second = drain_bus(other_bus, 2)
     slack = 100_000_000
     assert before - slack <= first.t_ns <= first_sent + slack
     assert second.t_ns - first.t_ns >= 150_000_000
 
 
-def test_a_link_that_goes_down_is_an_event_and_may_come_back(bus: Bus, peer: Bus) -> None:
-    link("down")
+def test_a_link_that_goes_down_is_an_event_and_may_come_back(bus: Bus, other_bus: Bus) -> None:
+    set_link("down")
     try:
-        assert bus.send([Frame(1, b"", bus=INDEX)]) == 0
+        assert bus.send([Frame(1, b"", bus=BUS_INDEX)]) == 0
         assert bus.drain() == []
         kinds = {kind for kind, _, _ in bus.take_events()}
         assert kinds == {"enetdown"}
     finally:
-        link("up")
+        set_link("up")
     bus.drain()
-    peer.drain()
+    other_bus.drain()
     bus.take_events()
-    assert bus.send([Frame(2, b"back", bus=INDEX)]) == 1
-    assert contents(drain_bus(peer, 1)) == [(2, b"back", 0)]
+    assert bus.send([Frame(2, b"back", bus=BUS_INDEX)]) == 1
+    assert frame_contents(drain_bus(other_bus, 1)) == [(2, b"back", 0)]
     assert bus.take_events() == []
 
 
-def test_every_frame_that_was_not_read_in_time_is_counted(peer: Bus) -> None:
+def test_every_frame_that_was_not_read_in_time_is_counted(other_bus: Bus) -> None:
     sent = 30_000
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as flood:
         flood.bind(("vcan0",))
         for n in range(sent - 1):
-            flood.send(CLASSICAL.pack(n & 0x7FF, 0, b""))
+            flood.send(CLASSICAL_FRAME.pack(n & 0x7FF, 0, b""))
         received = 0
-        while frames := peer.drain():
+        while frames := other_bus.drain():
             received += len(frames)
-        flood.send(CLASSICAL.pack(0x7FF, 0, b""))  # carries the kernel's count of drops
-        received += len(drain_bus(peer, 1))
-    dropped = sum(number for kind, _, number in peer.take_events() if kind == "dropped")
+        flood.send(CLASSICAL_FRAME.pack(0x7FF, 0, b""))  # carries the kernel's count of drops
+        received += len(drain_bus(other_bus, 1))
+    dropped = sum(number for kind, _, number in other_bus.take_events() if kind == "dropped")
     assert 0 < received < sent
     assert received + dropped == sent
 
@@ -118,14 +118,14 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
     """The error frames are sent as the driver of a CAN controller sends them: a warning, bus-off, and a restart."""
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as driver:
         driver.bind(("vcan0",))
-        driver.send(CLASSICAL.pack(ERROR | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
+        driver.send(CLASSICAL_FRAME.pack(ERROR | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
         assert wait_for(bus, "error_warning") == []
-        driver.send(CLASSICAL.pack(ERROR | 0x40, 8, bytes(8)))
+        driver.send(CLASSICAL_FRAME.pack(ERROR | 0x40, 8, bytes(8)))
         assert wait_for(bus, "bus_off") == []
         assert ("bus_off", "socketcan:vcan0", 1) in bus.take_events(), (
             "the event repeats during bus-off"
         )
-        driver.send(CLASSICAL.pack(ERROR | 0x100, 8, bytes(8)))
+        driver.send(CLASSICAL_FRAME.pack(ERROR | 0x100, 8, bytes(8)))
         assert wait_for(bus, "restarted") == []
     assert bus.take_events() == []
 
@@ -140,16 +140,20 @@ def wait_for(bus: Bus, kind: str) -> list[Frame]:
     return frames
 
 
-def test_a_full_transmit_queue_refuses_and_is_an_event(slow: tuple[str, str]) -> None:
+def test_a_full_transmit_queue_refuses_and_is_an_event(slow_tunnel: tuple[str, str]) -> None:
     """A queue of ten frames is in front of a wire of 50 kbit/s.
 
     netem makes this wire, because vcan alone never refuses a frame.
     """
-    sender, receiver = (open_bus(f"socketcan:{name}", INDEX, NOMINAL, stamp=int) for name in slow)
-    batch = [Frame(n, bytes(8), bus=INDEX) for n in range(60)]
+    sender, receiver = (
+        open_bus(f"socketcan:{name}", BUS_INDEX, NOMINAL_BITRATE, stamp=int) for name in slow_tunnel
+    )
+    batch = [Frame(n, bytes(8), bus=BUS_INDEX) for n in range(60)]
     accepted = sender.send(batch)
     assert 1 <= accepted < len(batch)
-    assert sender.take_events() == [("enobufs", f"socketcan:{slow[0]}", len(batch) - accepted)]
+    assert sender.take_events() == [
+        ("enobufs", f"socketcan:{slow_tunnel[0]}", len(batch) - accepted)
+    ]
     received = drain_bus(receiver, accepted)
     assert [frame.can_id for frame in received] == list(range(accepted)), (
         "no refused frame is sent later"
@@ -160,16 +164,18 @@ def test_a_full_transmit_queue_refuses_and_is_an_event(slow: tuple[str, str]) ->
 
 
 @pytest.fixture
-def slow() -> Iterator[tuple[str, str]]:
+def slow_tunnel() -> Iterator[tuple[str, str]]:
     """Make a CAN tunnel with a slow wire behind its first end, and yield the names of both ends."""
-    made = subprocess.run(["bash", "-c", SLOW], capture_output=True, text=True, check=False)
+    made = subprocess.run(
+        ["bash", "-c", SLOW_TUNNEL_SCRIPT], capture_output=True, text=True, check=False
+    )
     if made.returncode:
         pytest.skip(f"no vxcan with netem here: {made.stderr.strip()}")
     yield "vxcan0", "vxcan1"
     subprocess.run(["ip", "link", "del", "vxcan0"], check=True)
 
 
-SLOW = """
+SLOW_TUNNEL_SCRIPT = """
 set -e
 ip link add dev vxcan0 type vxcan peer name vxcan1
 ip link set vxcan0 up

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.runtime.buses.link import read_link
-from tests.drives.bench_process import drives
+from tests.drives.bench_process import run_simulated_drives
 
 
 def test_the_kernel_s_interfaces_are_read() -> None:
@@ -43,7 +43,7 @@ def test_a_short_queue_is_reported(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_nodes_are_listed_with_their_latency(capsys: pytest.CaptureFixture[str]) -> None:
-    with drives("socketcan:vcan0", "cia402", "--ids", "32"):
+    with run_simulated_drives("socketcan:vcan0", "cia402", "--ids", "32"):
         main(["bus", "doctor", "--bus", "socketcan:vcan0", "--json"])
         (bus,) = json.loads(capsys.readouterr().out)["buses"]
         assert main(["scan", "--bus", "socketcan:vcan0", "--json"]) == 0

@@ -16,19 +16,19 @@ from handctl.session.calibration import write_calibration
 from tests.replay.repeat import mean_angle_differences, tensions_held
 from tests.replay.runs import SCENE
 
-HANDCTL = Path(sys.executable).with_name("handctl")
-GOLDEN = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
-RATE_HZ, SLOWER = 200, 0.03
+HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
+GOLDEN_LOG = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
+RATE_HZ, SLOW_TIME_SCALE = 200, 0.03
 """Control rate [Hz] and time scale of this test. Its time is slower than that of the other tests.
 
 The guest shares its core with other work of the host. A pause of four ticks rightly ends a run.
 """
 SCENE_FILE = Path("/dev/shm/drive-scene.toml")
-SIMULATED = ["--homed", "--scene", str(SCENE_FILE), "--time-scale", str(SLOWER)]
+SIMULATOR_OPTIONS = ["--homed", "--scene", str(SCENE_FILE), "--time-scale", str(SLOW_TIME_SCALE)]
 
 
 @pytest.fixture(scope="module", autouse=True)
-def scene() -> None:
+def scene_file() -> None:
     SCENE_FILE.write_text(SCENE.format(friction=0.5))
 
 
@@ -45,18 +45,25 @@ def _write_homed_calibration(path: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("simulator", [SIMULATED], indirect=True, ids=["grasp"])
-@pytest.mark.usefixtures("scene", "simulator")
+@pytest.mark.parametrize("simulator", [SIMULATOR_OPTIONS], indirect=True, ids=["grasp"])
+@pytest.mark.usefixtures("scene_file", "simulator")
 def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     _write_homed_calibration(tmp_path / "c.toml")
-    words = ["--bus", "socketcan:vcan0", "--rate", str(RATE_HZ), "--time-scale", str(SLOWER)]
+    words = [
+        "--bus",
+        "socketcan:vcan0",
+        "--rate",
+        str(RATE_HZ),
+        "--time-scale",
+        str(SLOW_TIME_SCALE),
+    ]
     files = ["--calibration", str(tmp_path / "c.toml"), "--log", str(tmp_path / "again.mcap")]
-    command = [str(HANDCTL), "replay", "drive", str(GOLDEN), *words, *files, "--json"]
+    command = [str(HANDCTL_COMMAND), "replay", "drive", str(GOLDEN_LOG), *words, *files, "--json"]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr + ran.stdout
     result = json.loads(ran.stdout)
     angles = {name: row["rms"] for name, row in result["joint_deg"].items()}
-    with RunLog(GOLDEN) as before, RunLog(tmp_path / "again.mcap") as after:
+    with RunLog(GOLDEN_LOG) as before, RunLog(tmp_path / "again.mcap") as after:
         apart, (old, new) = mean_angle_differences(before, after), tensions_held(before, after)
     summary = f"mean angles of the digits {apart.max():.2f} deg at most, joints {max(angles.values()):.2f} deg rms, "
     print(summary + f"tensions {100 * abs(new / old - 1).max():.1f} % apart")

@@ -10,73 +10,75 @@ from collections.abc import Iterator
 
 import pytest
 
-FRAME = struct.Struct("=IB3x8s")
-NODES = (1, 2, 3, 4)
-SYNC, TENSIONS, REGISTERS = 0x080, 0x1A0, 0x7FF
-READ, REFRESH = 0x33, 0xCC
-POSITION_RANGE, TORQUE_RANGE, WATCHDOG = 21, 23, 9
-ENABLE = b"\xff" * 7 + b"\xfc"
-DISABLED, ENABLED, COMMUNICATION_LOST = 0, 1, 0xD
+CAN_FRAME_STRUCT = struct.Struct("=IB3x8s")
+MOTOR_NODE_IDS = (1, 2, 3, 4)
+SYNC_ID, TENSIONS_ID, REGISTERS_ID = 0x080, 0x1A0, 0x7FF
+READ_REGISTER, REFRESH_FEEDBACK = 0x33, 0xCC
+POSITION_RANGE_REGISTER, TORQUE_RANGE_REGISTER, WATCHDOG_REGISTER = 21, 23, 9
+ENABLE_PAYLOAD = b"\xff" * 7 + b"\xfc"
+DISABLED_STATE, ENABLED_STATE, COMMUNICATION_LOST_STATE = 0, 1, 0xD
 WAIT_S = 20.0
 
 pytestmark = pytest.mark.usefixtures("simulator")
 
 
-class Bus:
+class RawCanBus:
     """A raw CAN socket that can wait for a frame with a given identifier."""
 
     def __init__(self, opened: socket.socket) -> None:
         self.socket = opened
 
     def send(self, can_id: int, data: bytes) -> None:
-        self.socket.send(FRAME.pack(can_id, len(data), data))
+        self.socket.send(CAN_FRAME_STRUCT.pack(can_id, len(data), data))
 
     def receive(self, can_id: int) -> bytes:
         end = time.monotonic() + WAIT_S
         while time.monotonic() < end:
-            received_id, length, data = FRAME.unpack(self.socket.recv(FRAME.size))
+            received_id, length, data = CAN_FRAME_STRUCT.unpack(
+                self.socket.recv(CAN_FRAME_STRUCT.size)
+            )
             if received_id == can_id:
                 return bytes(data[:length])
         pytest.fail(f"no frame {can_id:#x} within {WAIT_S} s")
 
-    def state(self, node: int) -> int:
+    def motor_state(self, node: int) -> int:
         """Send a refresh request to a motor, and return the state bits of its reply."""
-        self.send(REGISTERS, bytes([node, 0, REFRESH, 0, 0, 0, 0, 0]))
+        self.send(REGISTERS_ID, bytes([node, 0, REFRESH_FEEDBACK, 0, 0, 0, 0, 0]))
         return self.receive(node + 0x10)[0] >> 4
 
-    def register(self, node: int, number: int) -> bytes:
-        self.send(REGISTERS, bytes([node, 0, READ, number, 0, 0, 0, 0]))
+    def read_register(self, node: int, number: int) -> bytes:
+        self.send(REGISTERS_ID, bytes([node, 0, READ_REGISTER, number, 0, 0, 0, 0]))
         reply = self.receive(node + 0x10)
-        assert reply[:4] == bytes([node, 0, READ, number])
+        assert reply[:4] == bytes([node, 0, READ_REGISTER, number])
         return reply[4:]
 
 
 @pytest.fixture
-def bus() -> Iterator[Bus]:
+def bus() -> Iterator[RawCanBus]:
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as opened:
         opened.settimeout(WAIT_S)
         opened.bind(("vcan0",))
-        yield Bus(opened)
+        yield RawCanBus(opened)
 
 
-def test_every_drive_answers_a_refresh_as_disabled(bus: Bus) -> None:
-    for node in NODES:
-        bus.send(REGISTERS, bytes([node, 0, REFRESH, 0, 0, 0, 0, 0]))
+def test_every_drive_answers_a_refresh_as_disabled(bus: RawCanBus) -> None:
+    for node in MOTOR_NODE_IDS:
+        bus.send(REGISTERS_ID, bytes([node, 0, REFRESH_FEEDBACK, 0, 0, 0, 0, 0]))
         reply = bus.receive(node + 0x10)
         assert len(reply) == 8
-        assert (reply[0] >> 4, reply[0] & 0xF) == (DISABLED, node)
+        assert (reply[0] >> 4, reply[0] & 0xF) == (DISABLED_STATE, node)
 
 
-def test_the_drives_hold_the_limits_of_the_hand_file(bus: Bus) -> None:
-    for node in NODES:
-        assert bus.register(node, TORQUE_RANGE) == struct.pack("<f", 0.8)
-        assert bus.register(node, POSITION_RANGE) == struct.pack("<f", 12.5)
+def test_the_drives_hold_the_limits_of_the_hand_file(bus: RawCanBus) -> None:
+    for node in MOTOR_NODE_IDS:
+        assert bus.read_register(node, TORQUE_RANGE_REGISTER) == struct.pack("<f", 0.8)
+        assert bus.read_register(node, POSITION_RANGE_REGISTER) == struct.pack("<f", 12.5)
 
 
 @pytest.mark.parametrize("counter", [0, 0x5A, 0xFF])
-def test_a_sync_brings_the_tensions_of_that_moment(bus: Bus, counter: int) -> None:
-    bus.send(SYNC, bytes([counter]))
-    reply = bus.receive(TENSIONS)
+def test_a_sync_brings_the_tensions_of_that_moment(bus: RawCanBus, counter: int) -> None:
+    bus.send(SYNC_ID, bytes([counter]))
+    reply = bus.receive(TENSIONS_ID)
     assert len(reply) == 7  # a counter of 4 bits and four channels of 12
     bits = int.from_bytes(reply, "little")
     assert bits & 0xF == counter & 0xF
@@ -85,14 +87,14 @@ def test_a_sync_brings_the_tensions_of_that_moment(bus: Bus, counter: int) -> No
     assert all(0 < value < 0xFFF for value in raw), raw
 
 
-def test_a_drive_without_commands_drops_its_torque(bus: Bus) -> None:
-    node = NODES[0]
+def test_a_drive_without_commands_drops_its_torque(bus: RawCanBus) -> None:
+    node = MOTOR_NODE_IDS[0]
     bus.send(
-        REGISTERS, bytes([node, 0, 0x55, WATCHDOG]) + struct.pack("<I", 1000)
+        REGISTERS_ID, bytes([node, 0, 0x55, WATCHDOG_REGISTER]) + struct.pack("<I", 1000)
     )  # 50 ms, in 50 us
     bus.receive(node + 0x10)
-    bus.send(node, ENABLE)
-    assert bus.receive(node + 0x10)[0] >> 4 == ENABLED
+    bus.send(node, ENABLE_PAYLOAD)
+    assert bus.receive(node + 0x10)[0] >> 4 == ENABLED_STATE
     time.sleep(2.0)  # 200 ms of slowed time
-    assert bus.state(node) == COMMUNICATION_LOST
-    assert bus.state(NODES[1]) == DISABLED
+    assert bus.motor_state(node) == COMMUNICATION_LOST_STATE
+    assert bus.motor_state(MOTOR_NODE_IDS[1]) == DISABLED_STATE

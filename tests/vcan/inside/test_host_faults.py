@@ -29,21 +29,21 @@ from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome, make_controller, run_live
 from tests.drives.protocol_bench import hand_file
 from tests.vcan.inside.conftest import STALL_FAULTS
-from tests.vcan.inside.test_protocols import DIGITS, PULL_N, RATE_HZ, simulated
+from tests.vcan.inside.test_protocols import DIGIT_NAMES, PULL_N, RATE_HZ, simulated_hand_process
 
 SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
 """Requests to the kernel, and the flag of an interface that is up. Source: Linux ``sockios.h`` and ``if.h``."""
 WATCHDOG_MS = 50
 HOUR_S = 3600.0
-AT_S, AFTER_S = 0.15, 0.3
+FAULT_AFTER_S, PULL_AFTER_FAULT_S = 0.15, 0.3
 """Time from the start of the pull to the fault, and time for which the pull would then continue [s]."""
 TIME_SCALE = 0.1
 
 
-def set_up(interface: str, up: bool) -> None:
+def set_interface_up(can_interface: str, up: bool) -> None:
     """Set an interface up or down as ``ip link set INTERFACE up`` does, but without a process."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        name = interface.encode().ljust(16, b"\0")
+        name = can_interface.encode().ljust(16, b"\0")
         (flags,) = struct.unpack_from(
             "=h", fcntl.ioctl(any_socket, SIOCGIFFLAGS, name + bytes(24)), 16
         )
@@ -58,12 +58,17 @@ class FaultObserver:
     """
 
     def __init__(self, *acts: Callable[[], None]) -> None:
-        self.acts = acts
+        self.fault_actions = acts
         self.reset()
 
     def reset(self) -> None:
         """Reset the record of made faults and of modes, for a new run."""
-        self.done_ns, self.modes, self.pulled, self.left = 0, list[Mode](), 0, list(self.acts)
+        self.done_ns, self.modes, self.pulled, self.left = (
+            0,
+            list[Mode](),
+            0,
+            list(self.fault_actions),
+        )
 
     def poll_requests(self) -> tuple[str, ...]:
         return ()
@@ -71,12 +76,16 @@ class FaultObserver:
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
         self.modes.append(out.mode)
         self.pulled += out.mode == Mode.ACTIVE
-        if self.left and self.pulled >= (len(self.acts) - len(self.left) + 1) * AT_S * RATE_HZ:
+        if (
+            self.left
+            and self.pulled
+            >= (len(self.fault_actions) - len(self.left) + 1) * FAULT_AFTER_S * RATE_HZ
+        ):
             self.left.pop(0)()
             self.done_ns = round(time.monotonic_ns() * TIME_SCALE)
 
 
-def run(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
+def run_pull(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
     """Run a hand that is armed, pulls every tendon, relaxes and is disarmed.
 
     The observer makes faults during the pull.
@@ -86,9 +95,10 @@ def run(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
     program = JogProgram(
-        HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), AT_S + AFTER_S
+        HoldTension(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)),
+        FAULT_AFTER_S + PULL_AFTER_FAULT_S,
     )
-    with simulated(path, plan.buses, TIME_SCALE, folder / "truth"):
+    with simulated_hand_process(path, plan.buses, TIME_SCALE, folder / "truth"):
         controller = make_controller(plan, program, None, arm_at_once=True)
         outcome = run_live(plan, controller, folder / "run.mcap", observer=observer)
     return outcome, read_truth(folder / "truth")
@@ -107,9 +117,9 @@ def run_until_done(
         place = folder / str(number)
         place.mkdir()
         observer.reset()
-        set_up("vcan0", True)
+        set_interface_up("vcan0", True)
         try:
-            outcome, truth = run(place, observer)
+            outcome, truth = run_pull(place, observer)
         except LogError as error:  # the recorder did not start in time
             failure = str(error)
             continue
@@ -122,15 +132,15 @@ def run_until_done(
 
 
 @pytest.fixture
-def interface() -> Iterator[str]:
+def can_interface() -> Iterator[str]:
     """Yield the name of an interface, and set it up again afterwards."""
     assert shutil.which("ip")
     yield "vcan0"
-    set_up("vcan0", True)
+    set_interface_up("vcan0", True)
 
 
 @pytest.fixture
-def clock() -> Iterator[None]:
+def restored_clock() -> Iterator[None]:
     """Restore the wall clock of the guest after a test."""
     wall, mono = time.time(), time.monotonic()
     yield
@@ -139,22 +149,22 @@ def clock() -> Iterator[None]:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(600)
-@pytest.mark.usefixtures("clock")
+@pytest.mark.usefixtures("restored_clock")
 def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
     """The wall clock is set one hour forward and then two hours back. This is the fault H11 of the catalogue."""
     offsets = [time.time() - time.monotonic()]
 
-    def step(seconds: float) -> None:
+    def step_clock(seconds: float) -> None:
         time.clock_settime(time.CLOCK_REALTIME, time.time() + seconds)
         offsets.append(time.time() - time.monotonic())
 
     outcome, truth = run_until_done(
-        tmp_path, FaultObserver(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)), ""
+        tmp_path, FaultObserver(lambda: step_clock(HOUR_S), lambda: step_clock(-2.0 * HOUR_S)), ""
     )
     moved = np.diff(offsets[-3:])
     assert moved == pytest.approx([HOUR_S, -2.0 * HOUR_S], abs=5.0), "the wall clock moved"
     assert (outcome.state.failure, outcome.exit_code) == ("", ExitCode.DONE)
-    for digit in DIGITS:
+    for digit in DIGIT_NAMES:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit
     with RunLog(tmp_path / "run.mcap") as log:
         assert not log.warning
@@ -164,17 +174,17 @@ def test_steps_of_the_wall_clock_have_no_effect(tmp_path: Path) -> None:
 
 @pytest.mark.timeout(600)
 def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(
-    interface: str, tmp_path: Path
+    can_interface: str, tmp_path: Path
 ) -> None:
     """The interface that is taken down is the fault B14 of the catalogue."""
-    observer = FaultObserver(lambda: set_up(interface, False))
+    observer = FaultObserver(lambda: set_interface_up(can_interface, False))
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure
     assert outcome.exit_code == ExitCode.REMOVE_POWER, "no drive confirmed the end of torque"
     after = observer.modes[observer.modes.index(Mode.ACTIVE) :]
-    acted = round(AT_S * RATE_HZ)
+    acted = round(FAULT_AFTER_S * RATE_HZ)
     assert after[: acted + 3].count(Mode.ACTIVE) <= acted + 1, "the next tick removes torque"
-    torque = np.array([truth.column(f"torque/{digit}_motor") for digit in DIGITS])
+    torque = np.array([truth.column(f"torque/{digit}_motor") for digit in DIGIT_NAMES])
     driven = truth.t_ns[np.abs(torque).max(axis=0) > 1e-3]
     late_ms = (int(driven[-1]) - observer.done_ns) * 1e-6
     assert truth.column("tension/index_tendon").max() > 0.25 * PULL_N, "the tendon was taut before"

@@ -9,11 +9,11 @@ import pytest
 
 from handctl.drives.frame import BRS, FDF
 
-CLASSICAL = struct.Struct("=IB3x8s")
-FD = struct.Struct("=IBB2x64s")
+CLASSICAL_FRAME = struct.Struct("=IB3x8s")
+FD_FRAME = struct.Struct("=IBB2x64s")
 
 
-def raw(interface: str) -> socket.socket:
+def raw_socket(interface: str) -> socket.socket:
     opened = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     opened.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
     opened.settimeout(20.0)
@@ -27,30 +27,32 @@ def test_the_interface_is_up_and_carries_fd(interface: str) -> None:
         ["ip", "-json", "link", "show", interface], capture_output=True, check=True
     ).stdout
     (state,) = json.loads(shown)
-    assert state["mtu"] == FD.size
+    assert state["mtu"] == FD_FRAME.size
     assert "UP" in state["flags"]
 
 
 @pytest.mark.parametrize("length", [0, 1, 8])
 def test_a_classical_frame_arrives_as_sent(length: int) -> None:
     data = bytes(range(length))
-    with raw("vcan0") as sender, raw("vcan0") as receiver:
-        sender.send(CLASSICAL.pack(0x123, length, data))
-        assert receiver.recv(FD.size) == CLASSICAL.pack(0x123, length, data)
+    with raw_socket("vcan0") as sender, raw_socket("vcan0") as receiver:
+        sender.send(CLASSICAL_FRAME.pack(0x123, length, data))
+        assert receiver.recv(FD_FRAME.size) == CLASSICAL_FRAME.pack(0x123, length, data)
 
 
 @pytest.mark.parametrize("length", [0, 12, 64])
 def test_an_fd_frame_arrives_as_sent(length: int) -> None:
-    packed = FD.pack(0x12345678 | socket.CAN_EFF_FLAG, length, BRS | FDF, bytes(range(length)))
-    with raw("vcan0") as sender, raw("vcan0") as receiver:
+    packed = FD_FRAME.pack(
+        0x12345678 | socket.CAN_EFF_FLAG, length, BRS | FDF, bytes(range(length))
+    )
+    with raw_socket("vcan0") as sender, raw_socket("vcan0") as receiver:
         sender.send(packed)
-        assert receiver.recv(FD.size) == packed
+        assert receiver.recv(FD_FRAME.size) == packed
 
 
 def test_frames_of_one_bus_do_not_reach_the_other() -> None:
-    with raw("vcan0") as sender, raw("vcan0") as same, raw("vcan1") as other:
-        sender.send(CLASSICAL.pack(1, 0, b""))
-        assert len(same.recv(FD.size)) == CLASSICAL.size
+    with raw_socket("vcan0") as sender, raw_socket("vcan0") as same, raw_socket("vcan1") as other:
+        sender.send(CLASSICAL_FRAME.pack(1, 0, b""))
+        assert len(same.recv(FD_FRAME.size)) == CLASSICAL_FRAME.size
         other.setblocking(False)
         with pytest.raises(BlockingIOError):
-            other.recv(FD.size)
+            other.recv(FD_FRAME.size)

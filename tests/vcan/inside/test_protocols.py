@@ -33,19 +33,19 @@ from handctl.runtime.clocks.real import RealClock
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import RunPlan
 from handctl.session.run import RunOutcome, make_controller, run_live
-from tests.drives.protocol_bench import hand_file, on_two_buses
+from tests.drives.protocol_bench import hand_file, move_to_second_bus
 
 RATE_HZ = 200.0
 PERIOD_NS = 5_000_000
-READY_S, END_S = 30.0, 20.0
+READY_TIMEOUT_S, EXIT_TIMEOUT_S = 30.0, 20.0
 SPOOL_TORQUE_N_M, TORQUE_S = 0.05, 0.3
 TAUT_N, PULLED_N = 5.0, 3.0
 """Smallest tension while the motors make the torque above, and largest tension after the torque has ended [N]."""
 PULL_N, PULL_S = 20.0, 0.2
-DIGITS = ("index", "middle", "ring", "thumb")
+DIGIT_NAMES = ("index", "middle", "ring", "thumb")
 
 
-def serve(words: Sequence[str], ready: int) -> None:
+def run_simulator_in_child(words: Sequence[str], ready: int) -> None:
     """Run the simulator in this child process. Its output goes into a pipe."""
     mujoco.set_mjcb_time(
         ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double))
@@ -55,7 +55,9 @@ def serve(words: Sequence[str], ready: int) -> None:
 
 
 @contextmanager
-def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) -> Iterator[None]:
+def simulated_hand_process(
+    path: Path, buses: Sequence[str], time_scale: float, truth: Path
+) -> Iterator[None]:
     """Run a simulated hand with taut tendons in another process, and check that this process ends in order."""
     names = load_hand(str(path)).bus_names
     words = [
@@ -73,15 +75,17 @@ def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) 
         "--homed",
     ]
     ours, theirs = os.pipe()
-    child = multiprocessing.get_context("fork").Process(target=serve, args=(words, theirs))
+    child = multiprocessing.get_context("fork").Process(
+        target=run_simulator_in_child, args=(words, theirs)
+    )
     child.start()
     os.close(theirs)
     try:
-        assert select.select([ours], [], [], READY_S)[0], "firmware_sim did not start"
+        assert select.select([ours], [], [], READY_TIMEOUT_S)[0], "firmware_sim did not start"
         assert os.read(ours, 4096).startswith(b"firmware_sim: ready")
         yield
         child.terminate()
-        child.join(END_S)
+        child.join(EXIT_TIMEOUT_S)
         assert child.exitcode == 0
     finally:
         child.kill()
@@ -89,7 +93,7 @@ def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) 
         os.close(ours)
 
 
-class Hand:
+class HandDrives:
     """The drives of a hand on real sockets, without a controller.
 
     They run tick by tick on a slowed clock, with SYNC.
@@ -122,7 +126,7 @@ class Hand:
             assert self.buses[drive.bus].send(frames) == len(frames)
         self.k += 1
 
-    def until(self, target: DriveTarget, phase: DrivePhase, ticks: int = 600) -> None:
+    def run_until_phase(self, target: DriveTarget, phase: DrivePhase, ticks: int = 600) -> None:
         for _ in range(ticks):
             self.tick(target)
             if all(state.phase == phase for state in self.states):
@@ -141,20 +145,20 @@ class Hand:
 def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) -> None:
     path, truth_path, time_scale = hand_file(tmp_path, [protocol]), tmp_path / "truth", 0.2
     path.write_text(path.read_text().replace("watchdog_ms = 50", "watchdog_ms = 500"))
-    with simulated(path, ["socketcan:vcan0"], time_scale, truth_path):
-        hand = Hand(path, ["socketcan:vcan0"], time_scale)
-        hand.until(DriveTarget.POLL, DrivePhase.READY)
-        hand.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    with simulated_hand_process(path, ["socketcan:vcan0"], time_scale, truth_path):
+        hand = HandDrives(path, ["socketcan:vcan0"], time_scale)
+        hand.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+        hand.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
         for _ in range(int(TORQUE_S * RATE_HZ)):
             hand.tick(DriveTarget.ENABLE, SPOOL_TORQUE_N_M)
-        assert [state.phase for state in hand.states] == [DrivePhase.ENABLED] * len(DIGITS)
-        hand.until(DriveTarget.DISABLE, DrivePhase.READY)
+        assert [state.phase for state in hand.states] == [DrivePhase.ENABLED] * len(DIGIT_NAMES)
+        hand.run_until_phase(DriveTarget.DISABLE, DrivePhase.READY)
         for _ in range(int(TORQUE_S * RATE_HZ)):
             hand.tick(DriveTarget.POLL)
         hand.close()
     truth = read_truth(truth_path)
     assert truth.header["lost_frames"] == 0
-    for digit in DIGITS:
+    for digit in DIGIT_NAMES:
         tension = truth.column(f"tension/{digit}_tendon")
         assert tension.max() > TAUT_N, digit
         assert np.median(tension[-10:]) < PULLED_N, digit
@@ -162,19 +166,19 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
 
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
     """The whole controller runs with its recorder and with two protocols, which ``test_run`` does not use."""
-    path = on_two_buses(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
-    outcome, truth = pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
+    path = move_to_second_bus(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
+    outcome, truth = run_pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
     assert outcome.state.failure == ""
     assert outcome.state.unconfirmed == ()
     assert outcome.exit_code == ExitCode.DONE
     assert outcome.stats.refused == truth.header["lost_frames"] == 0
-    for digit in DIGITS:
+    for digit in DIGIT_NAMES:
         assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, (
             digit
         )  # low, as the guest's clocks slip
 
 
-def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, TruthFile]:
+def run_pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, TruthFile]:
     """Run a hand that is armed, pulls every tendon for a moment, relaxes and is disarmed.
 
     Return the outcome and the truth.
@@ -182,8 +186,10 @@ def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, Tr
     hand, time_scale = load_hand(str(path)), 0.1
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)
-    program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), PULL_S)
-    with simulated(path, buses, time_scale, folder / "truth"):
+    program = JogProgram(
+        HoldTension(do="hold", tension_N=dict.fromkeys(DIGIT_NAMES, PULL_N)), PULL_S
+    )
+    with simulated_hand_process(path, buses, time_scale, folder / "truth"):
         outcome = run_live(
             plan, make_controller(plan, program, None, arm_at_once=True), folder / "run.mcap"
         )

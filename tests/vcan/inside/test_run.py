@@ -14,11 +14,11 @@ import pytest
 
 from handctl.hand.load import load_hand
 from tests.runtime.processes import HOMED, scaled, write_homed
-from tests.vcan.inside.conftest import STALL_FAULTS, TIME_SCALE, serving
+from tests.vcan.inside.conftest import STALL_FAULTS, TIME_SCALE, run_simulator
 
-HANDCTL = Path(sys.executable).with_name("handctl")
-TASK = Path(__file__).with_name("short_grasp.toml")
-DIGITS = {"index", "middle", "ring", "thumb"}
+HANDCTL_COMMAND = Path(sys.executable).with_name("handctl")
+TASK_FILE = Path(__file__).with_name("short_grasp.toml")
+DIGIT_NAMES = {"index", "middle", "ring", "thumb"}
 TIME_SCALES = (TIME_SCALE, 0.5 * TIME_SCALE, 0.25 * TIME_SCALE)
 """Time scale of each attempt.
 
@@ -27,7 +27,7 @@ In slower time, an interruption of the guest is shorter for the hand. A defect i
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 
 
-def run_on(folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
+def run_handctl(folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
     """Run ``handctl run`` with a new simulator and a time scale, and return the ended process."""
     calibration = folder / "jamia.calibration.toml"
     if not NIGHTLY:
@@ -39,14 +39,18 @@ def run_on(folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
         "--bus",
         "socketcan:vcan0",
         "--task",
-        str(TASK),
+        str(TASK_FILE),
         *scaled(time_scale),
     ]
     files = ["--json", "--log", str(folder / "run.mcap"), "--calibration", str(calibration)]
     options = ["--scene", "cylinder", *(() if NIGHTLY else HOMED)]
-    with serving(*options, stderr_file=folder / "simulator", time_scale=time_scale):
+    with run_simulator(*options, stderr_file=folder / "simulator", time_scale=time_scale):
         return subprocess.run(
-            [HANDCTL, *words, *files], cwd=folder, capture_output=True, text=True, check=False
+            [HANDCTL_COMMAND, *words, *files],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            check=False,
         )
 
 
@@ -55,7 +59,7 @@ def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str
     for number, time_scale in enumerate(TIME_SCALES):
         place = folder / str(number)
         place.mkdir()
-        ran = run_on(place, time_scale)
+        ran = run_handctl(place, time_scale)
         if ran.returncode == 0:
             break
         simulator = (place / "simulator").read_text()
@@ -78,5 +82,5 @@ def test_a_run_grasps_holds_and_releases(tmp_path: Path) -> None:
     assert result["frames_lost"] < 0.01 * result["frames_rx"]
     assert result["tension_hold_error_n"] < 2.0
     assert result["object_motion_mm"] < 5.0
-    assert set(result["contact_force_n"]) == DIGITS
+    assert set(result["contact_force_n"]) == DIGIT_NAMES
     assert min(result["contact_force_n"].values()) > 1.0

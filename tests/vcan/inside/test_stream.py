@@ -10,7 +10,7 @@ from benchmarks import streaming
 from handctl import DriveError, UnconfirmedError
 from handctl.hand.load import load_hand
 from tests.runtime.processes import HOMED, write_homed
-from tests.vcan.inside.conftest import SIMULATOR, STALL_FAULTS, TIME_SCALE
+from tests.vcan.inside.conftest import SIMULATOR_CODE, STALL_FAULTS, TIME_SCALE
 
 TIME_SCALES = (TIME_SCALE, 0.7 * TIME_SCALE, 0.4 * TIME_SCALE)
 """Time scale of each attempt.
@@ -28,14 +28,14 @@ LARGEST_RATIO = 1.5
 def test_a_streamed_sine_is_followed_like_a_task(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(streaming, "SIMULATOR", ["-c", SIMULATOR])
+    monkeypatch.setattr(streaming, "SIMULATOR", ["-c", SIMULATOR_CODE])
     monkeypatch.setattr(streaming, "TRACKED_S", TRACKED_S)
     monkeypatch.setattr(streaming, "INTERPOLATIONS", ("minimum_jerk",))
     calibration = tmp_path / "jamia.calibration.toml"
     write_homed(calibration, load_hand("jamia"))
     for time_scale in TIME_SCALES:
         with contextlib.suppress(GuestStoppedError):
-            result = tracking(time_scale, calibration)
+            result = measure_tracking(time_scale, calibration)
             break
     else:
         pytest.fail("the guest stood still in every attempt")
@@ -47,7 +47,7 @@ class GuestStoppedError(Exception):
     """Error for a run that ended because the only core of the guest was busy."""
 
 
-def tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
+def measure_tracking(time_scale: float, calibration: Path) -> dict[str, Any]:
     """Measure the tracking error of a stream and that of the same motion in a task.
 
     Raises:

@@ -244,7 +244,7 @@ B17 = declare_fault(
 )  # fmt: skip
 
 declare_row(
-    "B18", "alone on the bus", CHECKED_BEFORE_ARMING, tested="tests/safety/test_reported.py"
+    "B18", "alone on the bus", CHECKED_BEFORE_ARMING, tested="tests/safety/test_reported_faults.py"
 )
 declare_fault(
     "B18", "alone on the bus", "The interface reports error frames, and no node replies before arming",

@@ -129,20 +129,26 @@ declare_row(
 )
 declare_row("H15", "memory or descriptors leak", CHECKED_BY_LOOP, tested="soak")
 declare_row(
-    "I01", "NaN, inf, bool for number", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py"
+    "I01",
+    "NaN, inf, bool for number",
+    CHECKED_IN_FILES,
+    tested="tests/hand/test_hand_file_refusals.py",
 )
 declare_row(
-    "I02", "negative mass, zero length", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py"
+    "I02",
+    "negative mass, zero length",
+    CHECKED_IN_FILES,
+    tested="tests/hand/test_hand_file_refusals.py",
 )
-declare_row("I03", "wrong unit", CHECKED_IN_FILES, tested="tests/hand/test_refusals.py")
+declare_row("I03", "wrong unit", CHECKED_IN_FILES, tested="tests/hand/test_hand_file_refusals.py")
 declare_row(
     "I04",
     "unknown, missing, duplicate keys",
     CHECKED_IN_FILES,
-    tested="tests/hand/test_refusals.py",
+    tested="tests/hand/test_hand_file_refusals.py",
 )
 declare_row("I05", "contradiction", CHECKED_IN_FILES, tested="tests/hand/test_cross_checks.py")
-declare_row("I06", "bad trajectory", CHECKED_IN_FILES, tested="tests/controller/test_task.py")
+declare_row("I06", "bad trajectory", CHECKED_IN_FILES, tested="tests/controller/test_task_files.py")
 
 declare_row("I07", "bad live goal", ticks=1, required=2)
 I07A = declare_fault(
@@ -166,7 +172,7 @@ declare_row(
 )
 
 declare_row("I11", "a stream of targets goes stale", ticks=1, ms=100, required=0,
-    tested="tests/controller/test_stream.py")  # fmt: skip
+    tested="tests/controller/test_target_streams.py")  # fmt: skip
 I11A = declare_fault(
     "I11a", "streamed targets are missing",
     "No target has arrived for hold_after_ms of the hand file, by default 100 ms",

@@ -79,7 +79,7 @@ _SINGLE_LOSS_VISIBILITY = (
 )
 _REREAD_REASON = "While enabled, limit and watchdog are read in turn, one every 500 ms"
 _SILENCE_CONDITION = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} in a row"
-_MODES_TEST = "tests/controller/test_modes.py"
+_MODES_TEST = "tests/controller/test_controller_modes.py"
 
 declare_row("N01", "reset in motion", odrive=_HEARTBEAT_VISIBILITY, ticks=4, odrive_ms=100, required=2,
     why="4 ticks if the drive is silent while it restarts (CiA 402), else 2 ticks")  # fmt: skip

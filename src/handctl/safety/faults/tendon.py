@@ -175,7 +175,7 @@ declare_row(
     odrive=_ODRIVE_VISIBILITY,
     ticks=4,
     ms=15000,
-    tested="tests/safety/test_residuals.py",
+    tested="tests/safety/test_tension_residuals.py",
 )
 T09 = declare_fault(
     "T09", "friction has grown",

@@ -1,0 +1,372 @@
+"""Test the kernels.
+
+Compiled and interpreted code give equal bytes, no kernel is compiled in a tick, and no stored code
+is stale.
+"""
+
+import ast
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import njit
+from numba.core.errors import TypingError
+
+import handctl
+from handctl.compiled import (
+    KERNEL_FUNCTIONS,
+    KERNEL_SOURCES,
+    borrowed_array,
+    compile_kernels,
+    kernel,
+)
+from handctl.core.block import STATE, STREAM_RANGE
+from handctl.core.law.stream import begin_segments
+from handctl.core.schema import BlockLayout
+from handctl.log.read.reader import RunLog
+from handctl.replay.rebuild import rebuild_controller
+from tests.contracts.random_hands import TICKS_PER_HAND, tick_hashes
+
+REPOSITORY = Path(__file__).parents[2]
+GOLDEN_LOGS = REPOSITORY / "logs" / "golden"
+GOLDEN_LOG_NAMES = sorted(path.name for path in GOLDEN_LOGS.glob("*.mcap"))
+PACKAGE_FOLDER = Path(handctl.__file__).parent
+
+
+def hash_of_execution(log: Path) -> str:
+    """Execute the ticks of a log again, and return one hash of all their states and numbers."""
+    digest = hashlib.blake2b(digest_size=16)
+    with RunLog(log) as run, np.errstate(all="ignore"):
+        controller = rebuild_controller(run)
+        state = controller.initial()
+        for one in run.ticks():
+            state, out = controller.tick(state, one.tick_in)
+            digest.update(out.state_hash)
+            for numbers in out.telemetry:
+                digest.update(numbers.tobytes())
+    return digest.hexdigest()
+
+
+def run_without_compiler(*words: str) -> subprocess.Popen[str]:
+    """Start a Python process in which kernels are interpreted and not compiled."""
+    environment = {
+        **os.environ,
+        "NUMBA_DISABLE_JIT": "1",
+        "PYTHONPATH": os.pathsep.join(map(str, sys.path)),
+    }
+    return subprocess.Popen(
+        [sys.executable, *words], env=environment, stdout=subprocess.PIPE, text=True
+    )
+
+
+DAILY_LOGS = ("jamia-grasp.mcap", "jamia-lost.mcap")
+"""Logs that are executed by day. The random hands below cover faults and other numbers of tendons."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in DAILY_LOGS else pytest.param(name, marks=pytest.mark.nightly)
+        for name in GOLDEN_LOG_NAMES
+    ],
+)
+def test_interpreted_kernels_give_the_same_bytes(name: str) -> None:
+    script = f"from {__name__} import hash_of_execution, GOLDEN; print(hash_of_execution(GOLDEN / {name!r}))"
+    with run_without_compiler("-c", script) as other:
+        mine = hash_of_execution(GOLDEN_LOGS / name)
+        output, _ = other.communicate(timeout=120)
+    assert output.strip() == mine
+
+
+DAILY_RANDOM_HANDS = [(1, 0), (2, 0), (5, 1), (5, 2), (6, 5), (11, 1), (24, 0)]
+"""Number of tendons and seed of each random hand that is tested by day.
+
+Drives of (5, 2), (6, 5) and (11, 1) close position loops. Those of (6, 5) are moteus.
+"""
+
+
+@pytest.mark.parametrize(
+    "hands",
+    [
+        DAILY_RANDOM_HANDS,
+        pytest.param([(n, s) for n in range(1, 25) for s in (2, 3)], marks=pytest.mark.nightly),
+    ],
+    ids=len,
+)
+def test_interpreted_kernels_give_the_same_ticks_of_random_hands(
+    hands: list[tuple[int, int]],
+) -> None:
+    """State, numbers, frames and events of every tick agree.
+
+    Received frames may be lost, duplicate, late or corrupt.
+    """
+    with run_without_compiler(
+        "-m", "tests.contracts.random_hands", *[f"{n}:{seed}" for n, seed in hands]
+    ) as other:
+        mine = [tick_hashes(*hand) for hand in hands]
+        output, _ = other.communicate(timeout=60.0 * len(hands))
+    for hand, one, two in zip(hands, mine, json.loads(output), strict=True):
+        apart = [i for i, (a, b) in enumerate(zip(one, two, strict=True)) if a != b]
+        assert not apart, f"{hand[0]} tendons, seed {hand[1]}: from tick {apart[0]} on"
+        assert len(set(one)) == TICKS_PER_HAND, "all ticks differ"
+
+
+def hash_of_segments() -> str:
+    """Begin random motions to streamed targets, and return one hash of all resulting state blocks."""
+    digest = hashlib.blake2b(digest_size=16)
+    draw = np.random.default_rng(0)
+    axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
+    layout = BlockLayout(STATE, dict.fromkeys(axes, 3))
+    for i in range(200):
+        block = layout.initial.copy()
+        rows = layout.table(block, "coordinate")
+        rows[...] = draw.normal(size=rows.shape)
+        rows[STREAM_RANGE], rows[STREAM_RANGE + 1] = -1.0, 1.0
+        aim, held = draw.normal(size=(2, 3))
+        duration = draw.uniform(0.002, 0.05)
+        apart = np.inf if i % 5 == 0 else draw.uniform(0.005, 0.05)
+        clipped = begin_segments(
+            block, layout.places, aim, held, draw.normal(), duration, apart, 5.0, i % 2
+        )
+        digest.update(block.tobytes() + bytes([bool(clipped)]))
+    return digest.hexdigest()
+
+
+def test_interpreted_kernels_begin_the_same_motions() -> None:
+    with run_without_compiler(
+        "-c", f"from {__name__} import hash_of_segments; print(hash_of_segments())"
+    ) as other:
+        mine = hash_of_segments()
+        output, _ = other.communicate(timeout=120)
+    assert output.strip() == mine
+
+
+def test_a_prepared_kernel_refuses_other_argument_types() -> None:
+    """An array of another type raises. A compilation for it would take a second in the middle of a tick."""
+
+    @kernel("vector", "real")
+    def scaled_values(values: np.ndarray, by: float) -> np.ndarray:
+        return values * by
+
+    compile_kernels()
+    np.testing.assert_array_equal(scaled_values(np.ones(3), 2.0), np.full(3, 2.0))
+    np.testing.assert_array_equal(scaled_values(np.ones(6)[::2], 2.0), np.full(3, 2.0))
+    with pytest.raises(TypeError, match="No matching definition"):
+        scaled_values(np.ones(3, dtype=np.float32), 2.0)
+
+
+def test_only_a_contiguous_array_can_be_borrowed() -> None:
+    """An array with gaps is refused, because a kernel would read the elements in the gaps."""
+
+    @njit
+    def third_value(values: np.ndarray) -> float:
+        return float(borrowed_array(values, 1, (2,))[1])
+
+    values = np.arange(8.0).reshape(2, 4)
+    assert third_value(values) == 2.0
+    for other in (values[:, ::2], values.T):
+        with pytest.raises(TypingError, match="a kernel can borrow a contiguous array only"):
+            third_value(other)
+
+
+PROBE_KERNEL_CODE = """
+from handctl.compiled import kernel, kernel_helper
+from handctl.core.block import STATE, state_tables
+from handctl.core.detectors import losses
+from handctl.core import block as s
+
+
+@kernel("block", "layout")
+def misses(block, at):
+    return losses.misses_every_second(state_tables(block, at), 0)
+"""
+"""Source of a kernel that calls a function of a second file. This function uses a constant of a third file."""
+ASK_PROBE_CODE = """
+from handctl import compiled
+from handctl.core import block as s
+from handctl.core.probe import misses
+
+layout = s.STATE.layout(dict.fromkeys(s.AXES, 1))
+block = layout.initial.copy()
+layout.view(block, "lost")[0] = 0b1010101010101
+compiled._KERNEL_DISPATCHERS = {name: one for name, one in compiled._KERNEL_DISPATCHERS.items() if "probe" in name}
+folder = compiled._CACHE_FOLDER
+before = [] if folder is None else list(folder.rglob("probe.misses-*.nbi"))
+compiled.compile_kernels()
+assert (not misses.stats.cache_misses) == (folder is not None), "compiled by another process, and loaded by this one"
+print(bool(misses(block, layout.places)), len(before), folder is not None)
+"""
+
+
+@pytest.fixture
+def package_copy(tmp_path: Path) -> Path:
+    """Copy the package and add the kernel ``PROBE_KERNEL_CODE``, which detects a node that misses every second tick."""
+    package = tmp_path / "handctl"
+    shutil.copytree(PACKAGE_FOLDER, package, ignore=shutil.ignore_patterns("__pycache__"))
+    (package / "core" / "probe.py").write_text(PROBE_KERNEL_CODE, encoding="utf-8")
+    return package
+
+
+def run_copied_kernel(package: Path, cache: Path) -> tuple[bool, bool, bool]:
+    """Run the added kernel of a copied package in a process.
+
+    Returns: The result of the kernel, whether its stored code was used, and whether code can be
+    stored.
+    """
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(package.parent)}
+    command = [sys.executable, "-c", ASK_PROBE_CODE]
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, cwd=package.parent, timeout=120
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    result, hits, stored = done.stdout.split()
+    return result == "True", int(hits) > 0, stored == "True"
+
+
+def test_a_constant_changed_in_another_file_compiles_again(
+    package_copy: Path, tmp_path: Path
+) -> None:
+    """The kernel is compiled again if a constant changes in another file.
+
+    numba itself checks only the kernel's own file.
+    """
+    cache = tmp_path / "cache"
+    assert run_copied_kernel(package_copy, cache) == (True, False, True)
+    assert run_copied_kernel(package_copy, cache) == (True, True, True), (
+        "positive control: unchanged code is not compiled again"
+    )
+    other = package_copy / "safety" / "faults" / "node.py"
+    text = other.read_text(encoding="utf-8")
+    assert "HALF_RATE_MISSES = 7\n" in text
+    other.write_text(
+        text.replace("HALF_RATE_MISSES = 7\n", "HALF_RATE_MISSES = 8\n"), encoding="utf-8"
+    )
+    assert run_copied_kernel(package_copy, cache) == (False, False, True)
+    other.write_text(text, encoding="utf-8")
+    assert run_copied_kernel(package_copy, cache) == (True, True, True), (
+        "the code of both versions is kept"
+    )
+
+
+def test_two_installations_of_one_version_store_their_code_apart(
+    package_copy: Path, tmp_path: Path
+) -> None:
+    """If both used one folder, an installation could load the stored code of the other."""
+    cache, other = tmp_path / "cache", tmp_path / "other" / package_copy.name
+    shutil.copytree(package_copy, other)
+    for package in (package_copy, other):
+        assert run_copied_kernel(package, cache) == (True, False, True)
+    assert len(list((cache / "handctl").glob("kernels-*"))) == 2
+
+
+@pytest.mark.parametrize("kind", ["missing", "a file", "read-only"])
+def test_without_a_writable_cache_each_process_compiles(
+    package_copy: Path, tmp_path: Path, kind: str
+) -> None:
+    cache = Path("/dev/null/none") if kind == "missing" else tmp_path / "cache"
+    if kind != "missing":
+        cache.mkdir()
+    if kind == "a file":
+        (cache / "handctl").write_text("")
+    if kind == "read-only":
+        cache.chmod(0o555)
+    result, hit, stored = run_copied_kernel(package_copy, cache)
+    assert (result, hit) == (True, False)
+    assert not stored or (kind == "read-only" and os.geteuid() == 0), (
+        "root can write into read-only folders"
+    )
+
+
+class KernelSources:
+    """Modules of handctl whose text can change a kernel.
+
+    They define names that the kernel uses, directly or indirectly.
+    """
+
+    def __init__(self) -> None:
+        """Start with an empty set of modules."""
+        self.modules = set[str]()
+        self._seen = set[tuple[str, str]]()
+        self._trees: dict[str, ast.Module] = {}
+
+    def follow_name(self, module: str, name: str) -> None:
+        """Add the module that defines a name, and the modules of all names in its definition."""
+        if (module, name) in self._seen:
+            return
+        self._seen.add((module, name))
+        self.modules.add(module)
+        for node in self._syntax_tree(module).body:
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("handctl"):
+                for one in node.names:
+                    if (one.asname or one.name) == name:
+                        self._follow_import(str(node.module), one.name)
+            elif name in defined_names(node):
+                for used in ast.walk(node):
+                    if isinstance(used, ast.Name):
+                        self.follow_name(module, used.id)
+
+    def _follow_import(self, module: str, name: str) -> None:
+        """Follow an imported name, or all names of an imported module."""
+        inner = f"{module}.{name}"
+        if inner not in sys.modules:
+            self.follow_name(module, name)
+            return
+        self.modules.add(inner)
+        for node in self._syntax_tree(inner).body:
+            for one in defined_names(node):
+                self.follow_name(inner, one)
+
+    def _syntax_tree(self, module: str) -> ast.Module:
+        """Return the syntax tree of a module."""
+        if module not in self._trees:
+            self._trees[module] = ast.parse(
+                Path(str(sys.modules[module].__file__)).read_text(encoding="utf-8")
+            )
+        return self._trees[module]
+
+
+def defined_names(node: ast.stmt) -> set[str]:
+    """Return the names that a statement at the top of a module defines."""
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return {node.name}
+    if isinstance(node, ast.Assign | ast.AnnAssign | ast.AugAssign):
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+        return {
+            one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)
+        }
+    return set()
+
+
+def is_source(module: str) -> bool:
+    """Return True if the cache folder depends on the text of a module."""
+    inside = tuple(
+        "handctl." + name.removesuffix(".py").replace("/", ".") + "." for name in KERNEL_SOURCES
+    )
+    return f"{module}.".startswith(inside)
+
+
+def test_the_cache_folder_depends_on_all_sources_of_kernels() -> None:
+    """The name of the cache folder depends on the text of every module that can change a kernel."""
+    kernels = [
+        function for function in KERNEL_FUNCTIONS if function.__module__.startswith("handctl.")
+    ]
+    assert len(kernels) > 100
+    origins = KernelSources()
+    for function in kernels:
+        origins.follow_name(function.__module__, function.__name__)
+    assert {
+        "handctl.core.schema",
+        "handctl.safety.faults.tendon",
+        "handctl.drives.records",
+    } <= origins.modules
+    assert [name for name in sorted(origins.modules) if not is_source(name)] == []
+
+
+def test_every_source_of_kernels_exists() -> None:
+    assert [name for name in KERNEL_SOURCES if not (PACKAGE_FOLDER / name).exists()] == []

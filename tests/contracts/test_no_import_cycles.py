@@ -1,0 +1,64 @@
+"""No module imports itself through other modules, neither at its top nor in a function."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+ImportGraph = dict[str, set[str]]
+
+
+def module_files() -> dict[str, Path]:
+    """Return every module of handctl and firmware_sim with its file.
+
+    A package has the file `__init__.py`, which contains no code.
+    """
+    files = {}
+    for package in (REPOSITORY / "src" / "handctl", REPOSITORY / "firmware_sim"):
+        for path in package.rglob("*.py"):
+            parts = (package.name, *path.relative_to(package).with_suffix("").parts)
+            files[".".join(parts).removesuffix(".__init__")] = path
+    return files
+
+
+def imported_modules(source: str, modules_known: set[str]) -> set[str]:
+    """Return the known modules that a source text imports, including imports in functions and for types."""
+    imported: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        match node:
+            case ast.Import(names=names):
+                imported |= {alias.name for alias in names}
+            case ast.ImportFrom(module=str(module), names=names):
+                whole = {f"{module}.{alias.name}" for alias in names} & modules_known
+                imported |= whole or {module}
+    return imported & modules_known
+
+
+def import_cycles(graph: ImportGraph) -> list[set[str]]:
+    """Return the groups of modules that import each other, directly or through others."""
+    reach = {name: set(targets) for name, targets in graph.items()}
+    for middle in graph:
+        for targets in reach.values():
+            if middle in targets:
+                targets |= reach[middle]
+    groups = {frozenset(other for other in reach[name] if name in reach[other]) for name in graph}
+    return sorted((set(group) for group in groups if group), key=sorted)
+
+
+def test_the_search_detects_circles_of_any_length() -> None:
+    assert import_cycles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [{"a", "b", "c"}]
+    assert import_cycles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+    modules_known = {"handctl.a", "handctl.b", "handctl.b.c"}
+    assert imported_modules("from handctl.b import c", modules_known) == {"handctl.b.c"}
+    assert imported_modules("def f():\n    import handctl.a", modules_known) == {"handctl.a"}
+
+
+@pytest.mark.parametrize("package", ["handctl", "firmware_sim"])
+def test_no_import_circles(package: str) -> None:
+    files = {name: path for name, path in module_files().items() if name.split(".")[0] == package}
+    graph = {
+        name: imported_modules(path.read_text(encoding="utf-8"), set(files)) - {name}
+        for name, path in files.items()
+    }
+    assert import_cycles(graph) == []

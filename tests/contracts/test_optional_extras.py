@@ -1,0 +1,189 @@
+"""If an optional package is not installed, a command that needs it reports this in one line before it begins."""
+
+import ast
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.__main__ import EXTRA_PACKAGES
+from firmware_sim.__main__ import main as firmware_sim
+from handctl.cli.main import VERB_HELP, VERBS_BY_FOLDER, main
+from handctl.extras import EXTRA_BY_MODULE, MissingExtraError, missing_extra, require_extra
+
+REPOSITORY = Path(__file__).parents[2]
+PROJECT_TABLE = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+PLACES_OF_EXTRAS = (
+    "src/handctl/gym/", "src/handctl/view/", "src/handctl/log/export/", "src/handctl/replay/dataset_episode.py",
+    "src/handctl/tune/search/",
+)  # fmt: skip
+"""Folders and files of the source that may import optional packages."""
+PARTS_OF_DEPENDENCIES = {"pydantic_core"}
+"""Packages that are part of a dependency, which pins them to one version."""
+HIDE_EXTRAS_CODE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRA_BY_MODULE)}))\n"
+"""Python code that hides every optional package from a process."""
+
+COMMANDS_WITH_EXTRA = [
+    ("demo --lockstep", "mujoco", "demo needs mujoco", "sim"),
+    ("sim --hand jamia --bus local:x", "mujoco", "sim needs mujoco", "sim"),
+    ("identify --hand jamia --lockstep", "mujoco", "identify needs mujoco", "sim"),
+    ("fault campaign --quick", "mujoco", "fault needs mujoco", "sim"),
+    ("fault sequences", "mujoco", "fault needs mujoco", "sim"),
+    ("paper --results no.json", "mujoco", "paper needs mujoco", "sim"),
+    ("tune search --hand jamia", "optuna", "tune needs optuna", "tune"),
+    (
+        "tune search --hand jamia --scheduler tcp://h:1",
+        "distributed",
+        "tune needs distributed",
+        "dask",
+    ),
+    ("tune verify g.toml --hand jamia --lockstep", "mujoco", "tune needs mujoco", "sim"),
+    ("view no.mcap", "rerun", "view needs rerun", "view"),
+    ("run --hand jamia --bus local:x --view", "rerun", "run needs rerun", "view"),
+    ("log export no.mcap --parquet", "pyarrow", "log needs pyarrow", "export"),
+    ("log export no.mcap --lerobot", "pyarrow", "log needs pyarrow", "export"),
+    ("log export no.mcap --rrd", "rerun", "log needs rerun", "view"),
+]
+
+
+@pytest.mark.parametrize(
+    ("words", "package", "need", "extra"),
+    COMMANDS_WITH_EXTRA,
+    ids=[row[0] for row in COMMANDS_WITH_EXTRA],
+)
+def test_a_missing_extra_is_one_line_that_names_it(
+    words: str,
+    package: str,
+    need: str,
+    extra: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.chdir(tmp_path)
+    assert main(words.split()) == 2
+    assert capsys.readouterr() == ("", f"handctl: {need}: pip install 'handctl[{extra}]'\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_simulator_names_its_extra_as_well() -> None:
+    code = (
+        f"{HIDE_EXTRAS_CODE}from firmware_sim.__main__ import main\n"
+        "sys.exit(main(['--hand', 'jamia', '--bus', 'local:x']))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    expected = "firmware_sim: a simulated hand needs mujoco: pip install 'handctl[sim]'\n"
+    assert (ran.returncode, ran.stderr) == (2, expected)
+    assert {EXTRA_BY_MODULE[package] for package in EXTRA_PACKAGES} == {"sim"}
+    assert callable(firmware_sim)
+
+
+def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
+    code = (
+        f"{HIDE_EXTRAS_CODE}from handctl.session.simulate import SimulatorSettings\n"
+        "SimulatorSettings('jamia').check()"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ran.stderr.splitlines()[-1].endswith(
+        "the simulated hand needs mujoco: pip install 'handctl[sim]'"
+    )
+
+
+def test_an_import_that_fails_in_the_middle_is_translated_as_well() -> None:
+    found = missing_extra("log", ModuleNotFoundError("no", name="pyarrow.parquet"))
+    assert str(found) == "log needs pyarrow: pip install 'handctl[export]'"
+    assert missing_extra("log", ModuleNotFoundError("no", name="numpy")) is None
+
+
+def test_an_import_that_fails_within_a_verb_names_the_verb(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("handctl.cli.main.optional_packages", lambda verb, args: ())
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    monkeypatch.chdir(tmp_path)
+    assert main(["-q", "tune", "search", "--hand", "jamia"]) == 2
+    assert capsys.readouterr() == ("", "handctl: tune needs optuna: pip install 'handctl[tune]'\n")
+
+
+def test_what_is_installed_is_not_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    require_extra("view", *EXTRA_BY_MODULE)
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(MissingExtraError):
+        require_extra("view", "pyarrow", "rerun")
+
+
+def test_the_doctor_names_what_is_installed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun_cli", None)
+    main(["doctor", "--json"])
+    report = json.loads(capsys.readouterr().out)
+    assert report["extras"] == {
+        "sim": True,
+        "view": False,
+        "export": True,
+        "tune": True,
+        "dask": True,
+        "gym": True,
+    }
+    assert {"version", "python", "platform"} <= report.keys()
+    main(["doctor"])
+    assert "not installed: view\n" in capsys.readouterr().out
+
+
+def test_no_verb_s_help_or_module_needs_an_extra() -> None:
+    modules = [
+        f"handctl.cli.{folder}.{verb}"
+        for folder, verbs in VERBS_BY_FOLDER.items()
+        for verb in verbs
+    ]
+    code = (
+        f"{HIDE_EXTRAS_CODE}import importlib\nfrom handctl.cli.main import main\n"
+        f"for name in {list(VERB_HELP)}:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n"
+        "        pass\n"
+        f"for name in {modules}:\n    importlib.import_module(name)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_each_extra_installs_what_it_is_named_for() -> None:
+    extras = PROJECT_TABLE["optional-dependencies"]
+    distributions = packages_distributions()
+    for package, extra in EXTRA_BY_MODULE.items():
+        names = {re.split(r"[=<>\[]", line)[0] for line in extras[extra]}
+        assert names & set(distributions[package]), f"{extra} does not install {package}"
+    listed = set(re.split(r"[\[\],]", extras["all"][0])[1:-1])
+    assert listed == set(extras) - {"all"}
+
+
+def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undeclared() -> None:
+    declared = {re.split(r"[=<>]", line)[0] for line in PROJECT_TABLE["dependencies"]}
+    distributions = packages_distributions()
+    for path in sorted((REPOSITORY / "src").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for name in imported_packages(node):
+                if name in {*sys.stdlib_module_names, *PARTS_OF_DEPENDENCIES, "handctl"}:
+                    continue
+                place = str(path.relative_to(REPOSITORY))
+                if name in EXTRA_BY_MODULE:
+                    assert place.startswith(PLACES_OF_EXTRAS), f"{place} imports {name}"
+                else:
+                    assert declared & set(distributions[name]), (
+                        f"{place} imports {name}, which is not a dependency"
+                    )
+
+
+def imported_packages(node: ast.AST) -> list[str]:
+    """Return the top-level packages that a node of a syntax tree imports."""
+    match node:
+        case ast.Import(names=aliases):
+            return [alias.name.partition(".")[0] for alias in aliases]
+        case ast.ImportFrom(module=str(module), level=0):
+            return [module.partition(".")[0]]
+    return []

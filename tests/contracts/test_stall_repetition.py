@@ -1,0 +1,65 @@
+"""A stall of the machine is detected. A test on the real clock is repeated only after a stall."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from tests.stall_meter import StallMeter
+
+pytestmark = [pytest.mark.realtime, pytest.mark.alone]
+REPEATED_TEST = """
+import os, signal, time
+import pytest
+from tests.conftest import TIME_SCALE_PER_REPEAT
+
+TRIES = []
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("stalled", [True, False])
+def test_each_repeat_runs_in_slower_time(stalled, request, repeat_time_scale):
+    TRIES.append(stalled)
+    expected = TIME_SCALE_PER_REPEAT ** (TRIES.count(stalled) - 1)
+    assert repeat_time_scale == pytest.approx(expected), "each try in slower time"
+    repeats = request.config.pluginmanager.get_plugin("repeats")
+    if stalled:
+        os.kill(repeats.meter.pids[0], signal.SIGSTOP)
+        time.sleep(0.05)
+        os.kill(repeats.meter.pids[0], signal.SIGCONT)
+        time.sleep(0.05)
+    assert TRIES.count(stalled) == 3
+"""
+
+
+def test_a_stall_of_one_core_is_seen_once() -> None:
+    meter = StallMeter()
+    try:
+        start = time.monotonic()
+        os.kill(meter.pids[-1], signal.SIGSTOP)
+        time.sleep(0.05)
+        os.kill(meter.pids[-1], signal.SIGCONT)
+        longest = 0.0
+        while not longest and time.monotonic() < start + 10.0:
+            longest = meter.longest_since(start)
+        assert 0.03 < longest < 10.0
+        assert meter.longest_since(time.monotonic()) == 0.0
+    finally:
+        meter.close()
+    assert not any(os.path.exists(f"/proc/{pid}") for pid in meter.pids)
+
+
+def test_a_test_is_repeated_only_after_a_stall(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytester.makepyfile(test_clock=REPEATED_TEST)
+    pytester.makeconftest("from tests.conftest import *")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(("", os.getcwd())))
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "-o", "markers=realtime")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "*test_clock.py::test_each_repeat_runs_in_slower_time?True?",
+            "*1 failed, 1 passed, 2 rerun*",
+        ]
+    )

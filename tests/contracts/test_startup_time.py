@@ -1,0 +1,84 @@
+"""``handctl --help`` replies at once, because a command's libraries are imported only when the command is called."""
+
+import importlib.util
+import subprocess
+import sys
+import time
+
+import pytest
+
+HEAVY_LIBRARIES = (
+    "can",
+    "control",
+    "daqp",
+    "filterpy",
+    "matplotlib",
+    "mcap",
+    "mujoco",
+    "pyarrow",
+    "pydantic",
+    "rerun",
+    "scipy",
+)
+UNUSED_SCIPY_PACKAGES = (
+    "fft",
+    "interpolate",
+    "ndimage",
+    "optimize",
+    "signal",
+    "spatial",
+    "special",
+    "stats",
+)
+"""Packages of scipy that a run does not import if its hand has springs."""
+HELP_LIMIT_S = 0.3
+HELP_LIMIT_INTERPRETERS = 10
+"""Limit of the time for a help on a slow or busy machine, in start-up times of an empty Python interpreter."""
+HELP_CODE = (
+    "from handctl.cli.main import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+)
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("handctl.cli") is None
+    or importlib.util.find_spec("handctl.cli.main") is None,
+    reason="there is no command line yet",
+)
+
+
+def seconds_to_run(code: str) -> float:
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    return time.perf_counter() - start
+
+
+@pytest.mark.realtime
+@pytest.mark.alone
+def test_help_answers_at_once() -> None:
+    pairs = [(seconds_to_run("pass"), seconds_to_run(HELP_CODE)) for _ in range(5)]
+    bare, full = (min(column) for column in zip(*pairs, strict=True))
+    allowed = max(HELP_LIMIT_S, HELP_LIMIT_INTERPRETERS * bare)
+    assert full <= allowed, f"handctl --help {full:.2f} s, bare interpreter {bare:.3f} s"
+
+
+def test_help_imports_no_heavy_library() -> None:
+    code = f"{HELP_CODE}import sys\nprint('loaded:', *(name for name in {HEAVY_LIBRARIES} if name in sys.modules))"
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert ran.stdout.startswith("usage: handctl")
+    assert ran.stdout.splitlines()[-1] == "loaded:"
+
+
+def test_a_run_starts_without_packages_that_it_does_not_use() -> None:
+    others = ("control", "matplotlib", "numpy.f2py", "numpy.testing")
+    names = ("filterpy.kalman", *others, *(f"scipy.{part}" for part in UNUSED_SCIPY_PACKAGES))
+    code = (
+        "import sys\nfrom handctl.cli.main import main\nmain(['demo', '--lockstep', '--dry-run'])\n"
+    )
+    code += f"print([name for name in {names} if name in sys.modules])\n"
+    code += (
+        "from control import dlqr\nfrom scipy.signal import find_peaks_cwt\nimport numpy as np\n"
+    )
+    code += "print(dlqr(np.eye(1), np.eye(1), np.eye(1), np.eye(1))[0].size)\n"
+    code += "print(find_peaks_cwt(np.sin(np.arange(0.0, 9.0, 0.05)), [20]).size)\n"
+    code += "np.testing.assert_allclose(1.0, 1.0)\nprint(np.f2py.__name__)"
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert ran.stdout.splitlines()[-4:] == ["['filterpy.kalman']", "1", "2", "numpy.f2py"]

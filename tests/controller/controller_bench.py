@@ -1,0 +1,247 @@
+"""A hand with scripted motors, tendons and load cells, and a bench that runs a controller tick by tick with it.
+
+This hand models much less than the simulator, and is therefore fast. Every digit stands on its open
+stop, and its rotor winds an elastic tendon against the stop. A test can lose, change or invent
+frames in both directions.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.core.model import HandModel
+from handctl.core.types import IoEvent, Mode, TickEvent, TickIn, TickOut
+from handctl.drives.frame import Frame
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.sensors.node import SensorNode
+from handctl.hand.description import Hand
+from handctl.programs.program import Program
+from tests.drives.scripted_motor import ScriptedMotor
+
+SUBSTEPS_PER_TICK = 4
+INITIAL_SLACK_M = 0.3e-3
+"""Length that a rotor must wind before its tendon is taut [m]."""
+
+
+class ToyHand:
+    """The simulated hand. A controller in lockstep calls its ``step`` once in each tick.
+
+    Attributes:
+        motors: the scripted motors, one per tendon.
+        tension: (N,) true tension of each tendon [N].
+        cell_bias: (N,) error that each load cell adds to the tension [N].
+        tendon_of_channel: index of the tendon that each load-cell channel measures.
+        silent_sensors: whether the sensor node sends no frames.
+        locked_when_disabled: whether the rotor of a disabled motor stands still.
+    """
+
+    def __init__(self, hand: Hand, period_ns: int) -> None:
+        self.hand, self.period_s = hand, period_ns * 1e-9
+        motors = [hand.motor_of(name) for name in hand.tendon_names]
+        self.motors = [
+            ScriptedMotor(m.node_id, m.options.get("reply_id", m.node_id + 0x10)) for m in motors
+        ]
+        self.spool_radius = np.array([m.spool_radius_m for m in motors])
+        self.motor_mass = np.array([m.inertia_kg_m2 for m in motors]) / self.spool_radius**2
+        self.coulomb_friction = np.array([m.coulomb_N_m for m in motors]) / self.spool_radius
+        self.tendon_stiffness = np.array([t.stiffness_N_per_m for t in hand.tendon])
+        self.tendon_damping = np.full(len(self.tendon_stiffness), 150.0)
+        n = len(motors)
+        self.spool_travel, self.spool_speed, self.tension, self.cell_bias = (
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros(n),
+        )
+        self.tendon_of_channel, self.silent_sensors, self.locked_when_disabled = (
+            list(range(n)),
+            False,
+            False,
+        )
+        self.motor_force = [0.0] * n
+
+    def step(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
+        """Reply to the frames of a tick, and advance the tendons to the next tick."""
+        answers: list[Frame] = []
+        for sent_frame in frames:
+            frame = Frame(*sent_frame)
+            if frame.can_id == self.hand.sensor_node.sync_id:
+                answers += [] if self.silent_sensors else self._sensor_frames(frame.data[0])
+            for i, motor in enumerate(self.motors):
+                motor.feedback_codes = self._feedback_codes(i)
+                answers += motor.answer_frame(frame, t_ns)
+                if motor.torque_codes:
+                    self.motor_force[i] = (
+                        motor.torque_codes.pop() / 4095.0 * 1.6 - 0.8
+                    ) / self.spool_radius[i]
+                if motor.state_nibble != 1:
+                    self.motor_force[i] = 0.0
+        self._advance_tendons()
+        return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
+
+    def tear_tendon(self, i: int) -> None:
+        """Tear tendon i. From then on its tension is zero, at any speed of its spool."""
+        self.tendon_stiffness[i] = self.tendon_damping[i] = 0.0
+
+    def close(self) -> None:
+        """Do nothing, because this peer has nothing to close."""
+
+    def _feedback_codes(self, i: int) -> tuple[int, int, int]:
+        angle, speed = (
+            self.spool_travel[i] / self.spool_radius[i],
+            self.spool_speed[i] / self.spool_radius[i],
+        )
+        torque = self.motor_force[i] * self.spool_radius[i]
+        scaled = ((angle / 12.5, 65535), (speed / 50.0, 4095), (torque / 0.8, 4095))
+        position, velocity, effort = (
+            round((min(max(v, -1.0), 1.0) + 1) / 2 * top) for v, top in scaled
+        )
+        return position, velocity, effort
+
+    def _advance_tendons(self) -> None:
+        dt = self.period_s / SUBSTEPS_PER_TICK
+        force = np.array(self.motor_force)
+        free = np.array([motor.state_nibble == 1 for motor in self.motors]) | (
+            not self.locked_when_disabled
+        )
+        for _ in range(SUBSTEPS_PER_TICK):
+            stretch = self.spool_travel - INITIAL_SLACK_M
+            self.tension = np.where(
+                stretch > 0,
+                np.maximum(
+                    self.tendon_stiffness * stretch + self.tendon_damping * self.spool_speed, 0.0
+                ),
+                0.0,
+            )
+            friction = self.coulomb_friction * np.tanh(self.spool_speed / 2e-3)
+            self.spool_speed = np.where(
+                free,
+                self.spool_speed + dt * (force - self.tension - friction) / self.motor_mass,
+                0.0,
+            )
+            self.spool_travel = self.spool_travel + dt * self.spool_speed
+
+    def _sensor_frames(self, counter: int) -> list[Frame]:
+        node = self.hand.sensor_node
+        cells = (self.tension + self.cell_bias)[self.tendon_of_channel]
+        raw = [int(np.clip(round((f + 6.0) / 0.0625), 0, 4095)) for f in cells]
+        frames = [(node.base_id, raw)]
+        if node.joints and counter % node.joint_decimation == 0:
+            flicker = counter // node.joint_decimation % 2
+            frames.append((node.base_id + 0x10, [2048 + flicker] * len(node.joints)))
+        return [
+            frame
+            for base, values in frames
+            for frame in _pack_channels(base, counter & 0xF, values)
+        ]
+
+
+def _pack_channels(base: int, counter: int, values: list[int]) -> list[Frame]:
+    """Pack up to five channels of 12 bits into each frame, after a counter of four bits, from the lowest bit."""
+    frames = []
+    for group, start in enumerate(range(0, len(values), 5)):
+        part = values[start : start + 5]
+        bits = counter | sum(value << (4 + 12 * i) for i, value in enumerate(part))
+        frames.append(Frame(base + group, bits.to_bytes((4 + 12 * len(part) + 7) // 8, "little")))
+    return frames
+
+
+def uncommissioned_controller(model: HandModel, program: Program, arm: bool = True) -> Controller:
+    """Return a controller of all tendons of a hand that is not commissioned."""
+    hand, n = model.hand, model.tendon_count
+    buses = hand.bus_names
+    motors = [hand.motor_of(name) for name in hand.tendon_names]
+    drives = tuple(MitDrive.of(motor, buses.index(motor.bus)) for motor in motors)
+    sensors = SensorNode.of(hand.sensor_node, 0, hand.tendon_names, hand.joints)
+    return Controller(model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arm)
+
+
+@dataclass
+class ControllerBench:
+    """A controller and the simulated hand, tick by tick.
+
+    Attributes:
+        controller: the controller under test.
+        peer: the simulated hand that replies to the controller.
+        to_host, to_nodes: functions that change the frames of a tick on their way to the host or to the nodes.
+        tick_history: input and output of every tick so far, with the controller's state before the tick.
+    """
+
+    controller: Controller
+    peer: ToyHand
+    to_host: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    to_nodes: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    tick_history: list[tuple[State, TickIn, TickOut]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.state, self.k, self.frames_on_bus = self.controller.initial(), 0, list[Frame]()
+        self.period_ns = round(self.controller.model.period * 1e9)
+
+    def tick(
+        self,
+        *requests: str,
+        io_events: tuple[IoEvent, ...] = (),
+        late_ns: int = 0,
+        missed_ticks: int = 0,
+        extra_frames: tuple[Frame, ...] = (),
+    ) -> TickOut:
+        """Run one tick of the controller, after ``missed_ticks`` ticks that it missed."""
+        for _ in range(missed_ticks):
+            self.frames_on_bus += self.peer.step(self.k * self.period_ns, [])
+            self.k += 1
+        t_ns = self.k * self.period_ns
+        entry = TickIn(
+            self.k,
+            t_ns,
+            late_ns,
+            (*self.to_host(self.frames_on_bus), *extra_frames),
+            io_events,
+            requests,
+        )
+        before = self.state
+        self.state, out = self.controller.tick(before, entry)
+        self.tick_history.append((before, entry, out))
+        self.frames_on_bus = self.peer.step(t_ns, self.to_nodes(list(out.frames)))
+        self.k += 1
+        return out
+
+    def run_until_mode(self, mode: Mode, timeout: float = 12.0) -> TickOut:
+        """Run ticks until the controller enters a mode."""
+        for _ in range(round(timeout / self.controller.model.period)):
+            out = self.tick()
+            if out.mode == mode:
+                return out
+        raise AssertionError(
+            f"{mode.name} is not reached: {self.state.mode.name}, {self.events[-3:]}"
+        )
+
+    def run(self, seconds: float) -> TickOut:
+        """Run ticks for a duration."""
+        for _ in range(round(seconds / self.controller.model.period)):
+            out = self.tick()
+        return out
+
+    @property
+    def mode_history(self) -> list[Mode]:
+        """Return the modes of the controller so far, in order."""
+        seen: list[Mode] = []
+        for _, _, out in self.tick_history:
+            if not seen or seen[-1] != out.mode:
+                seen.append(out.mode)
+        return seen
+
+    @property
+    def events(self) -> list[TickEvent]:
+        """Return all events that the controller has emitted so far."""
+        return [event for _, _, out in self.tick_history for event in out.events]
+
+
+def make_controller_bench(model: HandModel, program: Program, arm: bool = True) -> ControllerBench:
+    """Return a bench that connects a controller with a hand without faults."""
+    return ControllerBench(
+        uncommissioned_controller(model, program, arm),
+        ToyHand(model.hand, round(model.period * 1e9)),
+    )

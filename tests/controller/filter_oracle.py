@@ -1,0 +1,173 @@
+"""Second, independent implementation of a tendon's differential equations and of a steady-state Kalman gain."""
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from handctl.core.estimation.filter_stack import (
+    STATE_COUNT,
+    D,
+    E,
+    FilterBlock,
+    O,
+    TendonRegime,
+    V,
+    W,
+)
+from handctl.core.model import HandModel
+
+FILTER_STATE_UNITS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
+"""Unit of each of the seven filter states. In these units all states are of the order of one."""
+
+
+def rates_of_change(
+    model: HandModel, i: int, regime: TendonRegime, state: np.ndarray, force: float, rate: float
+) -> np.ndarray:
+    """Return the time derivatives of the seven filter states of tendon i."""
+    space, gains = model.space, model.gains.filter
+    x, v, s, w, d, e, o = state
+    f = 0.0
+    if regime != TendonRegime.SLACK:
+        f = space.stiffness[i] * (x - s - o) + space.damping[i] * (v - w)
+    dv = (force + d - f - space.motor_damping[i] * v) / space.motor_mass[i]
+    if regime == TendonRegime.FREE:
+        ds, dw = w - rate / space.stiffness[i], dv - (w - v) / gains.free_time_s
+    else:
+        ds, dw = w - s / 1e4, -w / gains.held_time_s
+    return np.array([v, dv, ds, dw, -d / unknown_motor_force(model, regime)[1], -e / 1e4, -o / 1e4])
+
+
+def unknown_motor_force(model: HandModel, regime: TendonRegime) -> tuple[float, float, float]:
+    """Return the deviation [N], time constant [s] and noise [N] of the unknown force on a motor."""
+    kind = "held" if regime == TendonRegime.HELD else "motor"
+    names = ("disturbance_N", "disturbance_time_s", "acceleration_noise_N")
+    return tuple(getattr(model.gains.filter, f"{kind}_{name}") for name in names)
+
+
+def differential_equation_matrices(
+    model: HandModel, i: int, regime: TendonRegime
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the matrices A and B of a tendon's linear differential equations, found column by column."""
+    zero = np.zeros(STATE_COUNT)
+    A = np.column_stack(
+        [rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATE_COUNT)]
+    )
+    return A, np.column_stack(
+        [rates_of_change(model, i, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))]
+    )
+
+
+def process_noise_density(model: HandModel, i: int, regime: TendonRegime) -> np.ndarray:
+    """Return the spectral density of the process noise (STATES, STATES).
+
+    The density of a Gauss-Markov state with standard deviation sigma and time constant tau is 2
+    sigma^2 / tau. That of a random walk is sigma^2 / tau. A free digit follows the spool, so the
+    noise of the spool acts on it too.
+    """
+    space, gains = model.space, model.gains.filter
+    disturbance, lasts, shaking = unknown_motor_force(model, regime)
+    spool = np.zeros(STATE_COUNT)
+    spool[V] = shaking / space.motor_mass[i]
+    digit = np.zeros(STATE_COUNT)
+    if regime == TendonRegime.FREE:
+        spool[W] = spool[V]
+        digit[W] = np.sqrt(2 / gains.free_time_s) * gains.free_rate_N_per_s / space.stiffness[i]
+    else:
+        digit[W] = np.sqrt(2 / gains.held_time_s) * gains.held_speed_m_s
+    unit = np.eye(STATE_COUNT)
+    sources = [
+        spool,
+        digit,
+        unit[D] * disturbance * np.sqrt(2 / lasts),
+        unit[E] * gains.cell_drift_N / np.sqrt(gains.cell_drift_time_s),
+        unit[O] * gains.offset_m * np.sqrt(2 / gains.offset_time_s),
+    ]
+    return sum(np.outer(source, source) for source in sources)
+
+
+def integrate_one_period(
+    model: HandModel, i: int, regime: TendonRegime
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return F, B and the noise covariance of one control period in scaled units.
+
+    A Runge-Kutta method integrates them.
+    """
+    A, B = differential_equation_matrices(model, i, regime)
+    A, B = A * FILTER_STATE_UNITS / FILTER_STATE_UNITS[:, None], B / FILTER_STATE_UNITS[:, None]
+    Q = process_noise_density(model, i, regime) / np.outer(FILTER_STATE_UNITS, FILTER_STATE_UNITS)
+    n, m = B.shape
+
+    def derivatives_of_matrices(t: float, y: np.ndarray) -> np.ndarray:
+        F, G, P = (
+            y[: n * n].reshape(n, n),
+            y[n * n : n * (n + m)].reshape(n, m),
+            y[n * (n + m) :].reshape(n, n),
+        )
+        return np.concatenate([(A @ F).ravel(), (A @ G + B).ravel(), (A @ P + P @ A.T + Q).ravel()])
+
+    start = np.concatenate([np.eye(n).ravel(), np.zeros(n * m), np.zeros(n * n)])
+    end = solve_ivp(
+        derivatives_of_matrices, (0.0, model.period), start, method="DOP853", rtol=1e-11, atol=1e-13
+    ).y[:, -1]
+    return (
+        end[: n * n].reshape(n, n),
+        end[n * n : n * (n + m)].reshape(n, m),
+        end[n * (n + m) :].reshape(n, n),
+    )
+
+
+def measurement_noise(model: HandModel, i: int) -> np.ndarray:
+    """Return the standard deviations of encoder and load cell for which the gains are designed."""
+    space, gains = model.space, model.gains.filter
+    return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
+
+
+def covariance_by_doubling(
+    F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray
+) -> np.ndarray:
+    """Return the steady-state covariance of a Kalman filter's prediction, by structured doubling (Anderson 1978)."""
+    A, G, P = F.T, H.T @ np.linalg.solve(R, H), Q
+    for _ in range(60):
+        middle = np.linalg.inv(np.eye(len(A)) + G @ P)
+        A, G, after = A @ middle @ A, G + A @ middle @ G @ A.T, P + A.T @ P @ middle @ A
+        if np.abs(after - P).max() <= 1e-14 * np.abs(after).max():
+            return after
+        P = after
+    raise AssertionError("the Riccati equation did not converge")
+
+
+def assumed_measurements(block: FilterBlock, regime: TendonRegime) -> np.ndarray:
+    """Return the measurement matrix H (2, 7) of the gain design.
+
+    The load cell's error is in H for slack tendons only.
+    """
+    H = block.H[:2].copy()
+    H[1, E] = float(regime == TendonRegime.SLACK)
+    return H
+
+
+def joseph_update(
+    block: FilterBlock, P: np.ndarray, missing: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the gain (7, 2) and the covariance after an update by encoder and load cell.
+
+    ``missing`` (2,) marks absent measurements.
+
+    Only in a slack tendon can the load cell's error be distinguished from tension. In other regimes
+    the filter does not correct this error, but its variance still counts.
+    """
+    H, R = block.H[:2].copy(), np.diag(block.R * np.where(missing, 1e12, 1.0))
+    H[1, E] = float(block.cell_error_observable)
+    gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    gain[E] *= float(block.cell_error_observable)
+    rest = np.eye(STATE_COUNT) - gain @ H
+    return gain, rest @ P @ rest.T + gain @ R @ gain.T
+
+
+def assert_same_covariance(found: np.ndarray, expected: np.ndarray) -> None:
+    """Assert that covariances (..., n, n) agree.
+
+    Elements may differ by 1e-9 of the deviations of their two states.
+    """
+    sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
+    size = sigma[..., :, None] * sigma[..., None, :]
+    np.testing.assert_array_less(np.abs(found - expected), 1e-9 * size + 1e-300)

@@ -1,0 +1,293 @@
+"""Synthetic estimates, measurements and states of a hand, for tests of the code that uses the filter.
+
+``State`` holds all numbers of a tick. ``SyntheticEstimate`` and ``SensorReadings`` are the parts of a state that
+tests make up. ``state_with_estimate`` puts an estimate into a state, and ``estimate_of`` takes it
+out again.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from handctl.compiled import kernel
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.core import block as s
+from handctl.core import stages
+from handctl.core.block import state_tables
+from handctl.core.constants import ConstantTables, constant_tables
+from handctl.core.estimation import kalman
+from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
+from handctl.core.estimation.statics import winding_efficiency
+from handctl.core.model import HandModel
+from handctl.core.schema import BlockArray, TablePlaces
+from handctl.core.types import Mode
+from handctl.programs.live import LiveProgram
+from tests.controller.controller_bench import uncommissioned_controller
+
+SLACK_REGIME = 2
+
+
+class SensorReadings(NamedTuple):
+    """Measurements of one tick, one value per tendon (N,). A missing measurement is NaN.
+
+    Attributes:
+        travel: by motor encoder, at the spool [m]. tension: by load cell, after its tare [N]. excursion: by joint
+            encoders [m].
+        joints: (J,) angles of the joint encoders [rad]. saturated: tendons whose load cell is at an end of its range.
+    """
+
+    travel: np.ndarray
+    tension: np.ndarray
+    excursion: np.ndarray
+    joints: np.ndarray
+    saturated: tuple[int, ...] = ()
+
+
+class SyntheticEstimate(NamedTuple):
+    """Estimate of the present state of a hand, under the names of ``handctl.core.estimate.Estimate``."""
+
+    tension: np.ndarray
+    sigma: np.ndarray
+    travel: np.ndarray
+    speed: np.ndarray
+    excursion: np.ndarray
+    rate: np.ndarray
+    disturbance: np.ndarray
+    external: np.ndarray
+    offset: np.ndarray
+    cell_error: np.ndarray
+    innovation: np.ndarray
+    nis: np.ndarray
+    slack: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    q_sigma: np.ndarray
+    contact_force: np.ndarray
+    grip_opening: np.ndarray
+    grip: np.ndarray
+
+
+BLOCK_FIELD_BY_ATTRIBUTE = {
+    "rate": "excursion_rate",
+    "offset": "stretch_offset",
+    "contact_force": "grown",
+}
+"""Field of the state block for each attribute of an estimate that is named differently there."""
+DERIVED_ATTRIBUTES = ("slack", "grip_opening", "grip")
+
+
+@functools.cache
+def controller_of(model: HandModel) -> Controller:
+    """Return a controller of a hand that waits for requests. It is constructed once for each model."""
+    return uncommissioned_controller(model, LiveProgram())
+
+
+@functools.cache
+def _active_state_template(model: HandModel) -> State:
+    state = controller_of(model).initial()
+    state.mode = Mode.ACTIVE
+    state.set_whole(s.FILTER_STARTED, 1)
+    for name in ("regime", "kind", "kind_before", "stopped"):
+        state.view(name)[...] = 0
+    return state
+
+
+def uncompiled_function(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the Python function that a kernel was compiled from.
+
+    Tests can call it although only kernels may do so.
+    """
+    return getattr(function, "py_func", function)
+
+
+def active_state(model: HandModel) -> State:
+    """Return the state of an active hand with a running filter.
+
+    Every tendon is taut, every digit is free and off its stop.
+    """
+    return _active_state_template(model).copy()
+
+
+def stage_constants(model: HandModel) -> tuple[BlockArray, TablePlaces]:
+    """Return the last two arguments of every stage of a tick: the constants of a hand and their layout."""
+    return controller_of(model)._constants
+
+
+def constant_tables_of(model: HandModel) -> ConstantTables:
+    """Return the constants of a hand by table. Functions from ``uncompiled_function`` take them in this form."""
+    return uncompiled_function(constant_tables)(*stage_constants(model))
+
+
+def state_with_estimate(model: HandModel, estimate: SyntheticEstimate) -> State:
+    """Return the state of an active hand that contains a given estimate."""
+    state = active_state(model)
+    for name, value in estimate._asdict().items():
+        if name not in DERIVED_ATTRIBUTES:
+            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+    state.view("regime")[estimate.slack] = SLACK_REGIME
+    return state
+
+
+def estimate_of(state: State) -> SyntheticEstimate:
+    """Return copies of the estimates that a controller's state contains."""
+    seen = state.estimate
+    own = {
+        name: state.view("cell_error") if name == "cell_error" else getattr(seen, name)
+        for name in SyntheticEstimate._fields
+    }
+    return SyntheticEstimate(**{name: np.array(value) for name, value in own.items()})
+
+
+class LoadStatics(NamedTuple):
+    """Known forces along each tendon (N,) [N]: the load of springs and gravity, and the tension that friction leaves.
+
+    Attributes:
+        resistance: tension that balances springs and gravity.
+        eager: tension minus friction. The speed at the spool gives the direction of friction.
+        pull: tension minus friction. The known state of friction is used where there is one.
+    """
+
+    resistance: np.ndarray
+    eager: np.ndarray
+    pull: np.ndarray
+
+
+@kernel("block", "layout", "constants", "layout")
+def _load_forces(
+    block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
+) -> np.ndarray:
+    return kalman._load_forces(state_tables(block, at), constant_tables(constants, constants_at))
+
+
+def load_statics(
+    model: HandModel,
+    table: np.ndarray,
+    tension: np.ndarray,
+    friction_state: np.ndarray | None = None,
+) -> LoadStatics:
+    """Return the known forces that the filter assumes for states (N, 7) with given tensions [N].
+
+    The stretch offset of each tendon is chosen such that the tendon has its given tension.
+    """
+    state, space = active_state(model), model.space
+    state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = table.T
+    damped = space.damping * (table[:, V] - table[:, W])
+    state.view("stretch_offset")[...] = (
+        table[:, X] - table[:, S] - (tension - damped) / space.stiffness
+    )
+    if friction_state is not None:
+        state.view("friction_state")[...] = friction_state
+    return LoadStatics(*_load_forces(state.block, state.layout.places, *stage_constants(model)))
+
+
+@kernel("constants", "layout", "vector", "count")
+def _winding_efficiency(
+    constants: BlockArray, constants_at: TablePlaces, q: np.ndarray, tendons: int
+) -> np.ndarray:
+    result = np.empty(tendons)
+    for n in range(tendons):
+        result[n] = winding_efficiency(constant_tables(constants, constants_at), n, q)
+    return result
+
+
+def winding_efficiency_of(model: HandModel, q: np.ndarray) -> np.ndarray:
+    """Return the fraction of each tension (N,) that reaches the joints at angles (J,) [rad] while the motor winds."""
+    return np.asarray(
+        _winding_efficiency(
+            *stage_constants(model), np.asarray(q, dtype=np.float64), model.tendon_count
+        )
+    )
+
+
+def exact_estimate(model: HandModel, x: np.ndarray) -> SyntheticEstimate:
+    """Return an estimate that equals filter states (N, 7) exactly. All tendons are taut and all digits free."""
+    n = model.tendon_count
+    q, dq = np.zeros(len(model.hand.joints)), np.zeros(len(model.hand.joints))
+    for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
+        q[digit.joints] = digit.excursion_to_joints @ x[tendons, S]
+        dq[digit.joints] = digit.excursion_to_joints @ x[tendons, W]
+    space = model.space
+    tension = space.stiffness * (x[:, X] - x[:, S]) + space.damping * (x[:, V] - x[:, W])
+    nothing = np.zeros(n)
+    return SyntheticEstimate(
+        tension=np.maximum(tension, 0.0),
+        sigma=nothing,
+        travel=x[:, X].copy(),
+        speed=x[:, V].copy(),
+        excursion=x[:, S].copy(),
+        rate=x[:, W].copy(),
+        disturbance=nothing,
+        external=nothing,
+        offset=nothing,
+        cell_error=nothing,
+        innovation=nothing,
+        nis=nothing,
+        slack=np.zeros(n, dtype=bool),
+        q=q,
+        dq=dq,
+        q_sigma=np.full(len(q), np.nan),
+        contact_force=np.zeros(len(model.digits)),
+        grip_opening=nothing,
+        grip=nothing,
+    )
+
+
+def balanced_state(model: HandModel, joint_angle: float) -> np.ndarray:
+    """Return filter states (N, 7) that balance springs and weight, with all coordinates at ``joint_angle`` [rad]."""
+    x = np.zeros((model.tendon_count, STATE_COUNT))
+    for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
+        x[tendons, S] = digit.reduced_moment_arms @ np.full(digit.coupling.shape[1], joint_angle)
+    x[:, X] = x[:, S] + load_statics(model, x, np.zeros(len(x))).resistance / model.space.stiffness
+    return x
+
+
+def estimate_under_tension(
+    model: HandModel, tension: float | np.ndarray, joint_angle: float = 0.0
+) -> SyntheticEstimate:
+    """Return the estimate of a hand at rest whose tendons have given tensions."""
+    return exact_estimate(model, balanced_state(model, joint_angle))._replace(
+        tension=np.full(model.tendon_count, 1.0) * tension
+    )
+
+
+def slack_hand_estimate(model: HandModel) -> SyntheticEstimate:
+    """Return the estimate of a hand whose tendons are all slack."""
+    return estimate_under_tension(model, 0.0)._replace(
+        slack=np.ones(model.tendon_count, dtype=bool)
+    )
+
+
+def empty_readings(model: HandModel) -> SensorReadings:
+    """Return the readings of a tick in which no frame arrived."""
+    n, joints = model.tendon_count, len(model.hand.joints)
+    return SensorReadings(
+        np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan)
+    )
+
+
+def detect_contacts(
+    model: HandModel, state: State, estimate: SyntheticEstimate
+) -> SyntheticEstimate:
+    """Return an estimate after contact detection. The state then contains the contacts and the closing digits.
+
+    Args:
+        model: the hand. state: of the last tick. The present tick is written into it. estimate: of the present tick.
+    """
+    for name, value in estimate._asdict().items():
+        if name not in (*DERIVED_ATTRIBUTES, "grown"):
+            state.view(BLOCK_FIELD_BY_ATTRIBUTE.get(name, name))[...] = value
+    state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.slack, SLACK_REGIME, 0)
+    borne = estimate.tension - model.space.damping * (estimate.speed - estimate.rate)
+    state.view("stretch_offset")[...] = (
+        estimate.travel - estimate.excursion - borne / model.space.stiffness
+    )
+    stages.conclude_estimate(state.block, state.layout.places, *stage_constants(model))
+    seen = state.estimate
+    return estimate._replace(
+        contact_force=seen.contact_force.copy(),
+        grip_opening=seen.grip_opening,
+        grip=seen.grip.copy(),
+    )

@@ -1,0 +1,164 @@
+"""Test contact detection in the simulator.
+
+A contact is detected soon after its force is large enough, and none is reported in free motion.
+"""
+
+import json
+import math
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.state import State
+from handctl.core import constants as h
+from handctl.core.estimation.contact import DRIFT_S, MEAN_S
+from handctl.core.model import HandModel
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
+from tests.controller.plant_run import model_of, run_on_plant
+from tests.controller.synthetic_states import (
+    active_state,
+    balanced_state,
+    constant_tables_of,
+    detect_contacts,
+    exact_estimate,
+)
+
+WALL_SCENE = """name = "wall"
+[object]
+shape = "box"
+size_m = [0.04, 0.02, 0.093]
+mass_kg = 50.0
+friction = 0.5
+position_m = [0.045, 0.0, 0.0]
+[support]
+drop_when = "never"
+"""
+"""Scene with a wall that is too heavy to move. Only the last links of the fingers reach it."""
+OPEN_ANGLES_DEG = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
+
+
+def task_program(*phases: dict[str, Any]) -> TaskProgram:
+    return TaskProgram(
+        Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases}))
+    )
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_contact_with_a_wall_is_detected_20_ms_after_1_newton(hand: str, tmp_path: Path) -> None:
+    """The contact may also be detected below 1 N.
+
+    A benchmark covers more closing speeds and more places of the object than this test.
+    """
+    closing = {
+        "kind": "close",
+        "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0},
+        "speed_deg_s": 60.0,
+    }
+    task = task_program(
+        {"kind": "move", "angle_deg": OPEN_ANGLES_DEG, "duration_s": 0.3},
+        closing,
+        {"kind": "hold", "tension_N": 15.0},
+    )
+    run = run_on_plant(hand, task, WALL_SCENE, tmp_path, 2.6)
+    found = {where: t for t, where in run.events_named("contact")}
+    force = np.array(run.digit_contact_force)
+    for d, name in enumerate(model_of(hand).hand.digit_names[:3]):
+        assert name in found
+        touched = np.flatnonzero(force[:, d] > 0.01)[0]
+        strong = np.flatnonzero(force[:, d] > 1.0)
+        assert run.time_s[touched] <= found[name], "not before there is any"
+        assert not len(strong) or found[name] <= run.time_s[strong[0]] + 0.02 + 1e-9
+
+
+def count_contacts_in_free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
+    """Return the number of contacts that are reported while a hand closes freely at 20 to 100 deg/s."""
+    chance = random.Random(f"free {hand} {seed}")
+    phases: list[dict[str, Any]] = []
+    planned = 1.0
+    while planned < seconds:
+        speed, goal = chance.uniform(20.0, 100.0), {"index": chance.uniform(25, 50)}
+        # The thumb and the fingers close in different phases, because the middle finger and the
+        # thumb would touch.
+        if chance.random() < 0.6:
+            goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
+        else:
+            goal |= {"thumb": chance.uniform(15, 50)}
+        home = {name: chance.uniform(0.0, most) for name, most in OPEN_ANGLES_DEG.items()}
+        phases += [{"kind": "move", "angle_deg": home, "duration_s": 0.5}]
+        phases += [{"kind": "close", "angle_deg": goal, "speed_deg_s": speed}]
+        planned += 0.8 + 35.0 / speed * 1.875
+    run = run_on_plant(hand, task_program(*phases), None, folder, seconds, seed)
+    assert math.isclose(run.time_s[-1], seconds, abs_tol=0.01) or run.events_named("phase")
+    assert np.max(run.digit_contact_force) == 0.0, "the digits met each other"
+    return len(run.events_named("contact"))
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_free_motion_has_no_contact(hand: str, tmp_path: Path) -> None:
+    assert count_contacts_in_free_motion(hand, 4.0, 0, tmp_path) == 0
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_ten_minutes_of_free_motion_have_no_contact(hand: str, tmp_path: Path) -> None:
+    alarms = [count_contacts_in_free_motion(hand, 60.0, seed, tmp_path) for seed in range(10)]
+    assert alarms == [0] * 10
+
+
+def closing_hand(
+    model: HandModel, force: float, ticks: int = 1, closing: int = 1, **remembered: float
+) -> State:
+    """Return the state of a hand whose first ``closing`` digits close with a force at the tips [N].
+
+    ``remembered`` sets other fields of the state, which earlier ticks would have written.
+    """
+    state, unit = (
+        active_state(model),
+        exact_estimate(model, balanced_state(model, 0.3))._replace(
+            external=np.ones(model.tendon_count)
+        ),
+    )
+    state.view("closing")[...] = 1
+    detect_contacts(model, state, unit)
+    each = force / (state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION])
+    for name, value in remembered.items():
+        state.view(name)[...] = value
+    state.view("closing")[closing:] = 0
+    for _ in range(ticks):
+        detect_contacts(model, state, unit._replace(external=each[list(model.digit_of)]))
+    return state
+
+
+def test_a_contact_force_counts_from_its_usual_negative_value(jamia: HandModel) -> None:
+    """The force estimate of the free thumb is -0.35 N near the end of its motion.
+
+    In contact it reaches only 0.2 N.
+    """
+    for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
+        state = closing_hand(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
+        assert state.view("grown")[0] == pytest.approx(counts)
+
+
+def test_drift_of_all_closing_digits_is_no_contact_force(jamia: HandModel) -> None:
+    """A positive force over a long time is drift of a load cell, for example by 0.5 N in half a minute."""
+    for drift, counts in ((0.2, 0.15), (-0.2, 0.35)):
+        state = closing_hand(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
+        assert state.view("grown")[0] == pytest.approx(counts)
+
+
+def test_means_of_a_closing_digit_follow_with_their_time_constants(jamia: HandModel) -> None:
+    """A closing digit's mean tip force follows with ``MEAN_S``, its drift with ``DRIFT_S``.
+
+    Other digits have no mean.
+    """
+    state = closing_hand(jamia, 0.0, round(MEAN_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
+    assert state.view("usual")[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)
+    assert state.view("drift")[0] == pytest.approx(-0.3 * math.exp(-MEAN_S / DRIFT_S), rel=1e-6)
+    assert np.isnan(state.view("usual")[1:]).all()
+    assert (state.view("drift")[1:] == -0.3).all()
+    assert not state.view("felt")[1:].any()

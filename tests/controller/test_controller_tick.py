@@ -1,0 +1,294 @@
+"""Test that the tick is a pure function.
+
+Equal inputs give equal outputs and inputs stay unchanged, for any received frames.
+"""
+
+import random
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.core import block as s
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
+from handctl.drives.frame import Frame
+from handctl.hand.load import hand_content, hand_from_content, load_hand
+from handctl.programs.live import LiveProgram
+from handctl.safety.action import Action
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
+
+
+def run_session(name: str) -> ControllerBench:
+    """Return the bench of a whole live session.
+
+    The hand is armed, moves, holds, loses a frame, has a fault, and relaxes.
+    """
+    rate = {"jamia": 200.0, "jamia11": 200.0}[name]
+    run = make_controller_bench(HandModel.of(load_hand(name), Gains(), rate), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
+    run.run(1.0)
+    run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 0.3}')
+    run.run(0.2)
+    run.tick('{"do": "hold", "tension_N": {"index": 30, "thumb": 20}}', '{"do": "dance"}')
+    run.to_host = lambda frames: frames[1:]
+    run.tick()
+    run.to_host = lambda frames: frames
+    run.run(0.3)
+    run.tick(io_events=(IoEvent("dropped", "local:x", 3),), late_ns=run.period_ns // 2)
+    run.tick(missed_ticks=1)
+    run.tick(extra_frames=(Frame(0x001, bytes(8), t_ns=run.k * run.period_ns),))
+    run.run_until_mode(Mode.DONE)
+    return run
+
+
+@pytest.fixture(scope="module", params=["jamia", "jamia11"])
+def session_bench(request: pytest.FixtureRequest) -> ControllerBench:
+    return run_session(request.param)
+
+
+def comparable_outputs(out: TickOut) -> tuple[object, ...]:
+    """Return all outputs of a tick in a form that can be compared. In this form NaN equals NaN."""
+    plain = (out.frames, out.mode, out.phase, out.action, out.events, out.state_hash)
+    return (*plain, out.telemetry.packed())
+
+
+def test_equal_inputs_give_equal_outputs(session_bench: ControllerBench) -> None:
+    """Any tick of a session that is executed again from its state gives the same outputs in every byte."""
+    for before, entry, out in session_bench.tick_history[::3]:
+        digest = before.digest()
+        after, again = session_bench.controller.tick(before, entry)
+        assert comparable_outputs(again) == comparable_outputs(out)
+        assert after.digest() == out.state_hash
+        assert before.digest() == digest, "the state that went in is as it was"
+
+
+def test_another_controller_of_the_same_hand_repeats_the_run(
+    session_bench: ControllerBench,
+) -> None:
+    model = session_bench.controller.model
+    other = make_controller_bench(
+        HandModel.of(model.hand, model.gains, 1.0 / model.period), LiveProgram()
+    ).controller
+    state = other.initial()
+    for _, entry, out in session_bench.tick_history:
+        state, again = other.tick(state, entry)
+        assert again.state_hash == out.state_hash, entry.k
+
+
+def test_the_order_of_frames_within_a_tick_does_not_matter(session_bench: ControllerBench) -> None:
+    shuffle = random.Random(3)
+    checked = 0
+    for before, entry, out in session_bench.tick_history[::3]:
+        frames = list(entry.frames)
+        shuffle.shuffle(frames)
+        _, again = session_bench.controller.tick(before, entry._replace(frames=tuple(frames)))
+        assert comparable_outputs(again) == comparable_outputs(out)
+        checked += frames != list(entry.frames)
+    assert checked > 50
+
+
+def test_frames_with_unknown_identifiers_change_no_decision(session_bench: ControllerBench) -> None:
+    """Only the counters of unknown frames change.
+
+    A known identifier with an extra flag counts as a malformed frame.
+    """
+    noise = (Frame(0x666, bytes(8)), Frame(0x1A0, bytes(8), bus=3))
+    misshapen = Frame(0x011 | 1 << 31, bytes(8))
+    for before, entry, out in session_bench.tick_history[::7]:
+        _, again = session_bench.controller.tick(
+            before, entry._replace(frames=(*noise, *entry.frames))
+        )
+        assert comparable_outputs(again._replace(state_hash=b"")) == comparable_outputs(
+            out._replace(state_hash=b"")
+        )
+        _, again = session_bench.controller.tick(
+            before, entry._replace(frames=(misshapen, *entry.frames))
+        )
+        assert (again.frames, again.mode) == (out.frames, out.mode)
+
+
+def test_the_origin_of_time_does_not_matter() -> None:
+    """A run that starts 2560 ticks later has equal ticks.
+
+    Only its SYNC counter and its order of register reads may differ.
+    """
+    model = HandModel.of(load_hand("jamia"), Gains(), 200.0)
+    runs = []
+    for first in (0, 2560):
+        run = make_controller_bench(model, LiveProgram())
+        run.k = first
+        run.state.set_whole(s.K, first - 1)
+        run.state.mode_since = first * model.period
+        run.run_until_mode(Mode.ACTIVE)
+        run.run(0.5)
+        run.tick('{"do": "hold", "tension_N": {"index": 15}}')
+        run.run(0.3)
+        run.tick('{"do": "stop"}')
+        run.run_until_mode(Mode.DONE)
+        runs.append(run)
+    early, late = (run.tick_history for run in runs)
+    assert len(early) == len(late)
+    for (_, _, a), (_, _, b) in zip(early, late, strict=True):
+        assert (a.mode, a.phase, a.action, [e.text for e in a.events]) == (
+            b.mode,
+            b.phase,
+            b.action,
+            [e.text for e in b.events],
+        )
+        commands = [[f for f in out.frames if f.can_id < 0x080] for out in (a, b)]
+        assert commands[0] == commands[1]
+        assert commands[0] or a.mode < Mode.ARMING or a.mode == Mode.DONE
+
+
+def test_telemetry_has_the_declared_shapes_and_its_fields_change(
+    session_bench: ControllerBench,
+) -> None:
+    hand = session_bench.controller.model.hand
+    sizes = {
+        "joint": len(hand.joints),
+        "tendon": len(hand.tendon),
+        "motor": len(hand.motor),
+        "digit": len(hand.digit),
+    }
+    silent_here = {"contact"} | ({"joint_encoder"} if not hand.sensor_node.joints else set())
+    for name, axis in TELEMETRY_AXES.items():
+        rows = [getattr(out.telemetry, name) for _, _, out in session_bench.tick_history]
+        assert all(row.shape == (sizes[axis],) and row.dtype == np.float64 for row in rows), name
+        values = np.array(rows)
+        assert not np.isinf(values).any(), name
+        if name not in silent_here:
+            assert len(np.unique(values[~np.isnan(values)])) > 1 or name == "motor_temperature", (
+                name
+            )
+
+
+def test_old_values_have_no_new_time_stamp() -> None:
+    """In a tick without frames the telemetry shows NaN for every measurement. The age of the last one grows."""
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
+    run.run(0.5)
+    run.to_host = lambda frames: []
+    ages = []
+    for _ in range(3):
+        out = run.tick()
+        numbers = out.telemetry
+        for name in (
+            "tension_raw",
+            "motor_position",
+            "motor_velocity",
+            "motor_torque",
+            "innovation",
+            "nis",
+        ):
+            assert np.isnan(getattr(numbers, name)).all(), name
+        assert not np.isnan(numbers.tension).any(), "a prediction is there"
+        ages.append(numbers.motor_age)
+    np.testing.assert_allclose(np.diff(ages, axis=0), run.controller.model.period)
+
+
+def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
+    run.run(0.5)
+    assert run.tick(missed_ticks=1).action == Action.WARN
+    run.run(0.1)
+    stalled = run.controller.limits.stalled_ticks
+    assert run.tick(missed_ticks=stalled - 1).action == Action.WARN
+    run.run(0.1)
+    out = run.tick(missed_ticks=stalled)
+    assert (out.action, out.mode) == (Action.RELAX, Mode.RELAX)
+    assert "H03" in run.state.failure
+
+
+def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
+    """The sensor node has its channels in reverse order.
+
+    When its second frame is lost, the right tendons are reported.
+    """
+    content = hand_content("jamia11")
+    content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
+    run = make_controller_bench(
+        HandModel.of(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram()
+    )
+    run.peer.tendon_of_channel = list(range(11))[::-1]
+    run.peer.cell_bias[:] = np.linspace(0.0, 2.0, 11)
+    run.run_until_mode(Mode.ACTIVE)
+    np.testing.assert_allclose(
+        run.tick_history[-1][2].telemetry.tension_raw, run.peer.cell_bias, atol=0.05
+    )
+    run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
+    run.run_until_mode(Mode.DONE)
+    lost = {mark.instance for mark in run.state.latched if mark.id == "N02"}
+    assert lost == set(run.controller.model.hand.tendon_names[::-1][5:10])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_no_frame_contains_nan(active_bench: ControllerBench, bad: float) -> None:
+    state = active_bench.state.copy()
+    state.view("travel")[0] = bad
+    entry = TickIn(active_bench.k, active_bench.k * active_bench.period_ns)
+    with np.errstate(invalid="ignore"), pytest.raises(ValueError, match="torque"):
+        active_bench.controller.tick(state, entry)
+
+
+KNOWN_IDENTIFIERS = [0x011, 0x012, 0x013, 0x014, 0x1A0, 0x1B0]
+random_frames = st.builds(
+    Frame,
+    can_id=st.sampled_from(KNOWN_IDENTIFIERS) | st.integers(0, 0x7FF) | st.integers(0, 2**32 - 1),
+    data=st.binary(max_size=8) | st.binary(max_size=64),
+    flags=st.sampled_from([0, 4, 5]),
+    bus=st.sampled_from([0, 0, 0, 1, 7]),
+    t_ns=st.integers(-1, 2**62),
+)
+
+
+@given(burst=st.lists(st.lists(random_frames, max_size=12), min_size=1, max_size=6))
+def test_no_frame_can_stop_the_tick(
+    active_bench: ControllerBench, burst: list[list[Frame]]
+) -> None:
+    """For any received frames, no tick of an active hand raises, and all torques are finite and within their limits."""
+    state, k = active_bench.state, active_bench.k
+    for some in burst:
+        state, out = active_bench.controller.tick(
+            state, TickIn(k, k * active_bench.period_ns, frames=tuple(some))
+        )
+        torque = out.telemetry.motor_torque_goal
+        assert np.isfinite(torque).all()
+        assert (np.abs(torque) <= active_bench.controller.model.torque_limit * (1 + 1e-9)).all()
+        k += 1
+
+
+@given(
+    texts=st.lists(
+        st.text(max_size=60) | st.sampled_from(['{"do": "clear"}', '{"do": "arm"}', "[" * 900]),
+        max_size=4,
+    ),
+    kinds=st.lists(
+        st.sampled_from(["enobufs", "dropped", "recorder", "error_frame", "signal", "?"]),
+        max_size=4,
+    ),
+    late=st.integers(0, 10**10),
+    gap=st.integers(0, 10**6),
+)
+def test_no_request_event_or_delay_can_stop_the_tick(
+    active_bench: ControllerBench, texts: list[str], kinds: list[str], late: int, gap: int
+) -> None:
+    k = active_bench.k + gap
+    events = tuple(IoEvent(kind, "x", 1) for kind in kinds)
+    entry = TickIn(k, k * active_bench.period_ns, late, (), events, tuple(texts))
+    _, out = active_bench.controller.tick(active_bench.state, entry)
+    assert all(event.text.isprintable() for event in out.events)
+
+
+def test_a_hand_armed_under_tension_is_not_jerked() -> None:
+    """The tension loop starts at the tension that tendons have when they are armed, for example from a held object."""
+    run = make_controller_bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run.peer.spool_travel[:] = 0.3e-3 + 20.0 / run.peer.tendon_stiffness
+    run.peer.locked_when_disabled = True
+    run.run_until_mode(Mode.ACTIVE)
+    first = run.tick_history[-1][2].telemetry
+    np.testing.assert_allclose(first.tension, 20.0, atol=6.0)
+    assert (first.motor_torque_goal > 0.0).all(), "no kick backwards"

@@ -1,0 +1,309 @@
+"""Test gains that change during a run.
+
+They stay within bounds, cause no step in torque, and are part of the hashed state.
+"""
+
+import json
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from handctl.controller.pending_gains import PendingGains
+from handctl.controller.retune import CACHE_SIZE, DesignCache
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.core import block as s
+from handctl.core.gains.bounds import checked_bound, gain_bounds, values_by_key, with_values
+from handctl.core.gains.gains import Gains, TensionGains
+from handctl.core.gains.motion_design import design_motion, design_piece_count
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.errors import ConfigError
+from handctl.hand.load import hand_path
+from handctl.programs.commission import CommissionProgram
+from handctl.programs.live import LiveProgram
+from handctl.programs.requests import parse_request
+from handctl.runtime.clocks.lockstep import load_peer
+from handctl.safety.action import Action
+from tests.controller.controller_bench import (
+    ControllerBench,
+    make_controller_bench,
+    uncommissioned_controller,
+)
+from tests.controller.law_runs import tension_limits_of
+
+HOLD_REQUEST = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'
+MOVE_REQUEST = '{"do": "move", "angle_deg": {"index": 45, "middle": 45, "ring": 45, "thumb": 20}, "duration_s": 0.2}'
+
+
+def gain_request(values: Mapping[str, float]) -> str:
+    return json.dumps({"do": "gains", "set": values})
+
+
+def noiseless_hand(model: HandModel) -> ControllerBench:
+    """Return a bench with the simulated hand, which has noiseless load cells.
+
+    Its tendons are taut, and it waits for requests.
+    """
+    options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
+    peer = load_peer("firmware_sim.rig:LockstepHand", **options)
+    desk = ControllerBench(uncommissioned_controller(model, LiveProgram()), peer)
+    desk.run_until_mode(Mode.ACTIVE)
+    while desk.state.progress.phase != "live":
+        desk.tick()
+    return desk
+
+
+@pytest.fixture
+def holding_bench(jamia: HandModel) -> ControllerBench:
+    """Return a bench whose hand raises its tensions, so that the tension loops have errors."""
+    desk = noiseless_hand(jamia)
+    desk.tick(HOLD_REQUEST)
+    desk.run(0.1)
+    return desk
+
+
+def test_unused_designs_are_dropped_and_designs_of_the_run_are_kept(jamia: HandModel) -> None:
+    run, designs = uncommissioned_controller(jamia, LiveProgram()), DesignCache()
+    used = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
+    whole = designs.controller(run, used)
+    for force in range(20, 20 + 3 * CACHE_SIZE):
+        designs.advance(
+            jamia,
+            PendingGains(
+                Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})
+            ),
+        )
+        assert designs.controller(run, used) is whole
+    assert len(designs.designed_pieces) == CACHE_SIZE
+    assert used in designs.designed_pieces
+    assert set(designs.controllers) <= set(designs.designed_pieces)
+
+
+@pytest.mark.parametrize("odd", [("motion.force_N", 1e-9), ("tension.tension_error_N", 1e-150)])
+def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
+    holding_bench: ControllerBench, odd: tuple[str, float]
+) -> None:
+    before = holding_bench.state.decisions.gains
+    outs = [holding_bench.tick(gain_request(dict([odd])))]
+    outs += [holding_bench.tick() for _ in range(10)]
+    (said,) = [event for out in outs for event in out.events if event.name == "gains"]
+    assert said.text.startswith("refused: gains: ")
+    assert "no controller follows" in said.text
+    decisions = holding_bench.state.decisions
+    assert (decisions.gains, decisions.pending, holding_bench.state.mode) == (
+        before,
+        None,
+        Mode.ACTIVE,
+    )
+    holding_bench.tick(gain_request({"tension.force_N": 6.0}))
+    holding_bench.run(0.1)
+    assert holding_bench.state.decisions.gains is not None
+    assert holding_bench.state.decisions.gains.tension.force_N == 6.0, "the next ones are taken"
+
+
+def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
+    """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
+    desk = ControllerBench(
+        uncommissioned_controller(jamia, CommissionProgram()),
+        load_peer("firmware_sim.rig:LockstepHand", hand_path=str(hand_path("jamia"))),
+    )
+    desk.run_until_mode(Mode.ACTIVE)
+    out = desk.tick(gain_request({"motion.force_N": 20.0}))
+    assert "refused: the hand is being commissioned" in [event.text for event in out.events]
+    assert desk.state.decisions.pending is None
+
+
+def test_a_change_is_taken_over_when_every_piece_is_designed(
+    holding_bench: ControllerBench, jamia: HandModel
+) -> None:
+    outs = [holding_bench.tick(gain_request({"tension.force_N": 45.0}))]
+    outs += [holding_bench.tick() for _ in range(design_piece_count(jamia.space) + 2)]
+    events = [[event for event in out.events if event.name == "gain"] for out in outs]
+    at = [i for i, found in enumerate(events) if found]
+    assert at == [design_piece_count(jamia.space) - 1]
+    assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
+    assert holding_bench.state.decisions.gains is not None
+    assert holding_bench.state.decisions.gains.tension.force_N == 45.0
+    hashes = {out.state_hash for out in outs}
+    assert len(hashes) == len(outs)
+
+
+LawCall = tuple[Controller, State, State, Action, int]
+
+
+def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[LawCall]:
+    """Return a list that records calls of the control law.
+
+    A call has its controller, the states before and after it, the action of the safety monitor, and
+    the number of ticks.
+    """
+    calls, real = list[LawCall](), Controller._compute_torques
+
+    def record_call(self: Controller, state: State, action: Action, ticks: int) -> None:
+        before = state.copy()
+        real(self, state, action, ticks)
+        calls.append((self, before, state.copy(), action, ticks))
+
+    monkeypatch.setattr(Controller, "_compute_torques", record_call)
+    return calls
+
+
+@pytest.mark.parametrize(
+    ("request_", "values"),
+    [
+        (HOLD_REQUEST, {"tension.force_N": 45.0}),
+        (HOLD_REQUEST, {"tension.force_N": 1.5}),
+        (HOLD_REQUEST, {"tension.integral_per_s": 0.0, "motion.disturbance_rejection": 0.0}),
+        (MOVE_REQUEST, {"motion.force_N": 60.0}),
+        (MOVE_REQUEST, {"motion.position_error_m": 1.8e-3, "motion.tension_feedback": 1.0}),
+    ],
+)
+def test_a_change_makes_no_step_in_torque(
+    jamia: HandModel, monkeypatch: pytest.MonkeyPatch, request_: str, values: dict[str, float]
+) -> None:
+    """In the tick of the change, the new gains and the trim together give the command of the old gains."""
+    desk = noiseless_hand(jamia)
+    desk.tick(request_)
+    desk.run(0.1)
+    for _ in range(design_piece_count(jamia.space) - 1):
+        desk.tick(gain_request(values)) if desk.state.decisions.pending is None else desk.tick()
+    calls = record_law_calls(monkeypatch)
+    out = desk.tick()
+    assert any(event.name == "gain" for event in out.events)
+    assert desk.state.whole(s.TRIMMED)
+    (_, before, _, action, ticks), (other, _, without, *_) = calls
+    with_trim = before.copy()
+    with_trim.view("trim")[...] = desk.state.view("trim")
+    with_trim.set_whole(s.TRIMMED, 1)
+    other._compute_torques(with_trim, action, ticks)
+    np.testing.assert_allclose(
+        with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
+    )
+    assert np.abs(without.view("torque") - with_trim.view("torque")).max() > 1e-4
+
+
+def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
+    jamia: HandModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If only the old gains were limited, the difference would become a trim that makes the tendon slack."""
+    desk = noiseless_hand(jamia)
+    desk.tick(MOVE_REQUEST)
+    desk.run(0.05)
+    judge = Controller._judge
+    monkeypatch.setattr(
+        Controller, "_judge", lambda self, *words: (Action.HOLD, judge(self, *words)[1])
+    )
+    calls = record_law_calls(monkeypatch)
+    desk.tick(gain_request({"motion.force_N": 60.0}))
+    while desk.state.decisions.pending is not None:
+        calls.clear()
+        desk.tick()
+    (own, _, old, *_), (other, _, new, *_) = calls
+    assert own is not other
+    assert old.whole(s.HOLDING) == new.whole(s.HOLDING) == 1
+    np.testing.assert_array_equal(new.view("limit_held"), old.view("limit_held"))
+    limit = old.view("limit_held")
+    for state in (old, new):
+        np.testing.assert_array_equal(tension_limits_of(own.model, state), limit)
+        assert (
+            state.view("torque") / jamia.space.spool <= limit + jamia.space.coulomb + 1e-9
+        ).all()
+
+
+def test_the_trim_fades_and_the_goal_is_reached(holding_bench: ControllerBench) -> None:
+    holding_bench.tick(gain_request({"tension.tension_error_N": 1.4}))
+    holding_bench.run(2.5)
+    assert not holding_bench.state.whole(s.TRIMMED)
+    assert not holding_bench.state.view("trim").any()
+    tension = np.array([out.telemetry.tension for *_, out in holding_bench.tick_history[-200:]])
+    np.testing.assert_allclose(tension.mean(axis=0), 14.0, atol=1.0)
+
+
+def test_two_changes_of_gains_add_up_and_can_be_undone(
+    holding_bench: ControllerBench, jamia: HandModel
+) -> None:
+    holding_bench.tick(gain_request({"tension.force_N": 30.0}))
+    holding_bench.tick(gain_request({"motion.tension_feedback": 0.1}))
+    holding_bench.run(0.1)
+    gains = holding_bench.state.decisions.gains
+    assert gains is not None
+    assert (gains.tension.force_N, gains.motion.tension_feedback) == (30.0, 0.1)
+    holding_bench.tick(
+        gain_request(
+            {"tension.force_N": jamia.gains.tension.force_N, "motion.tension_feedback": 0.3}
+        )
+    )
+    holding_bench.run(0.1)
+    assert holding_bench.state.decisions.gains == jamia.gains
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"tension.farce_N": 1.0}, "tension.force_N?"),
+        ({"tension.force_N": 501.0}, "at most 500"),
+        ({"tension.force_N": 0.0}, "more than 0"),
+        ({"contact.ticks": 2.5}, "a whole number"),
+        ({"filter.offset_m": 1e-4}, "designed before arming"),
+        ({"tension.force_N": 30.0, "motion.force_N": -1.0}, "motion.force_N"),
+    ],
+)
+def test_impossible_gains_are_refused_in_one_line_without_effect(
+    holding_bench: ControllerBench, values: dict[str, float], said: str
+) -> None:
+    out = holding_bench.tick(gain_request(values))
+    lines = [event for event in out.events if event.name == "request" and event.level == "warn"]
+    assert len(lines) == 1
+    assert said in lines[0].text
+    assert "\n" not in lines[0].text
+    holding_bench.run(0.1)
+    assert holding_bench.state.decisions.gains is None
+
+
+def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -> None:
+    desk = make_controller_bench(jamia, LiveProgram(), arm=False)
+    desk.run_until_mode(Mode.READY)
+    desk.tick(gain_request({"motion.force_N": 40.0}))
+    desk.run(0.1)
+    assert desk.state.decisions.gains is not None
+    assert not desk.state.whole(s.TRIMMED)
+    assert not desk.state.view("trim").any()
+
+
+def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> None:
+    known = gain_bounds()
+    assert known.keys() == values_by_key(Gains()).keys()
+    assert len(known) > 20
+    for key, bound in known.items():
+        assert np.isfinite([bound.low, bound.high]).all(), key
+        assert checked_bound(key, bound.default, "test") is bound
+        with pytest.raises(ConfigError):
+            checked_bound(key, bound.high * 1.01, "test")
+
+
+@pytest.mark.parametrize("high", [False, True])
+def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high: bool) -> None:
+    """One gain at a time is set to its bound, the others keep their defaults.
+
+    A bound that is not allowed itself is approached to one hundredth of the default.
+    """
+    for key, bound in gain_bounds().items():
+        if bound.live:
+            value = (
+                bound.high
+                if high
+                else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
+            )
+            gains = with_values(
+                Gains(), {key: value if not bound.whole else round(value)}, "test", live=True
+            )
+            design = design_motion(jamia.space, gains, jamia.period)
+            assert np.isfinite(
+                [design.stiffness, design.damping, design.tension, design.tension_speed]
+            ).all(), key
+
+
+def test_the_request_needs_at_least_one_value() -> None:
+    assert isinstance(parse_request('{"do": "gains", "set": {}}'), str)

@@ -1,0 +1,54 @@
+"""Gains within their bounds either give a controller, or one line with the reason why there is none."""
+
+import math
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handctl.core.gains.bounds import gain_bounds, with_values
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.errors import ConfigError
+from handctl.hand.load import load_hand
+
+EXTREME_GAINS = {
+    "motion.force_N": 1e-9,
+    "motion.position_error_m": 1e-200,
+    "motion.speed_error_m_s": 1e-12,
+    "tension.tension_error_N": 1e-150,
+    "filter.free_time_s": 1e-300,
+    "filter.held_time_s": 1e-12,
+    "filter.encoder_noise_counts": 1e-200,
+}
+WEIGHT_KEYS = [
+    key for key, bound in gain_bounds().items() if bound.open_low and not key.startswith("contact")
+]
+
+
+@pytest.mark.parametrize("key", EXTREME_GAINS)
+def test_solver_failure_is_one_line(key: str) -> None:
+    gains = with_values(Gains(), {key: EXTREME_GAINS[key]}, "test")
+    with pytest.raises(ConfigError, match=f"gains: {key.partition('.')[0]}: no controller follows"):
+        HandModel.of(load_hand("jamia"), gains, 500.0)
+
+
+@settings(max_examples=12)
+@given(st.dictionaries(st.sampled_from(WEIGHT_KEYS), st.floats(-30.0, 0.0), min_size=1))
+def test_gains_within_bounds_are_designed_or_refused(powers: dict[str, float]) -> None:
+    known = gain_bounds()
+    gains = with_values(
+        Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test"
+    )
+    with suppress(ConfigError):
+        model = HandModel.of(load_hand("jamia_bench"), gains, 500.0)
+        found = [
+            model.motion.stiffness,
+            model.motion.damping,
+            model.motion.tension,
+            model.motion.tension_speed,
+        ]
+        found += [block.K for blocks in model.filter.blocks for block in blocks]
+        assert all(np.isfinite(one).all() for one in found)

@@ -1,0 +1,496 @@
+"""Test the grasp program: the order of its phases, its reaction to contacts, and its commands to the control law."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from handctl.core import constants as h
+from handctl.core.estimation.contact import SMOOTH_S
+from handctl.core.estimation.filter_stack import STATE_COUNT, S, X
+from handctl.core.estimation.tip import joint_lever, tip_force
+from handctl.core.law.goal import GoalKind
+from handctl.core.model import HandModel
+from handctl.core.types import TickEvent
+from handctl.hand.dynamics import static_torque
+from handctl.programs.grasp import (
+    RELEASE_TIMEOUT_S,
+    RELEASED_WITHIN_N,
+    SETTLE_AFTER_CLOSE_S,
+    TaskProgram,
+)
+from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
+from handctl.programs.task import Task
+from tests.controller.synthetic_states import (
+    SyntheticEstimate,
+    active_state,
+    constant_tables_of,
+    detect_contacts,
+    empty_readings,
+    estimate_under_tension,
+    exact_estimate,
+    slack_hand_estimate,
+)
+
+GRASP_TASK = {
+    "schema": 1,
+    "name": "test",
+    "phase": [
+        {"kind": "move", "name": "home", "angle_deg": 0.0, "duration_s": 0.2},
+        {
+            "kind": "move",
+            "name": "preshape",
+            "angle_deg": {"index": 20.0, "thumb": 5.0},
+            "duration_s": 0.3,
+        },
+        {
+            "kind": "close",
+            "name": "close",
+            "angle_deg": 80.0,
+            "speed_deg_s": 100.0,
+            "contact_tension_N": 12.0,
+        },
+        {
+            "kind": "hold",
+            "name": "hold",
+            "tension_N": {"index": 30.0, "thumb": 25.0},
+            "duration_s": 0.4,
+        },
+        {"kind": "release", "name": "release", "tension_N": 8.0, "settle_s": 0.1},
+        {"kind": "move", "name": "open", "angle_deg": 0.0, "duration_s": 0.2},
+    ],
+}
+
+
+class ProgramRun:
+    """A program that runs tick by tick on synthetic estimates.
+
+    Attributes:
+        progress: of the program after the last tick.
+        events: all events of the program so far.
+        t: time of the last tick [s].
+    """
+
+    def __init__(self, model: HandModel, task: dict[str, object] = GRASP_TASK) -> None:
+        self.model, self.program = model, TaskProgram(Task.model_validate_json(json.dumps(task)))
+        self.progress: ProgramProgress = self.program.initial(model)
+        self.events: list[TickEvent] = []
+        self.t, self.state = 0.0, active_state(model)
+
+    def tick(self, estimate: SyntheticEstimate) -> tuple[TickEvent, ...]:
+        self.t += self.model.period
+        self.state.view("closing")[...] = self.progress.closing or 0
+        detected = detect_contacts(self.model, self.state, estimate)
+        self.progress, events = self.program.advance(
+            self.model, self.progress, detected, empty_readings(self.model), self.t
+        )
+        self.events += events
+        return events
+
+    def run_until_contact(self, estimate: SyntheticEstimate) -> None:
+        """Run so many ticks with an estimate that contact detection has time to find its contact."""
+        for _ in range(round(5 * SMOOTH_S / self.model.period) + self.model.gains.contact.ticks):
+            self.tick(estimate)
+
+    def run_until_phase(
+        self, phase: str, estimate: SyntheticEstimate, timeout: float = 20.0
+    ) -> float:
+        """Run ticks until a phase begins, and return the time until then [s]."""
+        began = self.t
+        while self.progress.phase != phase:
+            assert self.t - began < timeout, f"{phase} does not begin: {self.progress}"
+            self.tick(estimate)
+        return self.t - began
+
+    @property
+    def phase_history(self) -> list[str]:
+        return [
+            event.text for event in self.events if event.name == "phase" and event.level == "info"
+        ]
+
+
+@pytest.fixture
+def taut_estimate(model: HandModel) -> SyntheticEstimate:
+    return estimate_under_tension(model, 5.0)
+
+
+def hand_in_contact(
+    model: HandModel, external: dict[str, float], tension: float = 15.0
+) -> SyntheticEstimate:
+    """Return the estimate of a taut hand.
+
+    ``external`` gives the unexplained tension of the digits that touch [N].
+    """
+    estimate = estimate_under_tension(model, tension, 0.5)
+    force = np.zeros(model.tendon_count)
+    for name, value in external.items():
+        force[model.digit_tendons[model.hand.digit_names.index(name)]] = value
+    return estimate._replace(external=force)
+
+
+def test_phases_come_in_the_order_of_the_task_and_last_as_long(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = ProgramRun(model)
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.LIMP}, "limp until active"
+    assert run.run_until_phase("tighten", taut_estimate) <= 2 * model.period
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.TENSION}
+    assert run.run_until_phase("home", taut_estimate) == pytest.approx(0.3, abs=2.1 * model.period)
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
+    assert run.run_until_phase("preshape", taut_estimate) == pytest.approx(
+        0.2, abs=1.1 * model.period
+    )
+    assert run.run_until_phase("close", taut_estimate) == pytest.approx(0.3, abs=1.1 * model.period)
+    everything = hand_in_contact(model, dict.fromkeys(model.hand.digit_names, 12.0))
+    assert run.run_until_phase("hold", everything) == pytest.approx(0.01, abs=0.01), (
+        "all touch: go on"
+    )
+    assert run.run_until_phase("release", everything) == pytest.approx(0.4, abs=1.1 * model.period)
+    assert run.run_until_phase("open", taut_estimate) == pytest.approx(0.1, abs=1.1 * model.period)
+    assert run.run_until_phase("end", taut_estimate) == pytest.approx(0.2, abs=1.1 * model.period)
+    assert run.progress.finished
+    assert not run.progress.failure
+    names = ["home", "preshape", "close", "hold", "release", "open", "task complete"]
+    assert run.phase_history == ["tighten: taking up slack", *names]
+    after = run.progress
+    run.tick(taut_estimate)
+    assert run.progress is after, "nothing comes after the end"
+
+
+def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) -> None:
+    loose = estimate_under_tension(model, 5.0)
+    loose.slack[1] = True
+    run = ProgramRun(model)
+    while not run.progress.finished:
+        run.tick(loose)
+    assert run.t == pytest.approx(TIGHTEN_TIMEOUT_S, abs=3 * model.period)
+    assert model.hand.tendon_names[1] in run.progress.failure
+    assert model.hand.tendon_names[0] not in run.progress.failure
+    assert run.events[-1].level == "error"
+
+
+def test_tightening_must_last(model: HandModel, taut_estimate: SyntheticEstimate) -> None:
+    """Slack in a tick delays the end of tightening, but not by more than a limited time."""
+    run = ProgramRun(model)
+    run.run_until_phase("tighten", taut_estimate)
+    for seconds, estimate in (
+        (0.2, taut_estimate),
+        (0.1, slack_hand_estimate(model)),
+        (0.1, taut_estimate),
+        (0.5, slack_hand_estimate(model)),
+    ):
+        for _ in range(round(seconds / model.period)):
+            run.tick(estimate)
+    assert run.run_until_phase("home", taut_estimate) == pytest.approx(0.3, abs=3.1 * model.period)
+
+
+def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = ProgramRun(model)
+    run.run_until_phase("tighten", taut_estimate)
+    while run.progress.phase == "tighten":
+        for estimate in (
+            slack_hand_estimate(model),
+            taut_estimate,
+            taut_estimate,
+            taut_estimate,
+            taut_estimate,
+        ):
+            run.tick(estimate)
+    assert run.progress.phase == "home"
+    assert run.t == pytest.approx(0.5, abs=8 * model.period)
+
+
+def test_tendon_slack_in_every_second_tick_never_counts_as_tight(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = ProgramRun(model)
+    run.run_until_phase("tighten", taut_estimate)
+    while not run.progress.finished:
+        run.tick(slack_hand_estimate(model) if run.progress.touching[0] else taut_estimate)
+    assert run.t == pytest.approx(TIGHTEN_TIMEOUT_S, abs=4 * model.period)
+    assert run.progress.failure in (
+        "not taut after 4 s: now one tendon, now another",
+        f"not taut after 4 s: {', '.join(model.hand.tendon_names)}",
+    )
+
+
+def test_motions_begin_where_the_digit_is(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = ProgramRun(model)
+    run.run_until_phase("home", taut_estimate)
+    bent = estimate_under_tension(model, 5.0, 0.4)
+    run.run_until_phase("preshape", bent)
+    names = model.hand.digit_names
+    for d, name in enumerate(names):
+        goal = run.progress.goals[d]
+        assert goal.trajectory is not None
+        if name in ("index", "thumb"):
+            np.testing.assert_allclose(goal.trajectory.start, 0.4, atol=1e-9)
+            np.testing.assert_allclose(
+                goal.trajectory.end, math.radians({"index": 20.0, "thumb": 5.0}[name])
+            )
+            assert goal.since == run.t
+        else:
+            np.testing.assert_allclose(goal.trajectory.end, 0.0, err_msg="not named: as before")
+
+
+def begin_closing(model: HandModel, taut_estimate: SyntheticEstimate) -> ProgramRun:
+    run = ProgramRun(model)
+    run.run_until_phase("close", taut_estimate)
+    return run
+
+
+def tip_forces_while_closing(model: HandModel, estimate: SyntheticEstimate) -> np.ndarray:
+    """Return the forces at the tips of all digits (D,) [N] while they close, before these forces are filtered."""
+    state = active_state(model)
+    state.view("closing")[...] = 1
+    detect_contacts(model, state, estimate)
+    return state.view("felt") / constant_tables_of(model).run[h.TIP_FORCE_FRACTION]
+
+
+def tension_for_tip_force(model: HandModel, newtons: float) -> float:
+    """Return the unexplained tension of each index tendon [N] that shows a force at the index tip [N]."""
+    found = tip_forces_while_closing(
+        model,
+        estimate_under_tension(model, 15.0, 0.5)._replace(external=np.ones(model.tendon_count)),
+    )
+    return newtons / float(found[model.hand.digit_names.index("index")])
+
+
+def test_contact_is_a_force_at_the_tip_that_lasts(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run, threshold = begin_closing(model, taut_estimate), model.gains.contact.threshold_N
+    weak = hand_in_contact(model, {"index": tension_for_tip_force(model, 0.95 * threshold)})
+    run.run_until_contact(weak)
+    run.run_until_contact(hand_in_contact(model, {"index": 0.0}))
+    for _ in range(10):
+        run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, 1.5 * threshold)}))
+        run.tick(hand_in_contact(model, {"index": tension_for_tip_force(model, -1.5 * threshold)}))
+    assert not any(run.progress.contact), "never strong and long enough"
+    began, touch = (
+        run.t,
+        hand_in_contact(model, {"index": tension_for_tip_force(model, 3.0 * threshold)}),
+    )
+    while not any(run.progress.contact):
+        events = run.tick(touch)
+        assert run.t - began < 0.02, "found in time"
+    index = model.hand.digit_names.index("index")
+    assert [i for i, c in enumerate(run.progress.contact) if c] == [index], (
+        "only the digit that touches"
+    )
+    assert [(event.name, event.where) for event in events] == [("contact", "index")]
+    goal = run.progress.goals[index]
+    assert goal.kind == GoalKind.TENSION
+    np.testing.assert_allclose(
+        goal.tension, 15.0, err_msg="holds what it has, as that is more than it shall"
+    )
+    assert {g.kind for i, g in enumerate(run.progress.goals) if i != index} == {GoalKind.MOTION}
+
+
+def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
+    """Contact detection finds the force at a tip from the tensions that balance it, at any pose of the digit."""
+    q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
+    for d, digit in enumerate(model.digits):
+        own = np.linspace(0.2, 0.6, digit.joint_count)
+        if len(digit.reduced_moment_arms) < digit.joint_count:
+            own[:] = 0.4
+        forces.append(2.5 + d)
+        q[digit.joints], balance[digit.tendons] = (
+            own,
+            forces[-1] * (digit.torque_to_tension @ joint_lever(digit, own)),
+        )
+    x = np.zeros((model.tendon_count, STATE_COUNT))
+    x[:, S] = x[:, X] = model.hand.moment_arms @ q
+    np.testing.assert_allclose(
+        tip_forces_while_closing(model, exact_estimate(model, x)._replace(external=balance)), forces
+    )
+
+
+def test_a_digit_that_touches_later_joins_the_grasp(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = begin_closing(model, taut_estimate)
+    run.run_until_contact(hand_in_contact(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
+    held = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
+    assert [i for i, c in enumerate(run.progress.contact) if c] == held
+    for d in held:
+        np.testing.assert_allclose(
+            run.progress.goals[d].tension, 12.0, err_msg="at least the contact tension"
+        )
+    before = run.progress.goals[held[0]]
+    run.run_until_contact(hand_in_contact(model, {"ring": 12.0}))
+    assert sum(run.progress.contact) == 3
+    assert run.progress.goals[held[0]] is before, "contact lost is not contact undone"
+
+
+def test_closing_without_contact_ends_with_a_message(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = begin_closing(model, taut_estimate)
+    took = run.run_until_phase("hold", taut_estimate)
+    way = math.radians(80.0)
+    longest = 15 / 8 * way / math.radians(100.0)
+    assert took == pytest.approx(longest + SETTLE_AFTER_CLOSE_S, abs=2 * model.period)
+    assert not any(run.progress.contact)
+    warnings = [event.text for event in run.events if event.level == "warn"]
+    assert warnings == ["hold: no digit is in contact"]
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
+
+
+def test_only_named_digits_in_contact_hold(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = begin_closing(model, taut_estimate)
+    touch = hand_in_contact(model, {"index": 12.0, "ring": 12.0})
+    run.run_until_contact(touch)
+    names = model.hand.digit_names
+    before = run.progress.goals[names.index("ring")]
+    run.run_until_phase("hold", touch)
+    np.testing.assert_allclose(run.progress.goals[names.index("index")].tension, 30.0)
+    assert run.progress.goals[names.index("ring")] is before, "the task says nothing about it"
+    assert run.progress.goals[names.index("thumb")].kind == GoalKind.MOTION, "it met nothing"
+
+
+def test_release_waits_for_the_tension_to_fall(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    run = begin_closing(model, taut_estimate)
+    touch = hand_in_contact(model, {"index": 12.0})
+    run.run_until_contact(touch)
+    run.run_until_phase("release", touch)
+    for _ in range(round(1.0 / model.period)):
+        run.tick(estimate_under_tension(model, 20.0))
+    assert run.progress.phase == "release"
+    run.run_until_phase("open", estimate_under_tension(model, 9.0))
+    assert not any(run.progress.contact), "free again"
+    assert not [event for event in run.events if event.level == "warn"]
+
+
+def run_release(
+    model: HandModel, taut_estimate: SyntheticEstimate, tension: float, **release: float
+) -> tuple[ProgramRun, float]:
+    """Return a run after its release phase, and the duration of this phase [s]. All tendons keep ``tension`` [N]."""
+    task = {
+        **GRASP_TASK,
+        "phase": [{**p, **release} if p["kind"] == "release" else p for p in GRASP_TASK["phase"]],
+    }
+    run, touch = ProgramRun(model, task), hand_in_contact(model, {"index": 12.0})
+    run.run_until_phase("close", taut_estimate)
+    run.run_until_contact(touch)
+    run.run_until_phase("release", touch)
+    return run, run.run_until_phase("open", estimate_under_tension(model, tension))
+
+
+@pytest.mark.parametrize(("tension", "settle", "took", "is_reported"), [
+    (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # the release ends at its timeout
+    (8.0 + RELEASED_WITHIN_N, 0.1, RELEASE_TIMEOUT_S, True),
+    (7.9 + RELEASED_WITHIN_N, 0.1, 0.1, False),
+    (9.0, 12.0, 12.0, False),                  # a longer settling time replaces the timeout
+    (50.0, 12.0, 12.0, True),
+])  # fmt: skip
+def test_a_release_that_does_not_let_go_is_reported(
+    model, taut_estimate, tension, settle, took, is_reported
+) -> None:
+    run, lasted = run_release(model, taut_estimate, tension, settle_s=settle)
+    assert lasted == pytest.approx(took, abs=0.1)
+    warnings = [(event.where, event.text) for event in run.events if event.level == "warn"]
+    assert warnings == (
+        [("index", f"release: above 8 N after {took:g} s, and going on")] if is_reported else []
+    )
+
+
+def test_released_digit_needs_a_new_contact_to_hold(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    close, hold, release = GRASP_TASK["phase"][2:5]
+    phases = [close, hold, release, {**close, "name": "again"}, {**hold, "name": "more"}]
+    run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
+    run.run_until_phase("close", taut_estimate)
+    touch, index = hand_in_contact(model, {"index": 12.0}), model.hand.digit_names.index("index")
+    run.run_until_contact(touch)
+    run.run_until_phase("release", touch)
+    run.tick(estimate_under_tension(model, 20.0))
+    assert run.progress.contact[index], "until it has let go"
+    run.run_until_phase("again", taut_estimate)
+    assert not any(run.progress.contact), "free again"
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}, "all close"
+    assert run.run_until_phase("more", taut_estimate) > 0.3
+    assert not any(run.progress.contact)
+    assert [event.text for event in run.events if event.level == "warn"] == [
+        "more: no digit is in contact"
+    ]
+
+
+def test_a_digit_that_is_held_stays_so_while_others_close(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    """A digit in contact keeps its hold during a second close phase. Only a release or a move ends a hold."""
+    close, hold = GRASP_TASK["phase"][2:4]
+    run = ProgramRun(model, {**GRASP_TASK, "phase": [close, hold, {**close, "name": "again"}]})
+    run.run_until_phase("close", taut_estimate)
+    touch, index = hand_in_contact(model, {"index": 12.0}), model.hand.digit_names.index("index")
+    run.run_until_contact(touch)
+    run.run_until_phase("again", touch)
+    assert run.progress.contact[index]
+    assert run.progress.goals[index].kind == GoalKind.TENSION
+
+
+def test_a_goal_tip_force_becomes_the_tension_that_makes_it(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
+    run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
+    run.run_until_phase("close", taut_estimate)
+    touch = hand_in_contact(model, {"index": 12.0})
+    run.run_until_contact(touch)
+    run.run_until_phase("hold", touch)
+    d = model.hand.digit_names.index("index")
+    digit, tension = model.digits[d], run.progress.goals[d].tension
+    assert tension is not None
+    q = touch.q[digit.joints]
+    static = digit.torque_to_tension @ np.asarray(static_torque(digit, q))
+    assert tip_force(digit, q, tension - static) == pytest.approx(4.0, rel=1e-3)
+
+
+def test_contact_ends_with_the_next_move(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    phases = [
+        {"kind": "close"},
+        {"kind": "move", "angle_deg": 0.0, "duration_s": 0.1},
+        {"kind": "close", "name": "again"},
+    ]
+    run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
+    run.run_until_phase("close", taut_estimate)
+    run.run_until_contact(hand_in_contact(model, {"index": 12.0}))
+    run.run_until_phase("move", taut_estimate)
+    assert not any(run.progress.contact)
+    assert {goal.kind for goal in run.progress.goals} == {GoalKind.MOTION}
+    run.run_until_phase("again", taut_estimate)
+    assert not any(run.progress.touching)
+
+
+def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(
+    model: HandModel, taut_estimate: SyntheticEstimate
+) -> None:
+    size = len(model.digits[0].reduced_moment_arms)
+    angles, tensions = [10.0, 20.0, 30.0][:size], [11.0, 12.0, 13.0][:size]
+    phases = [
+        {"kind": "move", "angle_deg": {"index": angles}, "duration_s": 0.1},
+        {"kind": "close"},
+        {"kind": "hold", "tension_N": {"index": tensions}},
+    ]
+    run = ProgramRun(model, {**GRASP_TASK, "phase": phases})
+    run.run_until_phase("move", taut_estimate)
+    goal = run.progress.goals[0]
+    assert goal.trajectory is not None
+    np.testing.assert_allclose(np.degrees(goal.trajectory.end), angles)
+    run.run_until_phase("close", taut_estimate)
+    run.run_until_contact(hand_in_contact(model, {"index": 12.0}))
+    run.run_until_phase("hold", taut_estimate)
+    np.testing.assert_allclose(run.progress.goals[0].tension, tensions)

@@ -1,0 +1,117 @@
+"""Test the control law with limited tensions.
+
+Limits come from a warm drive, from safety that holds the hand (HOLD), and from the trim after a
+change of gains.
+"""
+
+import numpy as np
+import pytest
+
+from handctl.core.law.computed_torque import MIN_TRIM_N, TRIM_TIME_S
+from handctl.core.law.goal import DigitGoal, GoalKind
+from handctl.core.model import HandModel
+from tests.controller.digit_goals import holding_goals, moving_goals
+from tests.controller.law_runs import LawState, run_law_tick
+from tests.controller.synthetic_states import estimate_under_tension
+
+HIGH_TENSION_N = 60.0
+
+
+IMMEDIATE_RATE_N_PER_S = 1e6
+"""Rate of a set-point that is so fast that it reaches its goal in one tick [N/s]."""
+
+
+def idle_law_state(model: HandModel) -> LawState:
+    return LawState.idle_at_tensions(np.full(model.tendon_count, 20.0))
+
+
+@pytest.mark.parametrize(("warm", "held", "limit"), [(15.0, None, 15.0), (None, 12.0, 12.0), (15.0, 12.0, 12.0),
+                                                     (9.0, 12.0, 9.0)])  # fmt: skip
+def test_the_lower_limit_counts_for_tension_and_for_torque(
+    jamia: HandModel, warm: float | None, held: float | None, limit: float
+) -> None:
+    n = jamia.tendon_count
+    most, kept = (None if value is None else np.full(n, value) for value in (warm, held))
+    law, command = run_law_tick(
+        jamia,
+        idle_law_state(jamia),
+        estimate_under_tension(jamia, 0.0),
+        holding_goals(jamia, HIGH_TENSION_N, IMMEDIATE_RATE_N_PER_S),
+        0.0,
+        most,
+        kept,
+    )
+    np.testing.assert_allclose(command.tension, limit)
+    asked = command.torque / jamia.space.spool
+    np.testing.assert_allclose(asked, limit + jamia.space.coulomb)
+    np.testing.assert_allclose(law.setpoint, limit)
+    np.testing.assert_array_equal(law.held, kept)
+
+
+def test_without_a_limit_the_goal_is_not_changed(jamia: HandModel) -> None:
+    law, command = run_law_tick(
+        jamia,
+        idle_law_state(jamia),
+        estimate_under_tension(jamia, 0.0),
+        holding_goals(jamia, HIGH_TENSION_N, IMMEDIATE_RATE_N_PER_S),
+        0.0,
+    )
+    np.testing.assert_allclose(command.tension, HIGH_TENSION_N)
+    assert (command.torque / jamia.space.spool > HIGH_TENSION_N).all()
+    assert law.held is None
+
+
+def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety_holds(
+    jamia: HandModel,
+) -> None:
+    n = jamia.tendon_count
+    free = run_law_tick(
+        jamia,
+        idle_law_state(jamia),
+        estimate_under_tension(jamia, 5.0),
+        moving_goals(jamia, 0.0, 1.2, 0.2),
+        0.1,
+    )[1]
+    kept = run_law_tick(
+        jamia,
+        idle_law_state(jamia),
+        estimate_under_tension(jamia, 5.0),
+        moving_goals(jamia, 0.0, 1.2, 0.2),
+        0.1,
+        None,
+        np.full(n, 6.0),
+    )[1]
+    assert (free.torque / jamia.space.spool > 6.0 + jamia.space.coulomb).all()
+    np.testing.assert_array_less(kept.torque / jamia.space.spool, 6.0 + jamia.space.coulomb + 1e-9)
+    np.testing.assert_allclose(kept.q, free.q)
+    assert (np.abs(free.dq) > 0.1).all()
+    assert not kept.dq.any(), "the place on the way is the goal then, its speed is not"
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
+    asked = (
+        holding_goals(jamia, 20.0, IMMEDIATE_RATE_N_PER_S)
+        if held
+        else moving_goals(jamia, 0.0, 1.2, 0.2)
+    )
+    plain = run_law_tick(
+        jamia, idle_law_state(jamia), estimate_under_tension(jamia, 20.0), asked, 0.0
+    )[1]
+    trimmed = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
+    law, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), asked, 0.0)
+    np.testing.assert_allclose((command.torque - plain.torque) / jamia.space.spool, 2.0)
+    assert law.trim is not None
+    np.testing.assert_allclose(law.trim, 2.0 * np.exp(-jamia.period / TRIM_TIME_S), rtol=1e-3)
+    nearly = trimmed._replace(trim=np.full(jamia.tendon_count, MIN_TRIM_N / 2))
+    assert (
+        run_law_tick(jamia, nearly, estimate_under_tension(jamia, 20.0), asked, 0.0)[0].trim is None
+    )
+
+
+def test_limp_digits_have_no_trim(jamia: HandModel) -> None:
+    goals = (*holding_goals(jamia, 20.0, IMMEDIATE_RATE_N_PER_S)[:3], DigitGoal(GoalKind.LIMP))
+    trimmed = idle_law_state(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
+    _, command = run_law_tick(jamia, trimmed, estimate_under_tension(jamia, 20.0), goals, 0.0)
+    assert command.torque[3] == 0.0
+    assert np.isnan(command.tension[3])

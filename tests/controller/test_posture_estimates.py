@@ -1,0 +1,304 @@
+"""Compare estimated joint angles and their deviations with the simulator in grasps, and with linear algebra."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from handctl.compiled import kernel
+from handctl.controller.state import State
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import state_tables
+from handctl.core.constants import constant_tables
+from handctl.core.estimation import posture
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.schema import BlockArray, TablePlaces
+from handctl.core.types import Mode
+from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.session.simulate import SimulatorSettings, homed_controller
+from handctl.session.tasks import find_task
+from tests.controller.synthetic_states import (
+    SyntheticEstimate,
+    active_state,
+    constant_tables_of,
+    controller_of,
+    detect_contacts,
+    estimate_under_tension,
+)
+
+RATE_HZ = 250.0
+PERIOD_NS = round(1e9 / RATE_HZ)
+SIMULATOR_SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") else (3,)
+GRASPS_AND_OBJECTS = [
+    ("grasp.toml", "cylinder"),
+    ("pinch.toml", "sphere"),
+    ("hook.toml", "handle"),
+    ("grasp.toml", "box"),
+]
+HELD_PHASES, FREE_PHASES = ("close", "hold", "release"), ("tighten", "home")
+
+
+class PostureTick(NamedTuple):
+    """Values of a tick of a grasp.
+
+    It has the phase, the true and estimated joint angles, the deviation of the estimate, the angles
+    that a free digit would have (J,) [rad], and the contact force on each digit [N].
+    """
+
+    phase: str
+    true_angles: np.ndarray
+    q: np.ndarray
+    sigma: np.ndarray
+    free_angles: np.ndarray
+    force: np.ndarray
+
+
+def packaged_task(name: str) -> Path:
+    return PACKAGED_HANDS_FOLDER / f"{name}.toml"
+
+
+def hand_file_with_encoders(folder: Path, joints: int | None = None) -> Path:
+    """Return the file of a jamia hand with joint encoders at all joints, or at the first ``joints`` ones."""
+    text = packaged_task("jamia").read_text(encoding="utf-8")
+    read = load_hand("jamia").joints[:joints]
+    path = folder / "encoders.toml"
+    path.write_text(
+        text.replace("joints = []", f"joints = {list(read)}".replace("'", '"')), encoding="utf-8"
+    )
+    return path
+
+
+def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureTick]:
+    """Yield the values of each tick of a simulated grasp."""
+    model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
+    program = TaskProgram(find_task(Path(task), model.hand)[0])
+    with SimulatorSettings(path, scene, seed, homed=True).against(
+        homed_controller(model, program)
+    ) as run:
+        plant, run.record = run.peer.world.plant, False
+        for _, out in run.ticks():
+            numbers, real = out.telemetry, np.array(plant.engine.q)
+            force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
+            free = model.excursion_to_joints @ numbers.excursion
+            yield PostureTick(out.phase, real, numbers.q, numbers.q_sigma, free, force)
+            if run.state.mode == Mode.RELAX:
+                break
+
+
+def root_mean_square(values: np.ndarray) -> float:
+    return float(np.degrees(np.sqrt(np.mean(values**2))))
+
+
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
+@pytest.mark.parametrize(
+    ("task", "scene"),
+    GRASPS_AND_OBJECTS if os.environ.get("HANDCTL_NIGHTLY") else GRASPS_AND_OBJECTS[:2],
+)
+def test_the_truth_is_within_two_sigma_in_a_grasp(task: str, scene: str, seed: int) -> None:
+    """This holds for at least 95 % of joints and ticks.
+
+    During the hold, the angles of free digits would be further off.
+    """
+    seen = list(run_grasp(packaged_task("jamia"), task, scene, seed))
+    held = [one for one in seen if one.phase in HELD_PHASES]
+    assert np.mean([np.abs(one.q - one.true_angles) <= 2.0 * one.sigma for one in held]) >= 0.95
+    hold = [one for one in seen if one.phase == "hold"]
+    assert len(hold) > 1000
+    error = root_mean_square(np.array([one.q - one.true_angles for one in hold]))
+    assumed = root_mean_square(np.array([one.free_angles - one.true_angles for one in hold]))
+    assert error < 0.7 * assumed, f"{error:.1f} deg, free digit {assumed:.1f} deg"
+    free = [one for one in seen if one.phase in FREE_PHASES]
+    assert root_mean_square(np.array([one.sigma for one in free])) < 1.0
+    assert root_mean_square(np.array([one.q - one.true_angles for one in free])) < 0.5
+
+
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
+def test_joint_encoders_measure_the_angles_of_a_held_digit(tmp_path: Path, seed: int) -> None:
+    seen = list(run_grasp(hand_file_with_encoders(tmp_path), "grasp.toml", "cylinder", seed))
+    hold = [one for one in seen if one.phase == "hold"]
+    error = np.array([one.q - one.true_angles for one in hold])
+    assert root_mean_square(error) < 0.2
+    assert root_mean_square(np.array([one.sigma for one in hold])) < 0.2
+    moving = [one for one in seen if one.phase in ("close", "release", "open")]
+    within = np.mean([np.abs(one.q - one.true_angles) <= 2.0 * one.sigma for one in moving + hold])
+    assert within >= 0.9
+
+
+class JointAngles(NamedTuple):
+    """Joint angles and their standard deviations, (J,) [rad]."""
+
+    q: np.ndarray
+    sigma: np.ndarray
+
+
+def angles_of_tick(
+    model: HandModel, state: State, estimate: SyntheticEstimate, touched: np.ndarray, k: int
+) -> JointAngles:
+    """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
+
+    The state then contains the tick.
+    """
+    state.view("touch")[...] = touched
+    state.set_whole(s.K, k)
+    detect_contacts(model, state, estimate._replace(external=touched[list(model.digit_of)]))
+    np.testing.assert_allclose(state.view("touch"), touched, err_msg="it lasts")
+    return JointAngles(state.view("q").copy(), state.view("q_sigma").copy())
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia_bench", "jamia11"])
+def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
+    model = HandModel.of(load_hand(hand), Gains(), RATE_HZ)
+    estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
+    touched = np.full(len(model.digits), 15.0)
+    for k in range(200):
+        angles = angles_of_tick(model, state, estimate, touched, k)
+    moment_arms = model.hand.moment_arms
+    np.testing.assert_allclose(moment_arms @ angles.q, moment_arms @ estimate.q, atol=1e-9)
+    turned = np.degrees(np.abs(angles.q - estimate.q).max())
+    assert (turned > 5.0) == (hand != "jamia11")
+    assert (np.degrees(angles.sigma.max()) > 5.0) == (hand != "jamia11")
+
+
+def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel) -> None:
+    estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
+    nothing = np.zeros(len(model.digits))
+
+    def angles_after(touched: np.ndarray, seconds: float) -> JointAngles:
+        for k in range(round(seconds / model.period)):
+            angles = angles_of_tick(model, state, estimate, touched, k)
+        return angles
+
+    constants = constant_tables_of(model)
+    free = bool(constants.run_int[h.HAS_NULL_SPACE])
+    first = angles_of_tick(model, state, estimate, nothing, 1)
+    if free:
+        span = np.concatenate([digit.joint_max - digit.joint_min for digit in model.digits])
+        np.testing.assert_array_equal(constants.joint[h.RANGE_SIGMA], span / np.sqrt(12.0))
+        np.testing.assert_array_equal(
+            first.sigma, constants.joint[h.RANGE_SIGMA], "nothing is known yet"
+        )
+    sizes = []
+    for force in (0.0, 3.0, 10.0):
+        sizes.append(float(angles_after(nothing + force, 0.5).sigma.mean()))
+    if free:
+        assert sizes == sorted(sizes)
+        assert sizes[-1] > 2.0 * sizes[0]
+    angles = angles_after(nothing, 3.0)
+    assert float(angles.sigma.mean()) == pytest.approx(sizes[0], rel=0.1)
+
+
+@kernel("block", "layout", "constants", "layout", "matrix", "matrix", "count")
+def _fuse_encoders(
+    block: BlockArray,
+    at: TablePlaces,
+    constants: BlockArray,
+    constants_at: TablePlaces,
+    columns: np.ndarray,
+    spread: np.ndarray,
+    t_ns: int,
+) -> None:
+    posture._fuse_encoders(
+        state_tables(block, at), constant_tables(constants, constants_at), columns, spread, t_ns
+    )
+
+
+def state_after_fusion(
+    model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int
+) -> State:
+    """Return a state after joint encoders were fused. Columns (C, J) and spread (J, N) give the prior covariance."""
+    after = state.copy()
+    _fuse_encoders(
+        after.block,
+        after.layout.places,
+        *controller_of(model)._constants,
+        columns,
+        spread,
+        t_ns,
+    )
+    return after
+
+
+def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
+    """Only one joint has an encoder.
+
+    Covariances weight its prior and its reading. The angles of other joints follow by their
+    correlation.
+    """
+    model = HandModel.of(
+        load_hand(str(hand_file_with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ
+    )
+    joints, state = len(model.hand.joints), active_state(model)
+    noise = constant_tables_of(model).joint[h.ENCODER_VARIANCE]
+    columns = np.zeros((2, joints))
+    columns[0, :3] = (0.2, -0.1, -0.1)
+    columns[1, :3] = (0.0, 0.05, -0.05)
+    state.view("q")[...], state.view("q_sigma")[...] = 0.5, np.sqrt((columns**2).sum(axis=0))
+    state.view("joint_angle")[0] = 0.7
+    state.view("group_ns")[...] = 0
+    spread = np.zeros((joints, model.tendon_count))
+    after = state_after_fusion(model, state, columns, spread, 0)
+    P = columns.T @ columns
+    gain = P[:, 0] / (P[0, 0] + noise[0])
+    np.testing.assert_allclose(after.view("q"), 0.5 + gain * 0.2, rtol=1e-9)
+    np.testing.assert_allclose(
+        after.view("q_sigma")[0] ** 2, P[0, 0] - gain[0] * P[0, 0], atol=1e-12
+    )
+    np.testing.assert_array_equal(after.view("q_sigma")[1:], state.view("q_sigma")[1:])
+    old = state_after_fusion(model, state, columns, spread, round(1e9))
+    np.testing.assert_array_equal(
+        old.block, state.block, "of a reading that is a second old nothing is used"
+    )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed: int) -> None:
+    """Encoders are fused one after the other.
+
+    The result is that of the matrix form, although some frames are too old.
+    """
+    model = HandModel.of(load_hand(str(hand_file_with_encoders(tmp_path))), Gains(), RATE_HZ)
+    rng, constants, state = (
+        np.random.default_rng(seed),
+        constant_tables_of(model),
+        active_state(model),
+    )
+    joints, now = len(model.hand.joints), 10**9
+    columns, spread = (
+        0.2 * rng.normal(size=(12, joints)),
+        0.02 * rng.normal(size=(joints, model.tendon_count)),
+    )
+    state.view("q")[...], state.view("dq")[...] = (
+        rng.uniform(0.0, 1.5, joints),
+        rng.normal(size=joints),
+    )
+    state.view("joint_angle")[...] = state.view("q") + 0.2 * rng.normal(size=joints)
+    heard = rng.integers(
+        now - round(1.5 * posture.MAX_READING_AGE_S * 1e9), now, len(state.view("group_ns"))
+    )
+    state.view("group_ns")[...] = heard
+    after = state_after_fusion(model, state, columns, spread, now)
+
+    age = (now - heard[constants.joint_int[h.JOINT_GROUP]]) * 1e-9
+    read = np.flatnonzero(
+        constants.joint_int[h.IS_FUSED].astype(bool) & (age < posture.MAX_READING_AGE_S)
+    )
+    moved = state.view("dq") * age
+    digit = np.repeat(np.arange(len(model.digits)), [one.joint_count for one in model.digits])
+    P = (columns.T @ columns + spread @ spread.T) * (digit[:, None] == digit)
+    R = np.diag(
+        constants.joint[h.ENCODER_VARIANCE, read] + (posture.RATE_ERROR_FRACTION * moved[read]) ** 2
+    )
+    H = np.eye(joints)[read]
+    gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    q = state.view("q") + gain @ (state.view("joint_angle") + moved - state.view("q"))[read]
+    np.testing.assert_allclose(after.view("q"), q, rtol=0.0, atol=1e-12)
+    if len(read):
+        rest = np.eye(joints) - gain @ H
+        variance = np.diagonal(rest @ P @ rest.T + gain @ R @ gain.T)
+        np.testing.assert_allclose(after.view("q_sigma") ** 2, variance, rtol=0.0, atol=1e-12)

@@ -1,0 +1,153 @@
+"""Random streamed targets cause no fault that stops the hand.
+
+The targets are within their ranges, reach both ends, and change at any speed. Streams of tensions
+go to one digit of each packaged hand with springs. Streams of angles go to all digits of each
+packaged hand. The digits then touch each other. A warning of a slack tendon (T02a) is no failure of
+the test.
+"""
+
+import os
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.hand.load import load_hand, packaged_hands
+from handctl.programs.live import LiveProgram
+from handctl.session.plan import default_rate
+from handctl.session.simulate import SimulatorSettings, homed_controller
+from tests.controller.test_target_streams import StreamClient
+
+Array = NDArray[np.float64]
+NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
+STREAM_DURATION_S = 3.0
+STREAM_RATE_HZ = 100.0
+"""Rate of the streams [Hz]. A control loop with a lower rate gets targets at its own rate."""
+
+
+@cache
+def model_of(name: str) -> HandModel:
+    """Return the model of a packaged hand at its own rate."""
+    hand = load_hand(name)
+    return HandModel.of(hand, Gains(), min(default_rate(hand), 500.0))
+
+
+def white_noise_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+    """Return targets of white noise, which also exceeds the limits."""
+    beyond = 0.1 * (high - low)
+    return rng.uniform(low - beyond, high + beyond, (len(t), len(low)))
+
+
+def step_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+    """Return targets that step from one limit to the other."""
+    hold = int(rng.integers(5, 40))
+    levels = rng.integers(0, 2, (len(t), len(low)))[np.arange(len(t)) // hold]
+    return np.where(levels, high, low)
+
+
+def sine_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+    """Return targets that oscillate as sines between the limits, at 0.3 to 6 Hz."""
+    angle = 2.0 * np.pi * rng.uniform(0.3, 6.0, len(low)) * t[:, None] + rng.uniform(
+        0.0, 6.28, len(low)
+    )
+    return (low + high) / 2 + (high - low) / 2 * np.sin(angle)
+
+
+def random_walk_targets(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:
+    """Return targets that walk at random within the limits. A walk takes 50 steps a second."""
+    steps_of_walk = (
+        rng.normal(0.0, 0.125, (len(t), len(low))) * (np.arange(len(t)) % 2 == 0)[:, None]
+    )
+    place = np.empty_like(steps_of_walk)
+    present = np.full(len(low), 0.5)
+    for i, step in enumerate(steps_of_walk):
+        present = np.clip(present + step, 0.0, 1.0)
+        place[i] = low + present * (high - low)
+    return place
+
+
+def target_limits(name: str, space: str, digit: str) -> tuple[tuple[str, ...], Array, Array]:
+    """Return the names of a stream's values, and the lowest and highest target of each [deg or N]."""
+    hand = load_hand(name)
+    if space == "tension":
+        tendons = hand.tendon[hand.digit_tendons[digit]]
+        low = np.array([tendon.tension_floor_N for tendon in tendons])
+        return (
+            tuple(tendon.name for tendon in tendons),
+            low,
+            np.array([tendon.tension_max_N for tendon in tendons]),
+        )
+    if space == "digit":
+        reach = [digit.reach for digit in model_of(name).digits]
+        low = np.array([np.degrees(bounds[0].max()) for bounds in reach])
+        return hand.digit_names, low, np.array([np.degrees(bounds[1].min()) for bounds in reach])
+    joints = hand.digit_named(digit).joints
+    ones = np.ones(len(joints))
+    low = np.array(hand.digit_named(digit).joint_min_deg) * ones
+    return joints, low, np.array(hand.digit_named(digit).joint_max_deg) * ones
+
+
+HANDS_WITH_KNOWN_FAULTS = ("n_plus_1", "orca_like")
+known_fault = pytest.mark.xfail(
+    reason="2 of 15 runs end with N14b or T01, see docs/evidence/streaming.md", strict=False
+)
+SPACES_HANDS_AND_KINDS = [
+    *(
+        ("tension", hand, kind)
+        for hand in ("jamia", "jamia_bench", "t42", "n_plus_1")
+        for kind in (white_noise_targets, step_targets, sine_targets)
+    ),
+    ("tension", "jamia11", white_noise_targets),
+    ("tension", "jamia11", sine_targets),
+    *(
+        pytest.param(
+            "digit", hand, kind, marks=known_fault if hand in HANDS_WITH_KNOWN_FAULTS else ()
+        )
+        for hand in packaged_hands()
+        for kind in (white_noise_targets, step_targets, random_walk_targets)
+    ),
+]
+SAMPLED_CASES = [
+    *SPACES_HANDS_AND_KINDS[1:14:4],
+    ("digit", "t42", random_walk_targets),
+    ("digit", "jamia", white_noise_targets),
+]
+
+
+@pytest.mark.parametrize("seed", range(20 if NIGHTLY else 1))
+@pytest.mark.parametrize(
+    ("space", "hand", "kind"), SPACES_HANDS_AND_KINDS if NIGHTLY else SAMPLED_CASES
+)
+def test_random_targets_cause_no_fault(
+    space: str, hand: str, kind: Callable[..., Array], seed: int
+) -> None:
+    """Regression: random streams ended within 45 ms with the fault T01.
+
+    The set-point of a tension ran ahead of a free digit. The reference of an angle ran ahead of a
+    held digit.
+    """
+    model = model_of(hand)
+    digit = model.hand.digit_names[0]
+    names, low, high = target_limits(hand, space, digit)
+    every = max(1, round(1.0 / STREAM_RATE_HZ / model.period))
+    rate = 1.0 / every / model.period
+    times = np.arange(round(STREAM_DURATION_S * rate)) / rate
+    targets = kind(np.random.default_rng(seed), low, high, times)
+    trip = np.array([tendon.tension_trip_N for tendon in model.hand.tendon])
+    with SimulatorSettings(hand, None, seed, homed=True).against(
+        homed_controller(model, LiveProgram())
+    ) as run:
+        run.record = False
+        client = StreamClient(run, model)
+        assert client.open_stream(space, names, rate_Hz=rate).startswith("stream")
+        for i in range(len(times) * every):
+            client.tick(
+                *([client.target_request(*targets[i // every].tolist())] if i % every == 0 else [])
+            )
+            assert run.state.mode == Mode.ACTIVE, client.reported_faults
+            assert (np.array(list(run.peer.world.plant.tensions())) < trip).all()

@@ -1,0 +1,179 @@
+"""While a hand relaxes, no request and no fault can increase a tension."""
+
+import numpy as np
+import pytest
+
+from handctl.controller.relaxing import (
+    OVER_TENSION_RATE_N_PER_S,
+    RELAX_RATE_N_PER_S,
+    SETPOINT_MARGIN_N,
+)
+from handctl.core.gains.gains import Gains
+from handctl.core.law.computed_torque import RELAX_FLOOR_N
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.drives.frame import Frame
+from handctl.hand.load import load_hand
+from handctl.programs.commission import CommissionProgram
+from handctl.programs.live import LiveProgram
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
+
+STOP_REQUEST, CUT_REQUEST = '{"do": "stop"}', '{"do": "cut"}'
+FAST_HOLD_REQUEST = '{"do": "hold", "tension_N": {"index": 100}, "rate_N_per_s": 5000}'
+MOVE_REQUEST = '{"do": "move", "angle_deg": {"index": 60}}'
+
+
+@pytest.fixture(scope="module")
+def low_rate_jamia() -> HandModel:
+    """Return a model of ``jamia`` at a low control rate, which makes the tests fast."""
+    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+
+
+def holding_bench(model: HandModel) -> ControllerBench:
+    run = make_controller_bench(model, LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
+    run.run(1.0)
+    return run
+
+
+def foreign_command(run: ControllerBench) -> Frame:
+    return Frame(run.peer.motors[0].node_id, bytes(8), t_ns=run.k * run.period_ns)
+
+
+@pytest.mark.parametrize("request_", [FAST_HOLD_REQUEST, MOVE_REQUEST])
+@pytest.mark.parametrize("fault", [False, True])
+def test_no_request_raises_the_tension_during_relax(
+    low_rate_jamia: HandModel, request_: str, fault: bool
+) -> None:
+    run = holding_bench(low_rate_jamia)
+    run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
+    run.run(0.5)
+    run.tick(
+        *() if fault else (STOP_REQUEST,), extra_frames=(foreign_command(run),) if fault else ()
+    )
+    since, before = len(run.tick_history), run.peer.tension.max()
+    while run.state.mode == Mode.RELAX:
+        run.tick(request_)
+        assert run.peer.tension.max() < before + 0.5
+    goals = np.array(
+        [
+            out.telemetry.tension_goal
+            for _, _, out in run.tick_history[since:]
+            if out.mode == Mode.RELAX
+        ]
+    )
+    assert (np.diff(goals, axis=0) <= 1e-9).all()
+    assert len(goals) * low_rate_jamia.period < 0.2
+    texts = [event.text for event in run.events if event.text.startswith("refused")]
+    assert texts == ["refused: the hand is letting go"] * len(texts)
+    run.run_until_mode(Mode.DONE)
+    assert run.state.failure == ("fault H13 0x001" if fault else ""), (
+        "a goal that comes too late is no fault"
+    )
+
+
+def test_a_tension_that_is_still_growing_is_not_waited_for(low_rate_jamia: HandModel) -> None:
+    run = holding_bench(low_rate_jamia)
+    run.tick(FAST_HOLD_REQUEST)
+    known = run.tick().telemetry.tension
+    assert run.state.view("setpoint")[0] > known[0] + 30.0, "the set-point is far ahead"
+    out = run.tick(STOP_REQUEST)
+    present = np.maximum(out.telemetry.tension, RELAX_FLOOR_N) + SETPOINT_MARGIN_N
+    assert (run.state.view("setpoint") <= present).all()
+    while run.tick().mode == Mode.RELAX:
+        assert run.state.view("setpoint").max() <= present.max()
+
+
+def fastest_setpoint_fall(run: ControllerBench, index: int = 0) -> float:
+    """Return how fast the set-point of a tendon falls at most while the hand relaxes [N/s]."""
+    goals = [
+        out.telemetry.tension_goal[index]
+        for _, _, out in run.tick_history
+        if out.mode == Mode.RELAX
+    ]
+    return float(-np.diff(goals).min() / run.controller.model.period)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_over_tension_is_relaxed_four_times_as_fast(low_rate_jamia: HandModel, late: bool) -> None:
+    """The faster ramp starts in the tick in which a load cell reads too much, even if the hand already relaxes."""
+    run = holding_bench(low_rate_jamia)
+    run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
+    run.run(0.5)
+    if late:
+        run.tick(STOP_REQUEST)
+        run.run(0.02)
+        assert fastest_setpoint_fall(run) == pytest.approx(RELAX_RATE_N_PER_S)
+    run.peer.cell_bias[0] = 150.0 - run.peer.tension[0]
+    run.run(2 * low_rate_jamia.period)
+    run.peer.cell_bias[0] = 0.0
+    run.run_until_mode(Mode.DISARM)
+    assert next(event.text for event in run.events if event.name == "fault").startswith("T03 ")
+    assert fastest_setpoint_fall(run) == pytest.approx(OVER_TENSION_RATE_N_PER_S)
+
+
+@pytest.mark.parametrize("asked", [STOP_REQUEST, CUT_REQUEST])
+def test_a_fault_during_relax_makes_the_run_fail(low_rate_jamia: HandModel, asked: str) -> None:
+    run = holding_bench(low_rate_jamia)
+    run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
+    run.run(0.5)
+    if asked == STOP_REQUEST:
+        run.tick(asked)
+        run.tick(extra_frames=(foreign_command(run),))
+        assert run.state.mode == Mode.RELAX
+    else:
+        run.tick(asked, extra_frames=(foreign_command(run),))
+    run.run_until_mode(Mode.DONE)
+    assert run.state.failure == "fault H13 0x001"
+    assert any(
+        event.level == "error" and "fault H13" in event.text
+        for event in run.events
+        if event.name == "mode"
+    )
+
+
+def test_after_a_fault_during_arming_no_further_drive_is_enabled(low_rate_jamia: HandModel) -> None:
+    run = make_controller_bench(low_rate_jamia, LiveProgram())
+    run.peer.motors[1].ignored_commands.add(0xFC)
+    run.run_until_mode(Mode.ARMING)
+    run.tick(extra_frames=(foreign_command(run),))
+    assert run.state.mode == Mode.DISARM
+    since = len(run.tick_history)
+    run.run_until_mode(Mode.DONE)
+    enable = b"\xff" * 7 + b"\xfc"
+    assert not [
+        frame
+        for _, _, out in run.tick_history[since - 1 :]
+        for frame in out.frames
+        if frame.data == enable
+    ]
+    assert run.state.failure == "fault H13 0x001"
+
+
+@pytest.mark.parametrize("request_", [FAST_HOLD_REQUEST, MOVE_REQUEST])
+def test_a_run_with_its_own_goals_refuses_goals_of_clients(
+    low_rate_jamia: HandModel, request_: str
+) -> None:
+    """Goals of a client are refused while a hand is commissioned.
+
+    A tare under tension would shift readings of later runs.
+    """
+    run = make_controller_bench(low_rate_jamia, CommissionProgram())
+    run.run_until_mode(Mode.ACTIVE)
+    run.run(0.05)
+    goals = run.state.progress.goals
+    out = run.tick(request_)
+    assert run.state.progress.goals is goals
+    assert "refused: this run has goals of its own" in [event.text for event in out.events]
+    assert not out.telemetry.motor_torque_goal.any()
+
+
+def test_a_hand_refuses_goals_before_active_mode(low_rate_jamia: HandModel) -> None:
+    run = make_controller_bench(low_rate_jamia, LiveProgram())
+    for _ in range(60):
+        out = run.tick()
+    run.tick(FAST_HOLD_REQUEST)
+    assert "refused: the hand is not ready yet" in [
+        event.text for event in run.tick_history[-1][2].events
+    ]
+    assert out.mode < Mode.ACTIVE

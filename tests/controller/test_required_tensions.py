@@ -1,0 +1,79 @@
+"""Test the positions of digits on their trajectories, and the tensions that each digit needs for its motion."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handctl.core.law.allocation import tensions_for_torque
+from handctl.core.law.goal import DigitGoal, GoalKind
+from handctl.core.model import HandModel
+from tests.controller.digit_goals import moving_goals
+from tests.controller.law_runs import joint_motion_at, required_tensions_of
+
+
+def motion_goals(
+    model: HandModel, since: float, durations: tuple[float, ...]
+) -> tuple[DigitGoal, ...]:
+    return moving_goals(model, 0.2, 0.9, durations, since)
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+@pytest.mark.parametrize("durations", [(0.5,) * 4, (0.5, 0.4, 0.5, 0.6)])
+def test_a_motion_depends_on_the_time_since_its_start_only(
+    hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
+) -> None:
+    """This holds if all digits have the same duration, and if their durations differ."""
+    model: HandModel = request.getfixturevalue(hand)
+    first, later = (motion_goals(model, since, durations) for since in (0.0, 2.0))
+    motion = joint_motion_at(model, first, 0.1)
+    np.testing.assert_allclose(joint_motion_at(model, later, 2.1), motion, rtol=1e-9)
+    assert (np.ptp(motion[1]) > 1e-3) == (len(set(durations)) > 1)
+    assert motion[1].min() > 0.0
+
+
+def required_tensions_by_digit(model: HandModel, motion: np.ndarray) -> np.ndarray:
+    """Compute the tensions (N,) of a motion [N] for each digit separately, without the shortcuts of the control law."""
+    found = np.zeros(model.tendon_count)
+    q, dq, ddq = motion.tolist()
+    for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
+        own = digit.joints
+        torque = np.array(model.inverse(digit, q[own], dq[own], ddq[own])) @ digit.coupling
+        low, high = model.floor[tendons], model.ceiling[tendons]
+        found[tendons] = tensions_for_torque(digit.reduced_moment_arms, torque, low, high)[0]
+    return found
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_the_load_of_each_digit_is_limited_separately(
+    hand: str, request: pytest.FixtureRequest
+) -> None:
+    """The tensions of some digits are within their bounds, of others at a bound.
+
+    A bound of one digit does not change the tensions of other digits.
+    """
+    model: HandModel = request.getfixturevalue(hand)
+    goals, rng = motion_goals(model, 0.0, (0.5, 0.4, 0.5, 0.6)), np.random.default_rng(4)
+    joints = len(model.hand.joints)
+    kinds = set()
+    for spread in (0.0, 1.0, 30.0, 1000.0, 1e5):
+        for _ in range(20):
+            motion = rng.normal(size=(3, joints)) * np.array([[0.3], [1.0], [spread]]) + np.array(
+                [[0.7], [0.0], [0.0]]
+            )
+            load = required_tensions_of(model, goals, motion)
+            np.testing.assert_allclose(
+                load, required_tensions_by_digit(model, motion), rtol=1e-6, atol=1e-6
+            )
+            bound = (load <= model.floor) | (load >= model.ceiling)
+            kinds.add("all" if bound.all() else "some" if bound.any() else "none")
+    assert kinds >= {"some", "none"}
+
+
+def test_resting_digits_load_no_moving_digit(jamia11: HandModel) -> None:
+    goals = motion_goals(jamia11, 0.0, (0.5,) * 4)
+    alone = (goals[0], *(replace(goal, kind=GoalKind.LIMP, trajectory=None) for goal in goals[1:]))
+    motion = joint_motion_at(jamia11, goals, 0.2)
+    own = jamia11.digit_tendons[0]
+    both = [required_tensions_of(jamia11, one, motion)[own] for one in (goals, alone)]
+    np.testing.assert_allclose(both[0], both[1], rtol=1e-9)

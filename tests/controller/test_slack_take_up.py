@@ -1,0 +1,46 @@
+"""Test the time that passes until a tendon counts as taut again."""
+
+import pytest
+
+from handctl.core.block import state_tables
+from handctl.core.estimation.filter_stack import TendonRegime
+from handctl.core.estimation.take_up import (
+    NEARLY_TAUT_M,
+    is_nearly_taut,
+    is_regime_over,
+    regime_evidence,
+)
+from handctl.core.model import HandModel
+from tests.controller.synthetic_states import active_state, uncompiled_function
+
+SLACK_REGIME = int(TendonRegime.SLACK)
+
+
+@pytest.mark.parametrize(("length_is_known", "samples"), [(True, 1), (False, 3)])
+def test_a_tendon_whose_length_is_known_is_taut_at_the_first_clear_sample(
+    length_is_known: bool, samples: int
+) -> None:
+    """At 200 Hz the tension of a tendon grows by 1 N from one sample to the next.
+
+    No sample may therefore be wasted.
+    """
+    points, taken = 0, 0
+    while not uncompiled_function(is_regime_over)(SLACK_REGIME, points, False):
+        points = uncompiled_function(regime_evidence)(
+            SLACK_REGIME, points, 0.0, 1.6, 0.0, length_is_known
+        )
+        taken += 1
+    assert taken == samples
+
+
+def test_a_tendon_is_near_when_little_slack_length_remains(model: HandModel) -> None:
+    state = active_state(model)
+    state.view("stretch_offset")[...] = 1e-3
+    for hangs, is_near in ((0.9 * NEARLY_TAUT_M, True), (1.1 * NEARLY_TAUT_M, False)):
+        state.view("travel")[...] = 1e-3 - hangs
+        assert (
+            uncompiled_function(is_nearly_taut)(
+                uncompiled_function(state_tables)(state.block, state.layout.places), 1
+            )
+            == is_near
+        )

@@ -1,0 +1,182 @@
+"""Test slip of a grasped object.
+
+It is detected when a digit is pushed open. The grasp then raises its force up to the limit of the
+task.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.core import block as s
+from handctl.core.law.goal import DigitGoal, GoalKind
+from handctl.core.model import HandModel
+from handctl.core.types import TickEvent
+from handctl.programs import grip
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.grip import SLIP_EXCURSION_M, GripPlan, GripState, advance_grip
+from handctl.programs.task import Task
+from tests.controller.plant_run import run_on_plant
+from tests.controller.synthetic_states import (
+    SyntheticEstimate,
+    active_state,
+    detect_contacts,
+    estimate_under_tension,
+)
+
+HELD_TENSION_N = 20.0
+
+
+class GraspRun:
+    """A grasp with all digits except the last. It runs tick by tick on synthetic estimates."""
+
+    def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
+        self.model, self.resting_estimate = (
+            model,
+            estimate_under_tension(model, HELD_TENSION_N, 0.5),
+        )
+        sizes = [tendons.stop - tendons.start for tendons in model.digit_tendons]
+        held = [
+            DigitGoal(GoalKind.TENSION, tension=np.full(size, HELD_TENSION_N)) for size in sizes
+        ]
+        self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
+        self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
+        self.t = 0.0
+        self.grip = GripState.of(model, self.goals, self.resting_estimate, self.t)
+        self.state = active_state(model)
+        detect_contacts(model, self.state, self.resting_estimate)
+        self.state.set_whole(s.GRIPPING, 1)
+        self.events: list[TickEvent] = []
+
+    def tick(self, estimate: SyntheticEstimate, seconds: float) -> None:
+        for _ in range(round(seconds / self.model.period)):
+            self.state.goal_time = self.t
+            self.state.set_number(s.SLIP_JUDGED_FROM, self.grip.ready)
+            felt = detect_contacts(self.model, self.state, estimate)
+            self.t += self.model.period
+            self.grip, self.goals, events = advance_grip(
+                self.model, self.grip, self.plan, self.goals, felt, self.t
+            )
+            self.events += events
+
+    def estimate_after_winding(self, metres: float, digit: int = 0) -> SyntheticEstimate:
+        """Return the estimate after the tendons of a digit were wound further by ``metres``."""
+        travel = self.resting_estimate.travel.copy()
+        travel[self.model.digit_tendons[digit]] += metres
+        return self.resting_estimate._replace(travel=travel)
+
+    @property
+    def commanded_tension(self) -> float:
+        assert self.goals[0].tension is not None
+        return float(self.goals[0].tension[0])
+
+
+def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -> None:
+    held = GraspRun(model, limit=30.0)
+    held.tick(held.resting_estimate, 1.0)
+    assert not held.events
+    held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.06)
+    assert [event.where for event in held.events] == [model.hand.digit_names[0]]
+    for goal in held.goals[:-1]:
+        np.testing.assert_allclose(goal.tension, grip.RAISE_FACTOR * HELD_TENSION_N)
+    assert held.goals[-1].kind == GoalKind.LIMP, "what does not hold is left alone"
+
+
+def test_a_slip_reaction_at_its_limit_is_reported_once(model: HandModel) -> None:
+    held = GraspRun(model, limit=26.0)
+    held.tick(held.resting_estimate, 1.0)
+    for step in range(1, 8):
+        held.tick(held.estimate_after_winding(-3 * step * SLIP_EXCURSION_M), 0.5)
+    assert held.commanded_tension == pytest.approx(26.0)
+    assert [("no more" in event.text) for event in held.events] == [False, False, True]
+
+
+def test_without_a_limit_slip_is_reported_without_a_reaction(model: HandModel) -> None:
+    held = GraspRun(model)
+    held.tick(held.resting_estimate, 1.0)
+    held.tick(held.estimate_after_winding(-3 * SLIP_EXCURSION_M), 0.5)
+    assert [event.level for event in held.events] == ["warn"]
+    assert held.commanded_tension == HELD_TENSION_N
+
+
+def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
+    held = GraspRun(model, limit=30.0)
+    held.tick(held.estimate_after_winding(-5 * SLIP_EXCURSION_M), 0.2)
+    held.tick(held.resting_estimate, 1.0)
+    held.tick(held.estimate_after_winding(5 * SLIP_EXCURSION_M), 1.0)
+    chance = np.random.default_rng(1)
+    for k in range(round(20.0 / model.period)):
+        creep = -0.02e-3 * k * model.period
+        held.tick(
+            held.estimate_after_winding(5 * SLIP_EXCURSION_M + creep + chance.normal(0.0, 3.5e-6)),
+            model.period,
+        )
+    assert not held.events
+
+
+def test_a_stiff_grip_pulls_back_what_is_pulled_out(model: HandModel) -> None:
+    held = GraspRun(model, limit=np.nan, stiffness=5e3)
+    held.tick(held.resting_estimate, 1.0)
+    held.tick(held.estimate_after_winding(-0.2e-3), 0.01)
+    assert held.commanded_tension == pytest.approx(HELD_TENSION_N + 1.0, abs=0.01)
+    held.tick(held.estimate_after_winding(0.2e-3), 0.01)
+    assert held.commanded_tension == pytest.approx(HELD_TENSION_N - 1.0, abs=0.01)
+
+
+PULLED_CYLINDER_SCENE = """name = "pull"
+[object]
+shape = "cylinder"
+diameter_m = 0.035
+length_m = 0.093
+mass_kg = 0.15
+friction = {friction}
+position_m = [0.0195, 0.0, 0.0]
+[support]
+drop_when = "grasped"
+drop_hold_s = 0.2
+sink_speed_m_s = 0.2
+[load]
+direction = [1.0, 0.0, 0.0]
+start_s = 3.4
+rate_N_per_s = {rate}
+"""
+
+
+def grasp_program(limit: str) -> TaskProgram:
+    phases = [
+        {
+            "kind": "move",
+            "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
+            "duration_s": 0.4,
+        },
+        {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 80.0, "contact_tension_N": 14.0},
+        {"kind": "hold", "tension_N": 20.0, "duration_s": 60.0}
+        | ({"slip_limit_N": 80.0} if limit else {}),
+    ]
+    return TaskProgram(
+        Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases}))
+    )
+
+
+@pytest.mark.parametrize(("hand", "friction", "rate"), [("jamia", 0.3, 5.0), ("jamia11", 0.2, 9.0)])
+def test_a_growing_load_removes_the_object_only_without_slip_reaction(
+    hand: str, friction: float, rate: float, tmp_path: Path
+) -> None:
+    """Both runs have equal loads, hands and seeds. Only the task key that permits more force differs."""
+    scene, motion, tension = PULLED_CYLINDER_SCENE.format(friction=friction, rate=rate), {}, {}
+    for limit in ("", "limit"):
+        run = run_on_plant(hand, grasp_program(limit), scene, tmp_path, 5.6)
+        begin = run.time_s.index(3.4)
+        motion[limit] = 1e3 * np.linalg.norm(
+            np.subtract(run.object_position[-1], run.object_position[begin])
+        )
+        tension[limit] = max(float(row.max()) for row in run.estimated_tension[begin:])
+        assert run.events_named("slip"), "noticed in either case"
+        assert not [t for t, _ in run.events_named("slip") if t < 3.4], (
+            "before the load nothing slips"
+        )
+    assert motion[""] > 20.0, "the positive control: it is pulled out"
+    assert motion["limit"] < 8.0
+    assert tension["limit"] > 25.0

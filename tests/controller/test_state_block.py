@@ -1,0 +1,483 @@
+"""Test the state block: its schema, the views that kernels have of it, and its digest.
+
+The digest covers every field.
+"""
+
+import ast
+import inspect
+import random
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.monitor import thresholds
+from handctl.controller.pending_gains import PendingGains
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.state import ClientLease, Decisions, State, layout_of_state
+from handctl.core import block as state_block
+from handctl.core import constants, hand_constants
+from handctl.core.block import STATE, state_tables
+from handctl.core.constants import ELEMENTS, HAND, KINDS, constant_tables
+from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gains import Gains
+from handctl.core.hand_constants import HandConstants
+from handctl.core.law.goal import DigitGoal, GoalKind
+from handctl.core.law.trajectory import MinimumJerk
+from handctl.core.model import HandModel
+from handctl.core.schema import INTEGER_TABLE_SUFFIX, BlockField, BlockSchema
+from handctl.drives.cia404.amplifier import AmplifierState
+from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.readback import ReadbackCursor
+from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.programs.grip import GripState
+from handctl.programs.program import ProgramProgress
+from handctl.programs.streams import StreamPlan
+from handctl.safety.judge import CountedFault, LatchedFault
+from handctl.session.tasks import find_task
+from tests.conftest import NIGHTLY
+from tests.controller.controller_bench import ControllerBench
+from tests.controller.synthetic_states import uncompiled_function
+from tests.hand.many_motors import fifteen_motors
+
+RANDOM_HAND_SEEDS = range(6)
+
+
+def field_names(block_fields: list[BlockField]) -> list[str]:
+    return [field.name for field in block_fields]
+
+
+# BlockSchema of a block and its layout.
+
+
+def small_schema() -> tuple[BlockSchema, dict[str, int]]:
+    """Return a schema of three tables, and the lengths of its axes."""
+    schema = BlockSchema("tendon", "joint*tendon", "run", "tendon_int")
+    schema.real("tension", "tendon", "N", "of a tendon", initial=2.5)
+    schema.real("past", "tendon", "N", "the last ones", rows=3)
+    schema.real("arms", "joint*tendon", "m", "moment arms")
+    schema.real("t", "run", "s", "time")
+    schema.whole("regime", "tendon", "", "of a tendon", initial=-1)
+    return schema, {"tendon": 4, "joint": 2, "run": 1}
+
+
+def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
+    schema, axes = small_schema()
+    layout = schema.layout(axes)
+    assert layout.size == len(layout.initial) == 4 + 3 * 4 + 2 * 4 + 1 + 4
+    shapes = {"tension": (4,), "past": (3, 4), "arms": (2, 4), "t": (1,), "regime": (4,)}
+    assert {name: layout.view(layout.initial, name).shape for name in shapes} == shapes
+    assert (layout.view(layout.initial, "tension") == 2.5).all()
+    assert (layout.view(layout.initial, "regime") == -1).all()
+    assert layout.view(layout.initial, "regime").dtype == np.int64
+    assert not layout.initial.flags.writeable
+
+
+def test_new_field_needs_one_line() -> None:
+    """A new field gets the next row of its table. The existing fields of the table keep their names and shapes."""
+    (before, axes), (after, _) = small_schema(), small_schema()
+    row = after.real("speed", "tendon", "m/s", "of a tendon", initial=7.0)
+    old, new = before.layout(axes), after.layout(axes)
+    assert row == before.rows("tendon") == after.rows("tendon") - 1
+    assert new.size == old.size + axes["tendon"]
+    block = new.initial.copy()
+    np.testing.assert_array_equal(new.table(block, "tendon")[row], np.full(4, 7.0))
+    for field in before.fields:
+        np.testing.assert_array_equal(
+            new.view(block, field.name), old.view(old.initial, field.name)
+        )
+    assert new.view(block, "speed").base is not None, "a view: changes go into the block"
+    new.view(block, "speed")[...] = 1.0
+    assert (new.table(block, "tendon")[row] == 1.0).all()
+
+
+def test_fields_do_not_overlap_and_leave_no_gap() -> None:
+    schema, axes = small_schema()
+    layout = schema.layout(axes)
+    count = np.zeros(layout.size)
+    for field in schema.fields:
+        part = layout.view(count, field.name)
+        part += np.ones_like(part) if part.dtype == np.float64 else 0
+    whole = np.concatenate([layout.view(np.arange(layout.size, dtype=np.float64), f.name).ravel() for f in schema.fields
+                            if not f.table.endswith(INTEGER_TABLE_SUFFIX)])  # fmt: skip
+    assert len(set(whole.tolist())) == len(whole) == layout.size - 4
+    assert (count[: layout.start("tendon_int")] == 1.0).all()
+
+
+@pytest.fixture(params=["jamia", "jamia11"])
+def state(request: pytest.FixtureRequest) -> State:
+    """Return a controller's state of random numbers. No two of its integers or floats are equal."""
+    model: HandModel = request.getfixturevalue(request.param)
+    # A drive of this hand closes a position loop, so that no table of the state is empty.
+    axes = layout_of_state(model, 3).axes | {"servo": model.tendon_count}
+    layout, rng = STATE.layout(axes), np.random.default_rng(5)
+    block = layout.initial.copy()
+    for field in STATE.fields:
+        part = layout.view(block, field.name)
+        whole = field.table.endswith(INTEGER_TABLE_SUFFIX)
+        part[...] = (
+            rng.integers(-(2**40), 2**40, part.shape) if whole else rng.normal(size=part.shape)
+        )
+    return State(layout, block, Decisions((), ProgramProgress.initial(len(model.digits), "test")))
+
+
+def constants_by_field(module: Any) -> dict[str, str]:
+    """Return the name of the constant that holds the first row of each field.
+
+    The names are read from a module's source.
+    """
+    declared = {}
+    for node in ast.parse(inspect.getsource(module)).body:
+        if (
+            isinstance(node, ast.Assign)
+            and isinstance(node.value, ast.Call)
+            and isinstance(node.targets[0], ast.Name)
+        ):
+            function, first = node.value.func, node.value.args[:1]
+            if isinstance(function, ast.Name) and function.id in ("_real", "_whole"):
+                assert isinstance(first[0], ast.Constant)
+                declared[str(first[0].value)] = node.targets[0].id
+    return declared
+
+
+@pytest.mark.parametrize(("schema", "module"), [(STATE, state_block), (HAND, constants)])
+def test_every_field_is_declared_once_and_found_by_its_name(
+    schema: BlockSchema, module: Any
+) -> None:
+    names = field_names(schema.fields)
+    assert len(set(names)) == len(names) > 50
+    declared = constants_by_field(module)
+    assert set(declared) == set(names)
+    assert len(set(declared.values())) == len(names)
+    for field in schema.fields:
+        assert getattr(module, declared[field.name]) == field.first, field.name
+        assert field.meaning, field.name
+
+
+def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
+    seen = uncompiled_function(state_tables)(state.block, state.layout.places)
+    for field in STATE.fields:
+        rows = getattr(seen, field.table)[field.first : field.first + field.rows]
+        np.testing.assert_array_equal(
+            rows.ravel(), state.view(field.name).ravel(), err_msg=field.name
+        )
+        assert np.shares_memory(rows, state.block), field.name
+        assert rows.dtype == (
+            np.int64 if field.table.endswith(INTEGER_TABLE_SUFFIX) else np.float64
+        ), field.name
+
+
+def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
+    copy = state.copy()
+    assert copy.digest() == state.digest()
+    assert state.layout.difference(copy.block, state.block) is None
+    for field in STATE.fields:
+        copy.view(field.name)[...] = 77
+    assert not any((state.view(field.name) == 77).all() for field in STATE.fields)
+
+
+@pytest.mark.parametrize("field", STATE.fields, ids=field_names(STATE.fields))
+def test_a_difference_names_its_field(state: State, field: BlockField) -> None:
+    """The message names the first field that differs, in the order of the schema.
+
+    It has the element and both values.
+    """
+    other = state.copy()
+    values = other.view(field.name).reshape(-1)
+    at = len(values) // 2
+    before, values[at] = values[at].item(), 3
+    assert state.layout.difference(state.block, other.block) == (field.name, at, before, 3)
+    for later in STATE.fields[STATE.fields.index(field) + 1 :]:
+        other.view(later.name)[...] = 3
+    found = state.layout.difference(state.block, other.block)
+    assert found is not None
+    assert found[0] == field.name
+
+
+def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: State) -> None:
+    one, other = state.copy(), state.copy()
+    for each in (one, other):
+        each.view("tension")[0] = np.nan
+        each.view("sigma")[0] = 0.0
+    assert state.layout.difference(one.block, other.block) is None
+    other.view("sigma")[0] = -0.0
+    found = state.layout.difference(one.block, other.block)
+    assert found is not None
+    assert found[:2] == ("sigma", 0)
+
+
+# Block of the constants of a hand.
+
+
+def random_hand(seed: int) -> HandModel:
+    """Return some digits of a packaged hand or of a hand with 15 motors.
+
+    Masses, springs and friction are varied at random.
+    """
+    rng = random.Random(seed)
+    raw: dict[str, Any] = fifteen_motors()
+    if seed % 3:
+        raw = hand_content(("jamia", "jamia11")[seed % 3 - 1])
+    digits = [digit["name"] for digit in raw["digit"]]
+    kept = sorted(rng.sample(digits, rng.randint(1, len(digits))), key=digits.index)
+
+    def is_kept_section(name: str) -> bool:
+        return any(name == digit or name.startswith(f"{digit}_") for digit in kept)
+
+    for section in ("digit", "tendon", "motor"):
+        raw[section] = [
+            _varied_section(one, rng) for one in raw[section] if is_kept_section(one["name"])
+        ]
+    node = raw["sensor_node"]
+    raw["sensor_node"] = node | {
+        key: [name for name in node[key] if is_kept_section(name)] for key in ("tendons", "joints")
+    }
+    return HandModel.of(hand_from_content(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0)
+
+
+VARIED_KEYS = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
+          "stiffness_N_per_m", "inertia_kg_m2", "coulomb_N_m")  # fmt: skip
+
+
+def _varied_section(one: dict[str, Any], rng: random.Random) -> dict[str, Any]:
+    """Return a section of a hand file with its numbers varied at random."""
+    found = dict(one)
+    for key in VARIED_KEYS:
+        if key in found:
+            factor = rng.uniform(0.8, 1.25)
+            found[key] = (
+                [factor * x for x in found[key]]
+                if isinstance(found[key], list)
+                else factor * found[key]
+            )
+    return found
+
+
+def packed_constants(
+    model: HandModel, monkeypatch: pytest.MonkeyPatch
+) -> tuple[HandConstants, dict[str, object]]:
+    """Return the constants of a hand, and for each field the value that was packed into them."""
+    values: dict[str, object] = {"design": hand_constants.filter_design_array(model)}
+    for part in (
+        "_motor_constants",
+        "_law_constants",
+        "_link_constants",
+        "_structure_constants",
+        "_posture_constants",
+    ):
+        packed = getattr(hand_constants, part)(model)
+        assert not values.keys() & packed.keys(), "each field is packed once"
+        values |= packed
+
+    def record_packed_values(model: HandModel, more: dict[str, object]) -> HandConstants:
+        assert not values.keys() & more.keys(), "each field is packed once"
+        values.update(more)
+        return HandConstants(model, more)
+
+    monkeypatch.setattr(thresholds, "HandConstants", record_packed_values)
+    drives, sensors = make_drives(model.hand), make_sensors(model.hand)
+    limits = thresholds.safety_limits(model, drives, sensors)
+    tare, zero = np.random.default_rng(2).normal(size=(2, model.tendon_count))
+    return thresholds.compiled_constants(model, drives, sensors, limits, tare, zero), values
+
+
+@pytest.mark.parametrize("hand", [*packaged_hands(), *RANDOM_HAND_SEEDS])
+def test_every_constant_that_kernels_see_is_what_was_packed(
+    hand: str | int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = (
+        random_hand(hand)
+        if isinstance(hand, int)
+        else HandModel.of(load_hand(hand), Gains(), 200.0)
+    )
+    found, values = packed_constants(model, monkeypatch)
+    assert values.keys() == set(field_names(HAND.fields)), "every field is packed"
+    assert not found.block.flags.writeable
+    seen = uncompiled_function(constant_tables)(found.block, found.layout.places)
+    assert seen.design.shape == (model.tendon_count, KINDS, ELEMENTS)
+    for field in HAND.fields:
+        view = found.layout.view(found.block, field.name)
+        value = np.asarray(values[field.name])
+        np.testing.assert_array_equal(view, np.broadcast_to(value, view.shape), err_msg=field.name)
+        if field.name == "design":
+            np.testing.assert_array_equal(seen.design, value)
+            continue
+        rows = getattr(seen, field.table.replace("*", "_"))[field.first : field.first + field.rows]
+        np.testing.assert_array_equal(rows.ravel(), view.ravel(), err_msg=field.name)
+        assert np.shares_memory(rows, found.block)
+
+
+# Digest of a state.
+
+
+@pytest.mark.parametrize("field", STATE.fields, ids=field_names(STATE.fields))
+def test_every_element_of_every_field_changes_the_digest(
+    active_bench: ControllerBench, field: BlockField
+) -> None:
+    """Change each element of a state by one unit in the last place.
+
+    By day the test takes only 16 elements of each field.
+    """
+    state = active_bench.state
+    seen = {state.digest()}
+    size = state.view(field.name).size
+    for at in (
+        range(size)
+        if NIGHTLY
+        else sorted({*np.linspace(0, size - 1, min(size, 16), dtype=int).tolist()})
+    ):
+        changed = state.copy()
+        values = changed.view(field.name).reshape(-1)
+        values[at] = (
+            values[at] + 1
+            if field.table.endswith(INTEGER_TABLE_SUFFIX)
+            else np.nextafter(np.nan_to_num(values[at]), 9e9)
+        )
+        digest = changed.digest()
+        assert len(digest) == 8
+        assert digest not in seen, at
+        seen.add(digest)
+
+
+def changed_goals() -> Iterator[tuple[str, DigitGoal]]:
+    move = MinimumJerk(np.array([0.1]), np.array([0.2]), 1.0)
+    tension = np.array([5.0])
+    yield "limp", DigitGoal()
+    yield "motion", DigitGoal(GoalKind.MOTION, move, since=1.0)
+    yield "since", DigitGoal(GoalKind.MOTION, move, since=2.0)
+    for name, value in (("start", np.array([0.11])), ("end", np.array([0.21])), ("duration", 1.1)):
+        yield name, DigitGoal(GoalKind.MOTION, replace(move, **{name: value}), since=1.0)
+    yield "tension", DigitGoal(GoalKind.TENSION, tension=tension)
+    yield "other tension", DigitGoal(GoalKind.TENSION, tension=tension + 1e-12)
+    yield "rate", DigitGoal(GoalKind.TENSION, tension=tension, rate=201.0)
+    yield "limit", DigitGoal(GoalKind.TENSION, tension=tension, force_limit=12.0)
+
+
+def changed_progresses(before: ProgramProgress) -> Iterator[tuple[str, ProgramProgress]]:
+    """Yield a program's progress with one part changed, for each of its parts.
+
+    The goals are changed part by part.
+    """
+    grip = GripState(np.full(4, 20.0), np.full(4, np.nan), 1.0)
+    values: dict[str, list[Any]] = {
+        "step": [before.step + 1], "since": [before.since + 1e-9], "phase": ["x"], "finished": [True],
+        "failure": ["x"], "record": [(1.0,)], "tare": [(1.0,)], "contact": [(True, *before.contact[1:])],
+        "touching": [(9, *before.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
+        "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(anchor=np.zeros(4)),
+                 grip._replace(ready=2.0), grip._replace(raised=1.2), grip._replace(limited=True)],
+        "goals": [before.goals[::-1], *((goal, *before.goals[1:]) for _, goal in changed_goals())],
+        "task": [find_task(None, load_hand(name))[0] for name in ("jamia", "t42")],
+    }  # fmt: skip
+    assert values.keys() == {field.name for field in fields(ProgramProgress)}, (
+        "a new part of the progress needs a line here"
+    )
+    for name, others in values.items():
+        for value in others:
+            yield name, replace(before, **{name: value})
+
+
+EXAMPLE_STREAM = StreamPlan("s", "one", "digit", ("index",), "linear", 0.01, 0.014)
+OTHER_STREAM_VALUES = {
+    "name": "t", "client": "two", "space": "joint", "names": ("thumb",), "interpolation": "minimum_jerk",
+    "period": 0.02, "horizon": 0.015,
+}  # fmt: skip
+
+
+def changed_decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
+    """Yield a controller's decisions with one part changed, for each of their parts."""
+    pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
+    values: dict[str, list[Any]] = {
+        "drives": [before.drives[::-1]],
+        "progress": [progress for _, progress in changed_progresses(before.progress)],
+        "latched": [
+            (*before.latched, LatchedFault("B01", "x")),
+            (LatchedFault("B01", "y"),),
+            (LatchedFault("B02", "x"),),
+        ],
+        "reported_faults": [
+            (CountedFault("B01", "x", 1),),
+            (CountedFault("B01", "x", 2),),
+            (CountedFault("B01", "y", 1),),
+        ],
+        "refusals": [(1,), (2,), (1, 2)],
+        "failure": ["x"],
+        "unconfirmed": [("x",)],
+        "gains": [pending.gains],
+        "pending": [pending, replace(pending, step=1), replace(pending, gains=Gains())],
+        "commander": ["one", "two"],
+        "lease": [
+            ClientLease(*one)
+            for one in (("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("a", 1, 1), ("a", 1, 2, True))
+        ],
+        "amplifiers": [
+            (AmplifierState(0x21),),
+            (AmplifierState(0x22),),
+            (AmplifierState(0x21, DrivePhase.READY),),
+            (AmplifierState(0x21, cursor=ReadbackCursor(1)),),
+            (AmplifierState(0x21, started_ns=1),),
+            (AmplifierState(0x21, error_text="x"),),
+            (AmplifierState(0x21), AmplifierState(0x22)),
+        ],
+        "stream": [
+            EXAMPLE_STREAM,
+            *(
+                replace(EXAMPLE_STREAM, **{name: value})
+                for name, value in OTHER_STREAM_VALUES.items()
+            ),
+        ],
+    }
+    assert values.keys() == set(Decisions._fields), "a new decision needs a line here"
+    for name, others in values.items():
+        for value in others:
+            yield name, before._replace(**{name: value})
+
+
+def test_every_decision_changes_the_digest(active_bench: ControllerBench) -> None:
+    state = active_bench.state
+    seen = {state.digest(): "unchanged"}
+    for name, changed in changed_decisions(state.decisions):
+        digest = State(state.layout, state.block, changed).digest()
+        assert digest not in seen, f"{name} and {seen[digest]} have one digest"
+        seen[digest] = name
+    assert state.copy().digest() == state.digest()
+
+
+def other_values(value: Any) -> list[Any]:
+    """Return other values of the same type as a value. Those of a named tuple differ from it in one part each."""
+    if isinstance(value, bool):
+        return [not value]
+    if isinstance(value, DrivePhase):
+        return [phase for phase in DrivePhase if phase != value]
+    if isinstance(value, int | float):
+        return [value + 1]
+    if isinstance(value, str):
+        return [value + "x"]
+    assert hasattr(value, "_fields"), value
+    plain = {
+        name: getattr(value, name)
+        for name in value._fields
+        if not isinstance(getattr(value, name), tuple)
+    }
+    return [
+        value._replace(**{name: other})
+        for name, part in plain.items()
+        for other in other_values(part)
+    ]
+
+
+@pytest.mark.parametrize("name", DriveState._fields)
+def test_everything_that_is_known_of_a_drive_changes_the_digest(
+    active_bench: ControllerBench, name: str
+) -> None:
+    """The digest covers a drive's values, which are in the block, and its set-up, which is among the decisions."""
+    state = active_bench.state
+    seen = {state.digest()}
+    for n, drive in enumerate(state.drives):
+        for value in other_values(getattr(drive, name)):
+            changed = state.copy()
+            active_bench.controller.keep(changed, n, drive._replace(**{name: value}))
+            digest = changed.digest()
+            assert digest not in seen, (n, value)
+            seen.add(digest)

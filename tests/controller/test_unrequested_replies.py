@@ -1,0 +1,146 @@
+"""Test replies that no request explains: the fault that they show, and the frames that count as replies."""
+
+import pytest
+
+from handctl.core.model import HandModel
+from handctl.core.types import Mode, TickOut
+from handctl.drives.frame import Frame
+from handctl.programs.live import LiveProgram
+from tests.controller.controller_bench import ControllerBench, make_controller_bench
+
+UNREQUESTED_REPLY = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
+"""Feedback frame of the first motor. It reports that the motor is enabled."""
+
+
+@pytest.fixture
+def silent_bench(jamia: HandModel) -> ControllerBench:
+    """Return a bench whose controller has not yet sent a request."""
+    run = make_controller_bench(jamia, LiveProgram())
+    run.tick()
+    return run
+
+
+@pytest.fixture
+def active_bench(jamia: HandModel) -> ControllerBench:
+    """Return a bench whose hand is active."""
+    run = make_controller_bench(jamia, LiveProgram())
+    run.run_until_mode(Mode.ACTIVE)
+    run.run(0.1)
+    return run
+
+
+def reported_faults(out: TickOut) -> list[str]:
+    return [event.text[:3] for event in out.events if event.name == "fault"]
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controller(
+    silent_bench: ControllerBench, times: int
+) -> None:
+    out = silent_bench.tick(extra_frames=(UNREQUESTED_REPLY,) * times)
+    assert reported_faults(out) == ["H13"], (
+        "one is enough; it is no duplicate, since nothing was asked"
+    )
+    assert out.mode == Mode.DONE
+    name = silent_bench.controller.drives[0].name
+    assert (
+        silent_bench.state.failure
+        == f"another controller is on the bus (heard: {name} answering it)"
+    )
+    assert all(out.frames == () for _, _, out in silent_bench.tick_history)
+
+
+def test_a_request_of_another_host_and_its_answer_in_one_tick_are_both_reported(
+    silent_bench: ControllerBench,
+) -> None:
+    out = silent_bench.tick(extra_frames=(Frame(0x01, bytes(8)), UNREQUESTED_REPLY))
+    assert reported_faults(out) == ["H13", "H13"]
+    assert "(heard: 0x001, " in silent_bench.state.failure
+
+
+def test_the_first_reply_to_the_first_request_is_not_in_excess(
+    silent_bench: ControllerBench,
+) -> None:
+    silent_bench.run_until_mode(Mode.INVENTORY)
+    assert not silent_bench.tick().events
+    assert not silent_bench.tick().events
+
+
+def test_frames_of_others_do_not_make_a_duplicate_a_second_node(
+    active_bench: ControllerBench,
+) -> None:
+    """Only frames that were decoded as feedback of a motor count as its replies."""
+    active_bench.to_host = lambda frames: [
+        *frames,
+        *[f for f in frames if f.can_id == 0x11],
+        Frame(0x11, bytes([0x12] * 8)),
+    ]
+    assert reported_faults(active_bench.tick()) == ["B05", "B09"]
+
+
+def test_two_different_replies_show_a_second_node_despite_frames_between_them(
+    active_bench: ControllerBench,
+) -> None:
+    active_bench.to_host = lambda frames: [*frames, Frame(0x11, bytes(7)), UNREQUESTED_REPLY]
+    assert "B06" in reported_faults(active_bench.tick())
+
+
+@pytest.mark.parametrize(("behind", "found"), [
+    (lambda cell: [cell, cell], ["B05"]),
+    (lambda cell: [cell, cell, with_older_counter(cell)], ["B05", "B07"]),
+    (lambda cell: [with_older_counter(cell), cell, cell], ["B04", "B05"]),
+    (lambda cell: [cell, with_other_tension(cell)], ["B06"]),
+    (lambda cell: [cell, with_other_tension(cell), with_older_counter(cell), with_older_counter(cell)], ["B06", "B07"]),
+    (lambda cell: [cell, with_older_counter(cell)], ["B07"]),
+])  # fmt: skip
+def test_only_load_cell_replies_of_the_present_tick_count(active_bench, behind, found) -> None:
+    active_bench.to_host = lambda frames: [
+        f
+        for frame in frames
+        for f in (behind(frame) if is_load_cell_frame(active_bench, frame) else [frame])
+    ]
+    assert sorted(reported_faults(active_bench.tick())) == found
+
+
+def is_load_cell_frame(active_bench: ControllerBench, frame: Frame) -> bool:
+    return frame.can_id == active_bench.controller.sensors.ids[0]
+
+
+def with_older_counter(cell: Frame) -> Frame:
+    """Return a load-cell frame with the counter of another SYNC."""
+    return cell._replace(data=bytes([cell.data[0] ^ 1]) + cell.data[1:])
+
+
+def with_other_tension(cell: Frame) -> Frame:
+    """Return a load-cell frame with the same counter, but with another tension."""
+    return cell._replace(data=bytes([cell.data[0] ^ 0x10]) + cell.data[1:])
+
+
+@pytest.mark.parametrize(("outstanding", "came", "found"), [
+    (1, "AA", "B05"), (1, "AB", "B06"), (1, "ABB", "B06"), (1, "AAB", "B06"), (1, "AAA", "B05"),
+    (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
+])  # fmt: skip
+def test_only_replies_in_excess_are_compared_with_the_expected_reply(
+    active_bench, outstanding, came, found
+) -> None:
+    """A late reply to an older request is not in excess. Its bytes may differ from those of the new reply."""
+    if outstanding == 2:
+        active_bench.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
+        active_bench.tick()
+    active_bench.to_host = lambda frames: [
+        f for frame in frames for f in change_first_motor(frame, came)
+    ]
+    reported = [id_ for id_ in reported_faults(active_bench.tick()) if id_ in ("B05", "B06")]
+    assert reported == ([found] if found else [])
+
+
+def change_first_motor(answer: Frame, kinds: str) -> list[Frame]:
+    """Return a motor's reply once for each letter.
+
+    For A it is unchanged, and for B it has another temperature. Only replies of the first motor are
+    repeated.
+    """
+    if answer.can_id != 0x11:
+        return [answer]
+    other = answer._replace(data=answer.data[:7] + bytes([answer.data[7] ^ 1]))
+    return [answer if kind == "A" else other for kind in kinds]

@@ -1,0 +1,91 @@
+"""Independent model of a motor, written from its manual. It takes and returns bytes, and can have faults."""
+
+import struct
+from dataclasses import dataclass, field
+
+from handctl.drives.frame import Frame
+
+FLOAT_REGISTERS = {21: 12.5, 22: 50.0, 23: 0.8}
+INTEGER_REGISTERS = {9: 0, 10: 1, 15: 0x1234}
+
+
+@dataclass
+class ScriptedMotor:
+    """A motor with a state, codes of position, velocity and torque, registers by number, and faults that a test sets.
+
+    Attributes:
+        unanswered_registers: registers about which the motor sends no reply.
+        fixed_registers: registers that keep their value when they are written.
+        ignored_commands: codes of special commands that have no effect.
+        sends_nothing: whether the motor sends no replies at all.
+    """
+
+    node_id: int = 1
+    reply_id: int = 0x11
+    state_nibble: int = 0
+    feedback_codes: tuple[int, int, int] = (0x8000, 0x800, 0x800)
+    temperatures: tuple[int, int] = (30, 35)
+    registers: dict[int, float] = field(
+        default_factory=lambda: {**FLOAT_REGISTERS, **INTEGER_REGISTERS}
+    )
+    unanswered_registers: set[int] = field(default_factory=set)
+    fixed_registers: set[int] = field(default_factory=set)
+    ignored_commands: set[int] = field(default_factory=set)
+    sends_nothing: bool = False
+    torque_codes: list[int] = field(default_factory=list)
+    written_registers: list[int] = field(default_factory=list)
+
+    def answer_frame(self, frame: Frame, t_ns: int) -> list[Frame]:
+        """Return the reply to a frame of the host in a list. The list is empty if the motor sends no reply."""
+        data = self._reply_data(frame)
+        if data is None or self.sends_nothing:
+            return []
+        return [Frame(self.reply_id, data, frame.flags, frame.bus, t_ns)]
+
+    def _reply_data(self, frame: Frame) -> bytes | None:
+        if frame.can_id == 0x7FF and frame.data[0] | frame.data[1] << 8 == self.node_id:
+            return self._answer_register_request(frame.data)
+        if frame.can_id != self.node_id:
+            return None
+        if frame.data[:7] == b"\xff" * 7:
+            self._run_special_command(frame.data[7])
+        elif self.state_nibble == 1:
+            self.torque_codes.append(frame.data[6] << 8 & 0xF00 | frame.data[7])
+        return self.feedback_bytes()
+
+    def _run_special_command(self, code: int) -> None:
+        if code in self.ignored_commands:
+            return
+        if code == 0xFC and self.state_nibble == 0:
+            self.state_nibble = 1
+        elif (code == 0xFD and self.state_nibble == 1) or (code == 0xFB and self.state_nibble > 1):
+            self.state_nibble = 0
+
+    def _answer_register_request(self, data: bytes) -> bytes | None:
+        operation, register = data[2], data[3]
+        if operation == 0xCC:
+            return self.feedback_bytes()
+        if register in self.unanswered_registers:
+            return None
+        layout = "<I" if register in INTEGER_REGISTERS else "<f"
+        if operation == 0x55:
+            self.written_registers.append(register)
+            assert self.state_nibble != 1, "a register was written while torque was on"
+            if register not in self.fixed_registers:
+                (self.registers[register],) = struct.unpack(layout, data[4:])
+        return data[:4] + struct.pack(layout, self.registers[register])
+
+    def feedback_bytes(self) -> bytes:
+        """Return the 8 bytes of a feedback frame, packed bit by bit from the table of the manual."""
+        position, velocity, torque = (
+            format(code, f"0{bits}b")
+            for code, bits in zip(self.feedback_codes, (16, 12, 12), strict=True)
+        )
+        bits = (
+            format(self.state_nibble, "04b")
+            + format(self.node_id & 0xF, "04b")
+            + position
+            + velocity
+            + torque
+        )
+        return int(bits, 2).to_bytes(6, "big") + bytes(self.temperatures)

@@ -1,0 +1,102 @@
+"""Compare the predicted bus load with a worst-case table made by counting bits, and with bit-exact stuffing."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.drives.frame_time import bus_time_s, frame_time_s, highest_rate
+
+NOMINAL_BITRATE, DATA_BITRATE = 1_000_000, 5_000_000
+
+
+@pytest.mark.parametrize(("size", "microseconds"), [(0, 55), (4, 95), (8, 135)])
+def test_classical_frame_times_match_reference_values(size: int, microseconds: float) -> None:
+    assert frame_time_s(size, False, NOMINAL_BITRATE) * 1e6 == pytest.approx(microseconds)
+
+
+@pytest.mark.parametrize(
+    ("size", "microseconds"), [(4, 48.6), (8, 56.6), (16, 72.6), (32, 105.6), (64, 169.6)]
+)
+def test_fd_frame_times_match_reference_values(size: int, microseconds: float) -> None:
+    assert frame_time_s(size, True, NOMINAL_BITRATE, DATA_BITRATE) * 1e6 == pytest.approx(
+        microseconds, rel=0.001
+    )
+
+
+@pytest.mark.parametrize(
+    ("fd", "motors", "tensions", "microseconds"),
+    [
+        (False, 4, [8], 1215),
+        (False, 11, [8, 8, 8], 3375),
+        (True, 4, [12], 517),
+        (True, 11, [32], 1351),
+    ],
+)
+def test_tick_time_of_mit_motors_and_load_cells_matches_reference_values(
+    fd: bool, motors: int, tensions: list[int], microseconds: float
+) -> None:
+    frames = [(8, fd, 2.0 * motors), *((size, fd, 1.0) for size in tensions)]
+    assert bus_time_s(frames, NOMINAL_BITRATE, DATA_BITRATE) * 1e6 == pytest.approx(
+        microseconds, rel=0.001
+    )
+
+
+random_payloads = st.lists(
+    st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0x0F, 0xF0, 0xFF])), max_size=8
+).map(bytes)
+"""Random payloads. Bytes that need many stuff bits are frequent."""
+
+
+def stuff_bits(bits: str) -> str:
+    """Return bits with stuff bits added.
+
+    A stuff bit follows five equal bits and is opposite to them. Stuff bits count among the five.
+    """
+    out = ""
+    for bit in bits:
+        out += bit
+        if len(out) >= 5 and len(set(out[-5:])) == 1:
+            out += "10"[int(bit)]
+    return out
+
+
+def crc15(bits: str) -> str:
+    """Return the CRC-15 of bits with the polynomial 0x4599. Source: ISO 11898-1."""
+    register = 0
+    for bit in bits:
+        top = register >> 14 & 1
+        register = register << 1 & 0x7FFF
+        if top ^ int(bit):
+            register ^= 0x4599
+    return format(register, "015b")
+
+
+@given(st.integers(0, 0x7FF), random_payloads)
+def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: bytes) -> None:
+    head = "0" + format(can_id, "011b") + "000" + format(len(data), "04b")
+    body = head + "".join(format(byte, "08b") for byte in data)
+    bits = len(stuff_bits(body + crc15(body))) + 13
+    assert bits / NOMINAL_BITRATE <= frame_time_s(len(data), False, NOMINAL_BITRATE) + 1e-12
+
+
+def test_the_worst_case_can_nearly_happen() -> None:
+    """A classical frame of zeros reaches at least 85 % of the worst case."""
+    body = "0" * 19 + "0" * 64
+    bits = len(stuff_bits(body + crc15(body))) + 13
+    assert bits > 0.85 * 135
+
+
+@pytest.mark.parametrize("size", range(65))
+def test_fd_lengths_round_up(size: int) -> None:
+    at_once = frame_time_s(size, True, NOMINAL_BITRATE, DATA_BITRATE)
+    assert at_once <= frame_time_s(min(64, size + 1), True, NOMINAL_BITRATE, DATA_BITRATE)
+    assert at_once < frame_time_s(size, True, NOMINAL_BITRATE)
+
+
+@pytest.mark.parametrize(
+    ("times_us", "rate"), [([1350.0], 500.0), ([1000.0, 1420.0], 400.0), ([600.0], 1000.0)]
+)
+def test_the_highest_rate_leaves_three_tenths_of_every_bus(
+    times_us: list[float], rate: float
+) -> None:
+    assert highest_rate(time * 1e-6 for time in times_us) == rate

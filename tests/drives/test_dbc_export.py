@@ -1,0 +1,158 @@
+"""Test the DBC file of a hand's buses. With this file, cantools decodes the same values as the controller."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import cantools
+import pytest
+from cantools.database import Database
+
+from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.dbc import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
+from handctl.drives.frame import Frame
+from handctl.drives.signals import Message, Quantity
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
+from tests.drives.protocol_bench import ProtocolBench, hand_file, move_to_second_bus
+from tests.drives.wired_drives import WiredDrives
+
+FIELD_BY_QUANTITY = {
+    Quantity.POSITION: "position",
+    Quantity.VELOCITY: "velocity",
+    Quantity.TORQUE: "reported",
+}
+DRIVE_VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n")}
+EXCHANGED_TICKS = 40
+
+
+def exported_dbc(hand: Hand, bus: int = 0) -> Database:
+    text = dbc_of_bus(bus, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
+    found = cantools.database.load_string(text, "dbc", strict=True)
+    assert isinstance(found, Database)
+    return found
+
+
+@pytest.fixture(params=DRIVE_VARIANTS)
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ProtocolBench]:
+    variant = DRIVE_VARIANTS[request.param]
+    path = hand_file(tmp_path, [variant.protocol], variant.options)
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
+    made = ProtocolBench(path)
+    yield made
+    made.simulated_hand.close()
+
+
+def values_read_by_controller(wired: WiredDrives, message: Message, i: int) -> dict[str, float]:
+    """Return the values that the controller decoded from a frame of drive i."""
+    values = {
+        signal.name: signal.quantity
+        for signal in message.signals
+        if signal.quantity in FIELD_BY_QUANTITY
+    }
+    return {
+        name: float(wired.field_view(FIELD_BY_QUANTITY[quantity])[i])
+        for name, quantity in values.items()
+    }
+
+
+def test_cantools_reads_what_the_controller_reads(bench: ProtocolBench) -> None:
+    """The frames come from a lockstep run with the simulated firmware.
+
+    They are commands and feedback of drives, and readings of load cells and joint encoders.
+    """
+    dbc, hand = exported_dbc(bench.hand), bench.hand
+    bench.run_until_phase(DriveTarget.POLL, DrivePhase.READY)
+    bench.run_until_phase(DriveTarget.ENABLE, DrivePhase.ENABLED)
+    wired, seen = WiredDrives(bench.drives, bench.sensor_node), Counter[str]()
+    for i, state in enumerate(bench.states):
+        wired.store_drive_state(i, state)
+    owners = {
+        one.can_id: (i, one)
+        for i, drive in enumerate(bench.drives)
+        for one in drive.cyclic.feedback
+    }
+    for k in range(EXCHANGED_TICKS):
+        torque = 0.04 * math.sin(0.3 * k)
+        wired.begin_tick_with_sync(bench.k)
+        bench.tick(DriveTarget.ENABLE, torque)
+        for frame in bench.received_frames:
+            wired.receive([frame])
+            # A reply to a register request has the identifier of the feedback, but another length.
+            if frame.can_id in owners and len(frame.data) == owners[frame.can_id][1].length:
+                decoded = dbc.decode_message(frame.can_id, frame.data)
+                for name, value in values_read_by_controller(
+                    wired, owners[frame.can_id][1], owners[frame.can_id][0]
+                ).items():
+                    assert decoded[name] == pytest.approx(value, abs=1e-9), (name, frame)
+                    seen[name] += 1
+            if frame.can_id in bench.sensor_node.node_ids:
+                decoded = dbc.decode_message(frame.can_id, frame.data)
+                decoded.pop("counter")
+                names = {hand.tendon_names[n]: value for n, value in wired.tensions.items()}
+                names |= {hand.joints[j]: value for j, value in wired.joints.items()}
+                assert decoded == pytest.approx({name: names[name] for name in decoded}, abs=1e-9)
+                seen["sensors"] += 1
+        seen["torques"] += sum(
+            is_torque_command(dbc, frame, bench, torque) for frame in bench.sent_frames
+        )
+    assert min(seen[name] for name in ("position", "sensors")) >= EXCHANGED_TICKS // 4
+    assert seen["torques"] == (
+        0 if hand.motor[0].protocol in ("cubemars", "robstride") else 4 * EXCHANGED_TICKS
+    )
+
+
+def is_torque_command(dbc: Database, frame: Frame, bench: ProtocolBench, torque: float) -> bool:
+    """Return True if a frame is a command with a torque. Check that its torque is that sent, within one count."""
+    for drive in bench.drives:
+        for message in drive.cyclic.commands:
+            signals = [signal for signal in message.signals if signal.quantity == Quantity.TORQUE]
+            same = message.can_id == frame.can_id and message.length == len(frame.data)
+            # A write of a setting may have the identifier and length of a torque command, but other
+            # first bytes.
+            first = min((signal.start for signal in message.signals), default=0) // 8
+            big = any(signal.big_endian for signal in message.signals)
+            same = same and (big or frame.data[:first] == message.base[:first])
+            if same and signals and message.can_id not in drive.node_ids:
+                decoded = dbc.decode_message(frame.can_id, frame.data)
+                step = abs(signals[0].scale) if signals[0].length < 32 else 1e-7
+                assert decoded["torque"] == pytest.approx(torque, abs=step)
+                return True
+    return False
+
+
+def test_the_dbc_tells_who_sends_and_what_is_fd(tmp_path: Path) -> None:
+    dbc = exported_dbc(load_hand(str(hand_file(tmp_path, ["mit"], "[motor.options]\nfd = true\n"))))
+    senders = {message.name: message.senders for message in dbc.messages}
+    assert senders["sync"] == [HOST_NODE_NAME]
+    assert senders["tensions_0"] == [SENSOR_NODE_NAME]
+    assert senders["index_motor_feedback"] == ["index_motor"]
+    assert senders["index_motor_command"] == [HOST_NODE_NAME]
+    assert dbc.get_message_by_name("index_motor_command").is_fd
+    assert not dbc.get_message_by_name("sync").is_fd
+    kd = dbc.get_message_by_name("index_motor_command").get_signal_by_name("kd")
+    assert (kd.start, kd.length) == (47, 12)
+
+
+def test_each_bus_has_its_own(tmp_path: Path) -> None:
+    hand = load_hand(
+        str(move_to_second_bus(hand_file(tmp_path, ["mit", "odrive", "cia402", "cubemars"])))
+    )
+    main, second = (exported_dbc(hand, bus) for bus in (0, 1))
+    assert {"sync", "index_motor_feedback", "middle_motor_encoder_estimates"} <= {
+        one.name for one in main.messages
+    }
+    assert {one.name for one in second.messages} == {
+        "ring_motor_tpdo1", "ring_motor_rpdo1", "thumb_motor_feedback"
+    }  # fmt: skip
+
+
+def test_every_packaged_hand_has_one() -> None:
+    for name in ("jamia", "jamia11"):
+        hand = load_hand(name)
+        ids = [message.frame_id for message in exported_dbc(hand).messages]
+        assert len(ids) == len(set(ids)) >= 2 * len(hand.tendon_names) + 2

@@ -1,0 +1,99 @@
+"""Test the options of a drive in a hand file. No accepted value may break the arithmetic of the drive."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.core.tendon_space import tendon_space
+from handctl.drives.registry import make_drive
+from handctl.errors import ConfigError
+from handctl.hand.digit import DigitModel
+from handctl.hand.load import load_hand
+from tests.drives.protocol_bench import hand_file, motor_on_bench
+
+CIA402_OPTIONS = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
+
+
+@pytest.mark.parametrize(
+    ("protocol", "options", "key", "right"),
+    [
+        (
+            "cia402",
+            CIA402_OPTIONS | {"counts_per_turn": 0.4},
+            "counts_per_turn",
+            "a whole number from 1 to 16777216",
+        ),
+        (
+            "cia402",
+            CIA402_OPTIONS | {"heartbeat_ms": 0.3},
+            "heartbeat_ms",
+            "a whole number from 1 to 1000",
+        ),
+        (
+            "cia402",
+            CIA402_OPTIONS | {"heartbeat_ms": True},
+            "heartbeat_ms",
+            "a whole number from 1 to 1000",
+        ),
+        (
+            "cia402",
+            CIA402_OPTIONS | {"rated_torque_N_m": 4e-4},
+            "rated_torque_N_m",
+            "at least one mN_m",
+        ),
+        ("odrive", {"heartbeat_ms": 1e-7}, "heartbeat_ms", "a whole number from 1 to 1000"),
+        (
+            "odrive",
+            {"encoder_period_ms": 2.5},
+            "encoder_period_ms",
+            "a whole number from 1 to 1000",
+        ),
+        ("odrive", {"gear_ratio": 0.0}, "gear_ratio", "a number above 0, at most 1000"),
+    ],
+)
+def test_a_number_that_rounds_to_nothing_is_refused(
+    protocol: str, options: dict[str, object], key: str, right: str
+) -> None:
+    with pytest.raises(ConfigError) as refused:
+        make_drive(motor_on_bench(protocol, 1, 0.01, options), 0)
+    assert key in str(refused.value)
+    assert right in str(refused.value)
+
+
+@pytest.mark.parametrize("heartbeat", [1, 50.0, 1000])
+def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
+    for protocol, options in (("cia402", CIA402_OPTIONS), ("odrive", {})):
+        drive = make_drive(
+            motor_on_bench(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0
+        )
+        assert drive.background_frames[0][2] > 999.0 / heartbeat, "at least as often as configured"
+
+
+def test_position_step_is_reported() -> None:
+    """The filter needs the resolution of a drive's position.
+
+    An encoder of 1000 counts is coarser than 16 bits over the range.
+    """
+    coarse = CIA402_OPTIONS | {"counts_per_turn": 1000, "gear_ratio": 2.0}
+    assert make_drive(motor_on_bench("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(
+        math.pi / 1000
+    )
+    assert make_drive(motor_on_bench("mit", 1, 0.01, {}), 0).position_step == pytest.approx(
+        25.0 / 65535
+    )
+    assert make_drive(motor_on_bench("odrive", 1, 0.01, {}), 0).position_step == 0.0
+
+
+@pytest.mark.parametrize(("counts", "step"), [(1000, math.tau / 1000), (1 << 20, 25.0 / 65535)])
+def test_the_filter_counts_with_the_drive_s_encoder(
+    tmp_path: Path, counts: int, step: float
+) -> None:
+    path = hand_file(tmp_path, ["cia402"])
+    path.write_text(
+        path.read_text().replace("counts_per_turn = 65536", f"counts_per_turn = {counts}")
+    )
+    hand = load_hand(path)
+    space = tendon_space(hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names))
+    np.testing.assert_allclose(space.encoder_step, step * space.spool)

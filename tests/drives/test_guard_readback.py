@@ -1,0 +1,121 @@
+"""A drive is not armed if the read-back of a guard is wrong.
+
+Guards are the watchdog, heartbeat supervision and torque limit.
+"""
+
+import pytest
+
+from firmware_sim.nodes.cia402.node import Cia402Node
+from firmware_sim.nodes.mit.node import MitNode
+from firmware_sim.nodes.moteus.node import MoteusNode
+from firmware_sim.nodes.odrive.node import OdriveNode
+from firmware_sim.nodes.robstride.node import RobstrideNode
+from handctl.cli.main import main
+from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.motor_description import GUARDED_PROTOCOLS
+from tests.drives.protocol_bench import OPTIONS_TEXT_BY_PROTOCOL, hand_file
+from tests.drives.virtual_bench import VirtualBench, drive_rig_on
+
+GUARDS_BY_PROTOCOL = {
+    "mit": {9: "TIMEOUT", 23: "TMAX", 10: "CTRL_MODE"},
+    "odrive": {201: "enable_watchdog", 202: "watchdog_timeout", 203: "torque_max", 204: "torque_min"},
+    "cia402": {(0x1016, 1): "0x1016:1", (0x1017, 0): "0x1017:0", (0x6007, 0): "0x6007:0", (0x6072, 0): "0x6072:0"},
+    "moteus": {
+        0x025: "torque limit", 0x027: "watchdog", "servo.timeout_mode": "servo.timeout_mode",
+        "servo.fixed_voltage_mode": "servo.fixed_voltage_mode", "servopos.position_min": "servopos.position_min",
+        "servopos.position_max": "servopos.position_max",
+    },
+    "robstride": {0x7005: "run_mode", 0x700B: "limit_torque", 0x7028: "canTimeout"},
+}  # fmt: skip
+"""Guarding settings of each protocol, with the name that the refusal to arm gives them."""
+PROTOCOLS_AND_GUARDS = [
+    (protocol, guard, name)
+    for protocol, guards in GUARDS_BY_PROTOCOL.items()
+    for guard, name in guards.items()
+]
+
+
+def keep_setting(virtual_bench: VirtualBench, guard) -> None:
+    """Let a simulated drive keep the value of a setting, but confirm each write of it."""
+    node = virtual_bench.bench.nodes[0]
+    if isinstance(node, MitNode):
+        write = node.registers.write
+        node.registers.write = lambda register, raw: (
+            None if register == guard else write(register, raw)
+        )
+    elif isinstance(node, OdriveNode):
+        node.endpoints = _EndpointsWithFixedValue(node.endpoints, guard)
+    elif isinstance(node, MoteusNode):
+        node.channel.items = _EndpointsWithFixedValue(node.channel.items, guard)
+        write_one = node._write
+        node._write = lambda number, kind, raw: (
+            0 if number == guard else write_one(number, kind, raw)
+        )
+    elif isinstance(node, RobstrideNode):
+        write_parameter = node._write
+        node._write = lambda data, t_ns: (
+            None if int.from_bytes(data[:2], "little") == guard else write_parameter(data, t_ns)
+        )
+    else:
+        assert isinstance(node, Cia402Node)
+        write_object = node.objects.write
+        node.objects.write = lambda key, raw: None if key == guard else write_object(key, raw)
+
+
+class _EndpointsWithFixedValue(dict):
+    def __init__(self, values, key):
+        super().__init__(values)
+        self.key = key
+
+    def __setitem__(self, key, value):
+        if key != self.key:
+            super().__setitem__(key, value)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "guard", "name"),
+    PROTOCOLS_AND_GUARDS,
+    ids=[f"{case[0]}-{case[2]}" for case in PROTOCOLS_AND_GUARDS],
+)
+def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, name):
+    virtual_bench = VirtualBench(protocol)
+    if guard == 10:
+        virtual_bench.bench.nodes[0].registers.show(10, 2.0)
+    if guard == (0x6007, 0):
+        virtual_bench.bench.nodes[0].objects[guard] = 0
+    if guard == "servo.fixed_voltage_mode":
+        virtual_bench.bench.nodes[0].channel.items[guard] = 1.0
+    if guard == 0x7005:
+        virtual_bench.bench.nodes[0].parameters[guard] = b"\x03\0\0\0"
+    rig = drive_rig_on(virtual_bench, protocol, 0.5)
+    keep_setting(virtual_bench, guard)
+    seen = set()
+
+    def record_state(state):
+        seen.add(state.phase)
+        return False
+
+    rig.until(DriveTarget.ENABLE, record_state, 3.0)
+    assert DrivePhase.FAULT in seen
+    assert DrivePhase.ENABLED not in seen
+    assert name in rig.state.error_text
+    assert virtual_bench.largest_torque == 0.0
+
+
+def test_every_guarded_protocol_is_tried():
+    assert sorted(GUARDS_BY_PROTOCOL) == sorted(GUARDED_PROTOCOLS)
+
+
+@pytest.mark.parametrize("protocol", sorted(GUARDS_BY_PROTOCOL))
+def test_the_same_drive_is_armed_when_all_read_back(protocol):
+    rig = drive_rig_on(VirtualBench(protocol), protocol, 0.5)
+    assert rig.until(DriveTarget.ENABLE, lambda state: state.phase == DrivePhase.ENABLED, 3.0)
+
+
+def test_an_unverifiable_guard_is_shown(tmp_path, capsys):
+    path = hand_file(tmp_path, ["odrive"])
+    assert main(["config", "check", "--hand", str(path)]) == 0
+    assert "caution" not in capsys.readouterr().out
+    path.write_text(path.read_text().replace(OPTIONS_TEXT_BY_PROTOCOL["odrive"], ""))
+    assert main(["config", "check", "--hand", str(path)]) == 0
+    assert "# caution: index_motor: watchdog not verified" in capsys.readouterr().out

@@ -1,0 +1,142 @@
+"""Test drives that lose their settings and are still enabled.
+
+Their torque limit and watchdog are read again while they are enabled.
+"""
+
+import os
+from itertools import pairwise
+
+import pytest
+
+from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE_STAGE
+from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
+from handctl.core.types import Mode
+from handctl.drives import readback
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.frame import Frame
+from handctl.drives.mit import codec
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.mit.progress import MitProgress
+from handctl.session.plan import default_rate
+
+TICK_NS = 2_000_000
+SIMULATOR_SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
+
+
+def enabled_mit_drive(node_id: int) -> tuple[MitDrive, object]:
+    """Return an enabled MIT drive and its state."""
+    drive = MitDrive(
+        "m", 0, node_id, node_id + 0x100, codec.MotorRanges(12.5, 50.0, 0.8), 1, 0.0, 1000
+    )
+    check = readback.first_recheck(node_id, 0)
+    state = drive.initial()._replace(
+        phase=DrivePhase.ENABLED,
+        private=MitProgress(configured=True, enable_sent=True, check=check),
+    )
+    return drive, state
+
+
+def run_drive(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: bool = True):
+    """Run a drive whose motor replies to commands and requests.
+
+    Return the state, and tick and register of each request.
+    """
+    asked = []
+    feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
+    for k in range(ticks):
+        state, frames = drive.advance(state, k * TICK_NS, DriveTarget.ENABLE, 0.1)
+        if state.phase != DrivePhase.ENABLED:
+            break
+        for frame in frames:
+            answer = feedback
+            if frame.can_id == codec.BROADCAST_ID:
+                register = frame.data[3]
+                asked.append((k, register))
+                answer = frame.data[:4] + codec.register_bytes(register, registers[register])
+                if not heard:
+                    continue
+            state = drive.receive(state, Frame(drive.reply_id, answer, 0, 0, k * TICK_NS + 1000))
+    return state, asked
+
+
+CORRECT_REGISTERS = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
+
+
+@pytest.mark.parametrize("node_id", [1, 11, 0x11, 0x1F])
+def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
+    """Register replies are told apart from feedback.
+
+    Their first byte may equal that of an enabled motor's feedback.
+    """
+    drive, state = enabled_mit_drive(node_id)
+    state, asked = run_drive(drive, state, 2001, CORRECT_REGISTERS)
+    assert [register for _, register in asked] == [codec.TIMEOUT, codec.TMAX] * 4
+    assert {b - a for (a, _), (b, _) in pairwise(asked)} == {250}
+    assert state.phase == DrivePhase.ENABLED
+    assert state.feedback_count == 2001
+    assert state.misread == 0
+
+
+def test_no_two_of_eleven_motors_ask_in_one_tick():
+    ticks = [
+        run_drive(*enabled_mit_drive(node_id), 260, CORRECT_REGISTERS)[1][0][0]
+        for node_id in range(1, 12)
+    ]
+    assert len(set(ticks)) == 11
+
+
+@pytest.mark.parametrize("lost", [{codec.TIMEOUT: 0}, {codec.TMAX: 10.0}])
+@pytest.mark.parametrize("node_id", [2, 0x12])
+def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
+    drive, state = enabled_mit_drive(node_id)
+    state, asked = run_drive(drive, state, 600, CORRECT_REGISTERS | lost)
+    assert state.phase == DrivePhase.FAULT
+    assert drive.cause(state.error) == DriveFaultCause.MISMATCH
+    assert "while enabled" in state.error_text
+    assert asked[-1][0] <= 500
+
+
+def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
+    drive, state = enabled_mit_drive(3)
+    few, _ = run_drive(
+        drive, state, 250 * (readback.RECHECK_TRIES - 1), CORRECT_REGISTERS, heard=False
+    )
+    assert few.phase == DrivePhase.ENABLED
+    many, asked = run_drive(
+        drive, state, 250 * (readback.RECHECK_TRIES + 1), CORRECT_REGISTERS, heard=False
+    )
+    assert many.phase == DrivePhase.FAULT
+    assert "not answered while enabled" in many.error_text
+    assert len(asked) == readback.RECHECK_TRIES - 1
+
+
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
+@pytest.mark.parametrize("protocol", sorted(set(ALL_PROTOCOLS) - {"moteus"}))
+def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
+    hand = hand_with_protocol("jamia", protocol)
+    with homed_run(hand, default_rate(hand), seed) as course:
+        advance_to(course, FREE_STAGE)
+        course.peer.inject(f"forget node={hand.motor[seed % 4].name}")
+        end_s = course.k * course.period_ns * 1e-9 + 1.01
+        assert course.until(lambda out: out.mode == Mode.CUT, 1.02)
+        assert course.k * course.period_ns * 1e-9 <= end_s
+        latched = {(mark.id, mark.instance) for mark in course.state.latched}
+        assert latched == {("N12", hand.motor[seed % 4].name)}
+
+
+@pytest.mark.parametrize("seed", SIMULATOR_SEEDS)
+def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
+    """A moteus that lost its settings may no longer obey.
+
+    If this shows before its settings are read again, N14 is the first fault.
+    """
+    hand = hand_with_protocol("jamia", "moteus")
+    with homed_run(hand, default_rate(hand), seed) as course:
+        advance_to(course, FREE_STAGE)
+        motor = hand.motor[seed % 4].name
+        course.peer.inject(f"forget node={motor}")
+        assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), 1.02)
+        found = {(mark.id, mark.instance) for mark in course.state.latched}
+        assert found <= {("N12", motor), ("N14", motor)}
+        assert found

@@ -1,0 +1,112 @@
+"""Test SYNC for CiA 402 drives.
+
+On every bus, either the request to the sensor node is the SYNC, or one drive sends it.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handctl.campaign.stage import hand_with_protocol
+from handctl.controller.bus_load import bus_loads, with_more_buses
+from handctl.controller.setup import make_drives
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
+from handctl.drives.motor_description import PROTOCOL_TRAITS
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_content, hand_from_content, load_hand
+from handctl.programs.live import LiveProgram
+from handctl.session.simulate import SimulatorSettings, homed_controller
+from tests.drives.protocol_bench import hand_file, move_to_second_bus
+
+SYNC_ID = 0x080
+
+
+def sync_sender_names(hand: Hand) -> list[str]:
+    """Return the names of the drives that send SYNC."""
+    return [drive.name for drive in make_drives(hand) if getattr(drive, "sync", False)]
+
+
+def hand_without_sensors() -> Hand:
+    """Return jamia with CiA 402 drives and without a sensor node."""
+    content: dict[str, Any] = hand_content("jamia")
+    del content["sensor_node"]
+    drive = {"protocol": "cia402", "options": dict(PROTOCOL_TRAITS["cia402"].options)}
+    content["motor"] = [motor | drive for motor in content["motor"]]
+    return hand_from_content(content, "without sensors")
+
+
+def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
+    """Regression: the bus without the sensor node had no SYNC, so a hand with CiA 402 drives was never armed."""
+    path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
+    hand = load_hand(str(path))
+    assert sync_sender_names(hand) == ["thumb_motor"], (
+        "the last drive of the bus without the sensor node"
+    )
+    model = HandModel.of(hand, Gains(), 250.0)
+    with SimulatorSettings(str(path), None, 0, homed=True).against(
+        homed_controller(model, LiveProgram())
+    ) as run:
+        assert run.until(lambda out: out.mode == Mode.ACTIVE, 5.0)
+        sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC_ID]
+        assert sent == [(0, 1), (1, 0)], (
+            "once on each bus: with the counter for the sensor node, else empty"
+        )
+
+
+def test_the_packaged_hand_on_two_buses_has_sync_on_both() -> None:
+    assert sync_sender_names(hand_with_protocol("n_plus_1", "cia402")) == ["middle_f2"], (
+        "the last drive of the bus without the sensor node"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("sync_id = 128", "sync_id = 255", ["middle_motor", "thumb_motor"]),
+        (
+            "counts_per_turn = 65536",
+            "counts_per_turn = 65536\nsync = true",
+            ["index_motor", "thumb_motor"],
+        ),
+    ],
+)
+def test_one_drive_of_a_bus_sends_sync(
+    old: str, new: str, expected: list[str], tmp_path: Path
+) -> None:
+    """If the sensor node's SYNC has another identifier, a drive sends SYNC.
+
+    A drive with the option ``sync`` remains the sender.
+    """
+    path = move_to_second_bus(hand_file(tmp_path, ["cia402"]))
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    assert sync_sender_names(load_hand(str(path))) == expected
+
+
+def test_other_protocols_have_no_sync(tmp_path: Path) -> None:
+    assert (
+        sync_sender_names(
+            load_hand(str(move_to_second_bus(hand_file(tmp_path, ["mit", "odrive"]))))
+        )
+        == []
+    )
+
+
+def test_the_bus_load_has_the_sync_without_sensors() -> None:
+    (load,) = bus_loads(hand_without_sensors())
+    (sync,) = [row for row in load.rows if row.size == 0]
+    assert (sync.per_tick, sync.frame_s) == (1.0, frame_time_s(0, False, 1e6))
+
+
+def test_each_bus_of_a_split_has_room_for_its_sync() -> None:
+    for rate in range(200, 1000, 80):
+        hand = hand_with_protocol("jamia11", "cia402")
+        changed = with_more_buses(hand, rate)
+        loads = bus_loads(hand_from_content(tomllib.loads(changed.to_toml()), "split"))
+        assert max(load.at(rate) for load in loads) <= MAX_BUS_LOAD, rate

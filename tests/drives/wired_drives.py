@@ -1,0 +1,172 @@
+"""Drives and sensor node with a state block. Compiled code receives and sends their frames, as in a tick."""
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.state import drive_values
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core import stages, wire
+from handctl.core.block import STATE
+from handctl.core.constants import ELEMENTS, HAND, KINDS
+from handctl.drives.contract import Drive, DriveState, DriveTarget
+from handctl.drives.frame import ERROR, Frame
+from handctl.drives.records import WORDS_PER_RECORD, Frames, frames_as_records
+from handctl.drives.sensors.contract import SensorInterface
+
+
+class WiredDrives:
+    """State of the drives and of the sensor node between ticks.
+
+    Attributes:
+        block: numbers of the state. states: states of the drives as their state machines left them. The values of
+            drives are in the block.
+        frames_for_drives: frames of the last ``receive`` that a state machine of a drive had to process.
+        foreign_frames: frames of the last ``receive`` with identifiers that only the host may use.
+    """
+
+    def __init__(self, drives: Sequence[Drive], sensors: SensorInterface) -> None:
+        """Build the state block and the tables with which compiled code reads and writes frames."""
+        self.drives, self.sensors = drives, sensors
+        n = len(sensors.frame_of)
+        joints = 1 + max(
+            (j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0
+        )
+        axes = {"tendon": n, "joint": joints, "digit": 1, "coordinate": 1, "node": n + 1}
+        self.layout = STATE.layout(
+            {**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1}
+        )
+        self.tables = wire.WireTables(drives, sensors)
+        self.block = self.layout.initial.copy()
+        self.owners = {
+            (drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids
+        }
+        self.states: list[DriveState] = [drive.initial() for drive in drives]
+        self.frames_for_drives: list[Frame] = []
+        self.foreign_frames: list[Frame] = []
+        for i, state in enumerate(self.states):
+            self.store_drive_state(i, state)
+
+    def field_view(self, name: str) -> NDArray:
+        """Return a field of the block."""
+        return self.layout.view(self.block, name)
+
+    def field_number(self, name: str) -> int:
+        """Return a single number of the state block by its name."""
+        return int(self.field_view(name)[0])
+
+    def begin_tick(self) -> None:
+        """Begin a tick without changing the tick's number and time."""
+        numbers = [self.field_number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
+        wire.begin_tick(self.block, self.layout.places, *numbers)
+
+    def begin_tick_with_sync(self, k: int) -> Frame:
+        """Return the request to the sensors as the end of a tick sends it, and begin the next tick."""
+        frame = self.sensors.sync(k)
+        self.field_view("sync_asked")[...], self.field_view("syncs")[...] = (
+            self.sensors.counter(k) & 0xF,
+            self.field_number("syncs") + 1,
+        )
+        self.begin_tick()
+        return frame
+
+    def receive(self, frames: Iterable[Frame]) -> "WiredDrives":
+        """Receive frames as a tick does, and return this object."""
+        frames, known, at = frames_as_records(frames), self.tables, 0
+        self.frames_for_drives, self.foreign_frames = [], []
+        while True:
+            at = wire.receive_frames(
+                self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries, known.wholes,
+                known.reals, at, self.sensors.earliest_answer_ns(self.field_number("t_ns")),
+            )  # fmt: skip
+            if at >= len(frames):
+                return self
+            frame = frames[at]
+            i = self.owners.get((frame.bus, frame.can_id & ~ERROR))
+            if i is None:
+                self.foreign_frames.append(frame)
+            else:
+                self.frames_for_drives.append(frame)
+                self.store_drive_state(i, self.drives[i].receive(self.drive_state(i), frame))
+            at += 1
+
+    def send(self, target: DriveTarget, torque: Sequence[float], t_ns: int) -> list[Frame]:
+        """Return the frames that a tick sends to the drives for a target and torques."""
+        self.field_view("t_ns")[...] = t_ns
+        tables, sent, first = self.tables, list[Frame](), 0
+        while True:
+            if target == DriveTarget.ENABLE:
+                out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
+                first, count = wire.encode_commands(
+                    self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
+                    tables.templates, np.asarray(torque, dtype=np.float64), tables.servos, tables.servo_templates,
+                    tables.servo_wholes, tables.servo_reals, first, 0,
+                )  # fmt: skip
+                sent += Frames.of_rows(out[:count])
+            if first >= len(self.drives):
+                return sent
+            state, frames = self.drives[first].advance(
+                self.drive_state(first), t_ns, target, torque[first]
+            )
+            self.store_drive_state(first, state)
+            sent += frames
+            first += 1
+
+    def store_drive_state(self, i: int, known: DriveState) -> None:
+        """Store the state of drive i, with its values in the block."""
+        drive, whole, table = (
+            self.drives[i],
+            *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
+        )
+        table[s.POSITION : s.POSITION + 4, i] = known[1:5]
+        whole[s.FEEDBACKS, i], whole[s.FEEDBACK_NS, i] = known.feedback_count, known.feedback_t_ns
+        whole[s.PHASE, i] = known.phase
+        whole[s.STATUS_EXPECTED, i], whole[s.DUE_NS, i] = (
+            drive.steady_status(known),
+            drive.due_ns(known),
+        )
+        self.states[i] = known
+
+    def drive_state(self, i: int) -> DriveState:
+        """Return the state of drive i with its values from the block."""
+        table, whole = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
+        return self.states[i].with_values(*drive_values(table, whole, i))
+
+    # Readings of the sensor node.
+
+    @property
+    def tensions(self) -> dict[int, float]:
+        """Return the load-cell readings that arrived in this tick, by tendon [N]."""
+        fresh, cells = self.field_view("cell_fresh"), self.field_view("cell")
+        return {i: float(cells[i]) for i in np.flatnonzero(fresh).tolist()}
+
+    @property
+    def joints(self) -> dict[int, float]:
+        """Return the joint-encoder readings that arrived in this tick, by joint [rad]."""
+        fresh, angles = self.field_view("joint_fresh"), self.field_view("joint_angle")
+        return {j: float(angles[j]) for j in np.flatnonzero(fresh).tolist()}
+
+    @property
+    def has_malformed_frame(self) -> bool:
+        """Return True if a frame of the sensor node had a wrong form in this tick."""
+        return bool(self.field_view("misread_now")[-1])
+
+    def observe_readings(self) -> "WiredDrives":
+        """Convert received values to measurements, and start the filter once every sensor has been read."""
+        stages.observe_tick(self.block, self.layout.places, *self._constants)
+        return self
+
+    @cached_property
+    def _constants(self) -> tuple[NDArray, NDArray]:
+        """Constants of a hand in which only the frames of the load cells are set."""
+        axes = self.layout.axes
+        kept = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
+        layout = HAND.layout({**kept, "kind": KINDS, "element": ELEMENTS, "place": 1, "run": 1})
+        block = layout.initial.copy()
+        table = layout.table(block, "tendon_int")
+        table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]
+        layout.table(block, "run")[[h.CELL_LOW, h.CELL_HIGH], 0] = self.sensors.cell_range
+        return block, layout.places

@@ -1,0 +1,378 @@
+"""Test the fault matrix in lockstep.
+
+Each fault has an effect, reactions are in time, and physics explains all tensions.
+"""
+
+import contextlib
+import math
+import os
+import tomllib
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from handctl.campaign import campaign
+from handctl.campaign.scenario_run import ScenarioResult, run_scenario
+from handctl.campaign.scenarios import (
+    ALL_PROTOCOLS,
+    ARMING_STAGE,
+    FAULT_MATRIX,
+    FREE_STAGE,
+    GRASP_STAGE,
+    UNTESTED_ROWS,
+    FaultScenario,
+    MatrixRow,
+    fault_pairs,
+    scenarios_of_hand,
+)
+from handctl.campaign.stage import (
+    FAULT_DELAY_S,
+    MIN_CONTROL_RATE_HZ,
+    advance_to,
+    hand_with_protocol,
+    homed_run,
+    run_in_branches,
+)
+from handctl.core.types import Mode, TickEvent
+from handctl.hand.load import hand_from_content, load_hand, packaged_hands
+from handctl.safety.action import Action
+from handctl.safety.faults.tendon import RELAXED_S
+from handctl.session.plan import default_rate
+from handctl.session.simulate import SimulatedRun
+from tests.hand.hand_on_wrist import mount_on_wrist
+
+RATE_HZ = 500.0
+SAMPLED_FAULTS = ("N08", "H13")
+
+
+@pytest.fixture(scope="module")
+def campaign_report():
+    """Return the report of a campaign with some rows on MIT drives, and with one second of a hand without faults."""
+    return campaign.run_campaign(
+        "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
+        on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
+        row_ids=SAMPLED_FAULTS,
+    )  # fmt: skip
+
+
+def test_only_existing_load_cells_fail():
+    """Regression: the campaign let a load cell of a spool pair saturate, but spool pairs have none.
+
+    It ended with a traceback.
+    """
+    for hand in (mount_on_wrist("jamia"), load_hand("orca_like")):
+        cells = set(hand.sensor_node.tendons)
+        found = [*scenarios_of_hand(hand, "mit", 2.5), *fault_pairs(hand, "mit", 2.5)]
+        texts = [text for one in found for text in (one.fault, one.second) if "cell=" in text]
+        assert bool(texts) == bool(cells)
+        assert {text.partition("cell=")[2].split()[0] for text in texts} <= cells
+
+
+def test_every_scenario_takes_effect_and_is_answered_in_time(campaign_report):
+    wrong = [
+        (result.scenario, result.problem) for result in campaign_report.all_results if not result.ok
+    ]
+    assert wrong == []
+    assert {result.id for result in campaign_report.all_results} == set(SAMPLED_FAULTS)
+    assert all(result.effects for result in campaign_report.all_results)
+
+
+def test_the_report_has_its_sections(campaign_report):
+    figures = campaign_report.plain()
+    assert figures["scenarios"] == len(campaign_report.all_results) == 12
+    assert (figures["late"], figures["not_felt"], figures["false_alarms"]) == (0, 0, 0)
+    assert 0 < figures["worst_ticks"] <= 6
+
+
+def test_fault_free_run_alone_continues_its_seeds():
+    """The seeds of runs without faults can continue from an earlier campaign.
+
+    A long campaign can therefore be done in pieces.
+    """
+    seeds = []
+
+    def record_run(hand, rate, seconds, seed):
+        seeds.append((round(rate), seconds, seed))
+        return []
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "run_fault_free", record_run)
+        report = campaign.run_campaign(
+            "jamia", ["mit"], lambda hand: RATE_HZ, jobs=1, quick=False, fault_free_s=30.0,
+            fault_free_only=True, seed=76,
+            on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
+        )  # fmt: skip
+    assert (seeds, report.all_results, report.simulated_s) == ([(500, 30.0, 76)], [], 30.0)
+
+
+def alarms_of_run(phase, *texts):
+    """Return the false alarms of a run without injected faults.
+
+    The hand stays in one phase for eight seconds and reports the given faults in each second.
+    """
+    events = tuple(TickEvent("warn", "fault", "", text) for text in texts)
+    out = SimpleNamespace(mode=Mode.ACTIVE, phase=phase, events=events)
+
+    @contextlib.contextmanager
+    def simulate_one_phase(hand, rate_hz, seed, perturb):
+        simulation = SimulatedRun(
+            None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure="")
+        )
+
+        def tick():
+            simulation.k += 1
+            simulation.out = out
+            return out
+
+        simulation.tick = tick
+        yield simulation
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "homed_run", simulate_one_phase)
+        return campaign.run_fault_free(hand_with_protocol("jamia", "mit"), 1.0, 9.0, seed=5)
+
+
+def test_a_reaction_or_a_missing_grasp_without_fault_is_a_false_alarm():
+    assert alarms_of_run("hold") == []
+    assert alarms_of_run("hold", "B01 lost: index_motor (1): WARN") == []
+    assert (
+        alarms_of_run("hold", "N07 noise: index_motor (1): HOLD")
+        == ["N07 noise: index_motor (1): HOLD"] * 9
+    )
+    assert alarms_of_run("ready") == ["seed 5 did not reach a grasp: ready"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_exchanged_drives_are_found_soon_after_the_fingers_touch_an_object(seed: int) -> None:
+    """Regression: the large changes of the commands at the contact hid the exchange for 2.3 s."""
+    hand = hand_with_protocol("t42", "mit")
+    with homed_run(hand, RATE_HZ, seed) as simulation:
+        advance_to(simulation, GRASP_STAGE)
+        simulation.peer.inject("swap node=left_motor with=right_motor")
+        assert simulation.until(lambda out: out.mode == Mode.RELAX, 0.6)
+        assert {mark.id for mark in simulation.state.latched} == {"N17"}
+
+
+@pytest.mark.parametrize("hand", packaged_hands())
+@pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
+def test_every_hand_with_every_protocol_has_a_rate_at_which_faults_are_found_in_time(
+    hand: str, protocol: str
+) -> None:
+    """Eleven moteus, ODrive or RobStride drives on a single bus allow 100 Hz only. They get a second bus."""
+    replaced = hand_with_protocol(hand, protocol)
+    assert default_rate(replaced) >= MIN_CONTROL_RATE_HZ
+    assert {motor.bus for motor in replaced.motor} <= set(replaced.bus_names)
+    # The file of the hand, which `demo --protocol` writes, describes the same hand.
+    assert hand_from_content(tomllib.loads(replaced.to_toml()), "hand") == replaced
+
+
+@pytest.mark.timeout(120)
+def test_at_100_hz_noise_prevents_no_grasp():
+    """With load cells of triple noise, one of eleven taut tendons would look slack in every fifth tick."""
+    assert (
+        campaign.run_fault_free(hand_with_protocol("jamia11", "odrive"), 100.0, 8.0, seed=80111)
+        == []
+    )
+
+
+def test_a_missing_reaction_counts_as_late(tmp_path):
+    """The judge reports a fault without effect, and a fault that cannot be detected in time.
+
+    This is its positive control.
+    """
+    hand = hand_with_protocol("jamia", "mit")
+    never = MatrixRow("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
+    slow = MatrixRow("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
+    results = []
+    stored_log = tmp_path / "kept"
+    with homed_run(hand, RATE_HZ, 0) as simulation:
+        simulation.tick()
+        todo = [FaultScenario(row, row.fault, GRASP_STAGE) for row in (never, slow)]
+        run_in_branches(
+            simulation,
+            todo,
+            2,
+            lambda simulation, one: run_scenario(simulation, one, "mit"),
+            results.append,
+            lambda simulation, result: stored_log.touch(),
+        )
+    assert sorted(result.problem for result in results) == [
+        "no reaction; torque remains",
+        "the disturbance had no effect",
+    ]
+    assert stored_log.exists(), "the log of a failure is stored"
+
+
+def test_a_reaction_to_another_fault_does_not_count():
+    """If a run ends because a drive has dropped out, this does not show that faults of load cells are detected."""
+    row = MatrixRow("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
+    with homed_run(hand_with_protocol("jamia", "mit"), RATE_HZ, 0) as simulation:
+        advance_to(simulation, ARMING_STAGE)
+        advance_to(simulation, FREE_STAGE)
+        result = run_scenario(simulation, FaultScenario(row, row.fault, FREE_STAGE), "mit")
+    assert "T05" in result.problem
+    assert not result.ok
+
+
+@pytest.mark.parametrize(("name", "rate_hz"), [("jamia", RATE_HZ), ("jamia11", 200.0)])
+def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
+    with homed_run(hand_with_protocol(name, "mit"), rate_hz, 0) as simulation:
+        advance_to(simulation, ARMING_STAGE)
+        advance_to(simulation, FREE_STAGE)
+        free = [out for _, out in simulation.recorded if out.phase == "free"]
+        assert len(free) * simulation.period_ns == pytest.approx(
+            FAULT_DELAY_S * 1e9, abs=2 * simulation.period_ns
+        )
+        speed = free[-1].telemetry.dq_goal
+        assert np.degrees(speed).max() > 10.0
+
+
+def test_the_offset_of_a_load_cell_exceeds_the_limits_of_its_tendon():
+    hand = hand_with_protocol("jamia", "mit")
+    thumb = hand.tendon[-1].model_copy(update={"tension_trip_N": 90.0, "drive_limit_N": 95.5})
+    other = hand.model_copy(update={"tendon": (*hand.tendon[:-1], thumb)})
+    texts = {one.fault for one in scenarios_of_hand(other, "mit", 2.0) if one.row.id == "T03"}
+    assert {"offset cell=thumb_tendon size=90", "offset cell=thumb_tendon size=95.5"} <= texts
+    assert {"offset cell=index_tendon size=140", "offset cell=index_tendon size=160"} <= texts
+
+
+@pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
+def test_silent_joint_encoders_are_detected(joint):
+    """Four missing frames of a joint encoder are a fault.
+
+    Three missing frames in a row cause no fault, neither N06 nor T08.
+    """
+    every = hand_with_protocol("jamia11", "mit").sensor_node.joint_decimation
+    for frames, found in ((3, ""), (4, f"N02b {joint}")):
+        fault = f"mute joint={joint} for={5 * every * frames}ms"
+        row = MatrixRow("N02", fault, Action.RELAX, 4 * every, rows=("N02",))
+        with homed_run(hand_with_protocol("jamia11", "mit"), 200.0, 0) as simulation:
+            advance_to(simulation, ARMING_STAGE)
+            advance_to(simulation, FREE_STAGE)
+            result = run_scenario(simulation, FaultScenario(row, fault, FREE_STAGE), "mit")
+        assert (result.effects, result.detected_by) == (frames, found)
+        assert result.ok == bool(found), result.problem
+
+
+def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
+    """Regression: with steady filter gains, the tension rose to 171 N while 7 N were commanded."""
+    row = next(row for row in FAULT_MATRIX if row.id == "N15" and "cia402" in row.protocols)
+    with homed_run(hand_with_protocol("jamia11", "cia402"), 200.0, 0) as simulation:
+        advance_to(simulation, ARMING_STAGE)
+        advance_to(simulation, FREE_STAGE)
+        result = run_scenario(
+            simulation, FaultScenario(row, "slow node=index_m1 size=2", FREE_STAGE), "cia402"
+        )
+    assert result.ok, result.problem
+    assert result.tension < 30.0
+
+
+def test_runaway_drive_stays_below_the_tension_of_its_limit_and_momentum():
+    """A drive that runs away against a grasped object causes no more tension than its limit and momentum explain.
+
+    The drive's force limit F moves the rotor against the tendon. The rotor has the mass m at the
+    tendon and the initial speed v, the tendon the stiffness k and the initial tension T. Without
+    friction the tension rises to F + sqrt((F - T)^2 + k m v^2). The reaction of the host can only
+    lower it.
+    """
+    hand = hand_with_protocol("jamia", "mit")
+    with homed_run(hand, RATE_HZ, 0) as simulation:
+        advance_to(simulation, GRASP_STAGE)
+        space = simulation.controller.model.space
+        at = simulation.peer.truth()["tension"][0]
+        v = abs(float(simulation.out.telemetry.motor_velocity[0]) * float(space.spool[0])) + 0.01
+        row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")
+        scenario = FaultScenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP_STAGE)
+        result = run_scenario(simulation, scenario, "mit")
+    limit = hand.tendon[0].drive_limit_N
+    k = float(space.stiffness[0])
+    m = float(space.motor_mass[0])
+    bound = limit + math.sqrt((limit - at) ** 2 + k * m * v**2)
+    assert result.ok, result.problem
+    assert at < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"
+
+
+def test_a_drive_that_does_not_relax_is_cut_although_its_load_cell_is_saturated():
+    """The drive is an ODrive without torque feedback.
+
+    Its load cell saturates below the tension that causes an immediate cut.
+    """
+    hand = hand_with_protocol("jamia_bench", "odrive")
+    row = next(row for row in FAULT_MATRIX if row.fault == "runaway node={node} size=1 seed=1")
+    with homed_run(hand, 400.0, 0) as simulation:
+        advance_to(simulation, GRASP_STAGE)
+        result = run_scenario(
+            simulation,
+            FaultScenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP_STAGE),
+            "odrive",
+        )
+    assert result.ok, result.problem
+    assert result.safe_ticks <= 400.0 * RELAXED_S + row.ticks + 5
+
+
+def test_instances_are_the_first_and_the_last():
+    hand = hand_with_protocol("jamia", "mit")
+    texts = [
+        one.fault
+        for one in scenarios_of_hand(hand, "mit", 2.0)
+        if one.row.id == "B17" and one.stage == GRASP_STAGE
+    ]
+    assert {text.rpartition("=")[2] for text in texts} == {"index_motor", "thumb_motor"}
+    assert len(fault_pairs(hand, "mit", 2.0)) == 66
+
+
+def test_every_row_is_in_the_matrix_or_tested_elsewhere():
+    assert not {row.id for row in FAULT_MATRIX} & UNTESTED_ROWS.keys()
+    counts = {
+        protocol: len(scenarios_of_hand(hand_with_protocol("jamia", protocol), protocol, 2.0))
+        for protocol in ALL_PROTOCOLS
+    }
+    assert sum(counts.values()) + 3 * 66 >= 250, counts
+
+
+def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
+    hand = hand_with_protocol("jamia11", "mit")
+    samples = [
+        campaign.campaign_scenarios(hand, "mit", 200.0, quick=True, seed=seed)
+        for seed in range(campaign.QUICK_EVERY)
+    ]
+    whole = campaign.campaign_scenarios(hand, "mit", 200.0, quick=False)
+    assert sorted(one.name for sample in samples for one in sample) == sorted(
+        one.name for one in whole
+    )
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("hand", ["jamia", "jamia11", "jamia_bench", "t42"])
+def test_the_quick_sample_passes_with_every_seed(hand: str, seed: int):
+    protocol = ALL_PROTOCOLS[seed % len(ALL_PROTOCOLS)]
+    report = campaign.run_campaign(
+        hand, [protocol], default_rate, jobs=2, quick=True, fault_free_s=4.0, seed=seed,
+        on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
+    )  # fmt: skip
+    assert [
+        (result.scenario, result.problem) for result in report.all_results if not result.ok
+    ] == []
+    assert report.alarms == {protocol: []}
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(
+    "HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)"
+)
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+@pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
+def test_every_scenario_of_the_matrix_is_detected_in_time(hand: str, protocol: str):
+    wrong: list[ScenarioResult] = []
+    report = campaign.run_campaign(
+        hand, [protocol], default_rate, jobs=2, quick=False, fault_free_s=600.0,
+        on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: wrong.append(result),
+    )  # fmt: skip
+    assert [
+        (result.scenario, result.problem) for result in report.all_results if not result.ok
+    ] == []
+    assert report.alarms == {protocol: []}

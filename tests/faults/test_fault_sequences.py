@@ -1,0 +1,159 @@
+"""Test random sequences of faults.
+
+A seed reproduces a sequence, no sequence breaks a rule, and each rule can be broken.
+"""
+
+import os
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from firmware_sim.description import load_hand
+from firmware_sim.faults.text import parse_fault
+from handctl.campaign import sequences
+from handctl.campaign.scenarios import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
+from handctl.campaign.sequences import (
+    SEQUENCE_TICKS,
+    FaultSequence,
+    FaultStep,
+    draw_sequence,
+    run_sequence,
+    run_sequences,
+    violations_at_end,
+    violations_in_tick,
+    violations_on_replay,
+)
+from handctl.campaign.stage import (
+    RUN_STAGES,
+    advance_to,
+    hand_with_protocol,
+    homed_run,
+    run_in_branches,
+)
+from handctl.core.types import Mode
+from handctl.safety.judge import LatchedFault
+from handctl.session.plan import default_rate
+
+NO_CALLBACKS = {
+    "on_progress": lambda done: None,
+    "on_failure": lambda arming_simulation, result: None,
+}
+
+
+@pytest.fixture(scope="module")
+def arming_simulation():
+    """Yield the simulation of a hand that is being armed at a low control rate. Each test uses a copy of it."""
+    with homed_run(hand_with_protocol("jamia", "mit"), 200.0, 0) as arming_simulation:
+        advance_to(arming_simulation, ARMING_STAGE)
+        yield arming_simulation
+
+
+@pytest.fixture
+def arming_copy(arming_simulation):
+    return replace(arming_simulation, recorded=list(arming_simulation.recorded))
+
+
+@pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
+def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path):
+    hand = hand_with_protocol("jamia11", protocol)
+    path = tmp_path / "jamia11.toml"
+    path.write_text(hand.to_toml())
+    simulated = load_hand(str(path))
+    drawn = [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
+    assert drawn == [draw_sequence(hand, protocol, 5.0, seed) for seed in range(300)]
+    assert {one.stage for one in drawn} == set(RUN_STAGES)
+    assert len({one.steps for one in drawn}) == len(drawn)
+    for step in [step for one in drawn for step in one.steps]:
+        assert 0 <= step.tick < SEQUENCE_TICKS
+        if not step.fault.startswith(HOST_PREFIX):
+            parse_fault(step.fault, simulated)
+
+
+def test_sequence_violates_no_rule():
+    results = run_sequences(
+        hand_with_protocol("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NO_CALLBACKS
+    )
+    assert [(one.scenario, one.problem) for one in results if not one.ok] == []
+    assert sum(one.effects for one in results) >= 5
+
+
+def test_a_sequence_that_breaks_a_rule_names_it(arming_copy, monkeypatch):
+    """The sequence has a drive that runs away.
+
+    If the rule does not count this as the reason, its tension breaks the rule.
+    """
+    results = []
+    sequence = FaultSequence(0, ARMING_STAGE, (FaultStep(20, "runaway node=index_motor"),))
+    for explains in (sequences.RUNAWAY_FAULT, "nobody"):
+        monkeypatch.setattr(sequences, "RUNAWAY_FAULT", explains)
+        run_in_branches(
+            arming_copy,
+            [sequence],
+            1,
+            run_sequence,
+            results.append,
+            lambda simulation, result: None,
+        )
+    assert (results[0].ok, results[1].ok) == (True, False)
+    assert results[1].problem.endswith("N in a tendon, at most 140 N expected")
+    assert results[0].tension == results[1].tension
+
+
+def test_violated_rule_of_a_tick_is_found(arming_copy):
+    before = arming_copy.state.copy()
+    before.mode = Mode.RELAX
+    before.decide(latched=(LatchedFault("T03", "index_tendon"),))
+    after = before.copy()
+    after.view("setpoint")[...] += 1.0
+    assert violations_in_tick(before, after, cleared=False) == [
+        "a setpoint rises while the hand relaxes"
+    ]
+    gone = before.copy()
+    gone.decide(latched=())
+    assert violations_in_tick(before, gone, cleared=False) == ["no longer latched: T03"]
+    assert violations_in_tick(before, gone, cleared=True) == []
+    back = before.copy()
+    back.mode = Mode.ACTIVE
+    assert violations_in_tick(before, back, cleared=False) == [
+        "the mode goes back: RELAX to ACTIVE"
+    ]
+
+
+def test_violated_rule_at_the_end_is_found(arming_copy):
+    assert violations_at_end(arming_copy) == ["the run does not end: ARMING"]
+    arming_copy.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
+    arming_copy.state = arming_copy.state.copy()
+    arming_copy.state.mode = Mode.DONE
+    assert violations_at_end(arming_copy) == ["torque remains: middle_tendon"]
+    arming_copy.state.decide(failure="REMOVE POWER: not confirmed disabled: middle_motor")
+    assert violations_at_end(arming_copy) == []
+
+
+def test_a_tick_with_another_result_is_found(arming_copy):
+    start = arming_copy.state
+    first = len(arming_copy.recorded)
+    for _ in range(5):
+        arming_copy.tick()
+    assert violations_on_replay(arming_copy, start, first) == []
+    other = start.copy()
+    other.goal_time += 1e-9
+    assert violations_on_replay(arming_copy, other, first) == [
+        f"tick {arming_copy.recorded[first][0].k} does not repeat with the same inputs"
+    ]
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(
+    "HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)"
+)
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+@pytest.mark.parametrize("protocol", ALL_PROTOCOLS)
+def test_random_sequences_violate_no_rule(hand, protocol):
+    """Each hand runs 334 random sequences of faults with each drive protocol."""
+    described = hand_with_protocol(hand, protocol)
+    results = run_sequences(
+        described, protocol, default_rate(described), range(334), jobs=2, **NO_CALLBACKS
+    )
+    assert [(one.scenario, one.problem) for one in results if not one.ok] == []

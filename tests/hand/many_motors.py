@@ -1,0 +1,40 @@
+"""Hands with more motors than the packaged ones. They are made from jamia11."""
+
+from typing import Any
+
+from handctl.hand.load import hand_content
+
+
+def fifteen_motors() -> dict[str, Any]:
+    """Describe a hand of five fingers with three joints each, and with a tendon and a motor per joint.
+
+    It is jamia11 without its thumb and with two more fingers.
+    """
+    raw = hand_content("jamia11")
+    parts = {
+        name: [one for one in raw[name] if "thumb" not in one["name"]]
+        for name in ("digit", "tendon", "motor")
+    }
+    for number, name in enumerate(("little", "outer")):
+        for section, ones in parts.items():
+            ones += [_renamed_section(one, name) for one in raw[section] if "index" in one["name"]]
+        parts["digit"][-1]["mount_position_m"] = [0.0, 0.025, -0.04 - 0.02 * number]
+    for node, motor in enumerate(parts["motor"], start=1):
+        motor["node_id"] = node
+    tendons, joints = [tendon["name"] for tendon in parts["tendon"]], []
+    for digit in parts["digit"]:
+        joints += [f"{digit['name']}_j{i + 1}" for i in range(len(digit["link_length_m"]))]
+    node = raw["sensor_node"] | {"tendons": tendons, "joints": joints}
+    return raw | parts | {"name": "fifteen", "sensor_node": node}
+
+
+def _renamed_section(one: Any, finger: str) -> Any:
+    """Copy a section of a hand file with the name of another finger in place of index."""
+    if isinstance(one, dict):
+        return {
+            _renamed_section(key, finger): _renamed_section(value, finger)
+            for key, value in one.items()
+        }
+    if isinstance(one, list):
+        return [_renamed_section(value, finger) for value in one]
+    return one.replace("index", finger) if isinstance(one, str) else one

@@ -1,0 +1,95 @@
+"""Hands whose digits are random chains of links. Axes, orientations, lengths, masses and inertia are random."""
+
+from typing import Any
+
+import numpy as np
+
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from_content, load_hand
+
+RANDOM_CHAIN_SEEDS = range(20)
+
+
+def random_tree(seed: int) -> Hand:
+    """Return a hand of five random digits of 1 to 3 links. Each is mounted on the palm or on an earlier digit."""
+    rng = np.random.default_rng(seed + 100)
+    return random_hand(seed, *rng.integers(1, 4, 5).tolist(), rng=rng)
+
+
+def random_hand(seed: int, *counts: int, rng: np.random.Generator | None = None) -> Hand:
+    """Return a hand of random digits with one tendon per joint. ``counts`` are the numbers of their links.
+
+    Without counts, the hand has a digit of 1 to 8 links and one of 1 to 7 links. With ``rng``
+    some digits are mounted on others.
+    """
+    mounted = rng
+    rng = np.random.default_rng(seed)
+    counts = counts or (seed % 8 + 1, int(rng.integers(1, 8)))
+    content = load_hand("jamia11").content
+    digits = [random_digit(rng, f"d{number}", count) for number, count in enumerate(counts)]
+    line: list[str] = []
+    for digit in digits if mounted else ():
+        # A digit is carried by the palm, by the digit before it, or by a carrier of that digit.
+        level = int(rng.integers(0, len(line) + 1))
+        if level:
+            digit["mount_on"] = line[level - 1]
+        line = [*line[:level], digit["name"]]
+    tendons: list[dict[str, Any]] = []
+    motors: list[dict[str, Any]] = []
+    for digit in digits:
+        joints = [f"{digit['name']}_j{i + 1}" for i in range(len(digit["link_length_m"]))]
+        for i, name in enumerate(joints):
+            number = len(tendons)
+            arms = {joint: float(rng.uniform(0.002, 0.006)) for joint in joints[: i + 1]}
+            tendons.append(
+                content["tendon"][0]
+                | {"name": f"{name}_t", "motor": f"{name}_m", "moment_arm_m": arms}
+            )
+            motors.append(content["motor"][0] | {"name": f"{name}_m", "node_id": number + 1})
+    gravity = rng.normal(size=3)
+    node = content["sensor_node"] | {"tendons": [one["name"] for one in tendons], "joints": []}
+    parts = {"digit": digits, "tendon": tendons, "motor": motors, "sensor_node": node}
+    mount = {"gravity_m_s2": (9.81 * gravity / np.linalg.norm(gravity)).tolist()}
+    return hand_from_content(
+        content | parts | {"mount": mount, "name": f"random{seed}"}, f"seed {seed}"
+    )
+
+
+def random_digit(rng: np.random.Generator, name: str, count: int) -> dict[str, Any]:
+    """Return a digit of random links.
+
+    Some links have length zero. Some have a single number for centre of mass and inertia.
+    """
+    length = rng.uniform(0.01, 0.05, count)
+    length[:-1] *= rng.random(count - 1) > 0.2
+    radius = 0.006
+    axes = rng.normal(size=(count, 3))
+    mass = rng.uniform(1e-3, 2e-2, count)
+    com: list[Any] = rng.uniform(-0.004, 0.004, (count, 3)).tolist()
+    inertia: list[Any] = []
+    for i in range(count):
+        # The inertia is that of a body of random points, so it satisfies all inequalities of real
+        # bodies.
+        points = rng.normal(size=(6, 3)) * 0.3 * np.maximum(length[i] / 3, radius / 2)
+        moments = mass[i] / 6 * ((points**2).sum() * np.eye(3) - points.T @ points)
+        inertia.append(moments[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)].tolist())
+        if i % 3 == 1:
+            com[i], inertia[i] = float(length[i] / 2), float(moments[2, 2])
+    return {
+        "name": name,
+        "mount_position_m": rng.uniform(-0.05, 0.05, 3).tolist(),
+        "mount_rpy_deg": rng.uniform(-180, 180, 3).tolist(),
+        "link_length_m": length.tolist(),
+        "joint_axis": (axes / np.linalg.norm(axes, axis=1, keepdims=True)).tolist(),
+        "joint_rpy_deg": rng.uniform(-180, 180, (count, 3)).tolist(),
+        "link_com_m": com,
+        "link_mass_kg": mass.tolist(),
+        "link_inertia_kg_m2": inertia,
+        "link_radius_m": radius,
+        "joint_min_deg": [-100.0] * count,
+        "joint_max_deg": [100.0] * count,
+        "joint_damping_N_m_s_per_rad": [5e-4] * count,
+        "joint_armature_kg_m2": rng.uniform(0.0, 1e-6, count).tolist(),
+        "spring_stiffness_N_m_per_rad": rng.uniform(0.03, 0.1, count).tolist(),
+        "spring_preload_rad": [0.6] * count,
+    }

@@ -1,0 +1,119 @@
+"""Test the warnings about drives that are too strong for the tendons and joints of a hand."""
+
+import json
+import tomllib
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from_content, load_hand, packaged_hands
+from handctl.hand.strength import STRENGTH_MARGIN, largest_force, runaway_tension, strength_warnings
+
+
+def hand_with_ratings(
+    hand: Hand,
+    *,
+    rated: float | None = None,
+    peak: float | None = None,
+    strength: float | None = None,
+) -> Hand:
+    """Return a hand with the same values for all its parts.
+
+    They are the rating of a joint [N m], the peak torque of a motor [N m] and the strength of a
+    tendon [N].
+    """
+    digits, motors, tendons = hand.digit, hand.motor, hand.tendon
+    if rated is not None:
+        digits = tuple(
+            d.model_copy(update={"joint_rated_torque_N_m": (rated,) * len(d.joints)})
+            for d in digits
+        )
+    if peak is not None:
+        motors = tuple(motor.model_copy(update={"torque_peak_N_m": peak}) for motor in motors)
+    if strength is not None:
+        tendons = tuple(
+            tendon.model_copy(update={"rated_breaking_force_N": strength}) for tendon in tendons
+        )
+    return hand.model_copy(update={"digit": digits, "motor": motors, "tendon": tendons})
+
+
+@pytest.mark.parametrize("name", [name for name in packaged_hands() if name.startswith("jamia")])
+def test_check_warns_of_each_jamia_and_accepts_it(name, capsys):
+    """The motors of each jamia make 250 N and more, and 500 N when they run away.
+
+    The tendon strength of 620 N is less than 1.5 times 500 N.
+    """
+    assert main(["config", "check", "--hand", name]) == 0
+    warned = [
+        line for line in capsys.readouterr().out.splitlines() if line.startswith("# warning: ")
+    ]
+    assert any(
+        "torque_peak_N_m" in line and "limit the drive to 207 N = 1.03 N m" in line
+        for line in warned
+    )
+    assert main(["config", "check", "--hand", name, "--json"]) == 0
+    assert [
+        f"# warning: {text}" for text in json.loads(capsys.readouterr().out)["warnings"]
+    ] == warned
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_the_bound_is_exact(name):
+    hand = load_hand(name)
+    spool = hand.motor[0].spool_radius_m
+    for strength in (400.0, 900.0):
+        most = largest_force(strength)
+        assert strength == pytest.approx(STRENGTH_MARGIN * runaway_tension(most))
+        for factor, warned in ((0.999, False), (1.001, True)):
+            other = hand_with_ratings(hand, peak=factor * most * spool, strength=strength)
+            assert any("torque_peak_N_m" in line for line in strength_warnings(other)) == warned
+
+
+def test_a_drive_limit_too_high_is_reported_with_the_right_one():
+    hand = hand_with_ratings(load_hand("jamia"), strength=470.0)
+    (line,) = [line for line in strength_warnings(hand) if "drive_limit_N" in line]
+    assert line.startswith(
+        "index_tendon, middle_tendon and 2 more: drive_limit_N (160 N at the tendon) makes 320 N"
+    )
+    assert "The strength of 470 N is 1.47 times this tension" in line
+    assert line.endswith("expected a factor of 1.5: limit the drive to 157 N = 0.783 N m")
+
+
+def test_joints_without_rating_are_reported_and_weak_ones_by_name():
+    hand = load_hand("jamia")
+    assert any("joint_rated_torque_N_m is missing" in line for line in strength_warnings(hand))
+    strong, weak = (
+        hand_with_ratings(hand, rated=2.26),
+        hand_with_ratings(hand, rated=2.24),
+    )  # 500 N at 3 mm, times 1.5, make 2.25 N m
+    assert not any(
+        "joint_rated" in line or "its rating" in line for line in strength_warnings(strong)
+    )
+    (line,) = [line for line in strength_warnings(weak) if "its rating" in line]
+    assert line.startswith("index_j1, index_j2 and 9 more: ")
+    assert "1.5 N m" in line
+
+
+def test_a_hand_without_a_rating_keeps_its_identity():
+    hand = load_hand("jamia")
+    assert "joint_rated_torque_N_m" not in hand.content["digit"][0]
+    digits = hand.content["digit"]
+    rated = [
+        digit | {"joint_rated_torque_N_m": (1.0,) * len(digit["link_length_m"])} for digit in digits
+    ]
+    other = hand_from_content(hand.content | {"digit": rated}, "rated")
+    assert other.content["digit"][0]["joint_rated_torque_N_m"] == (1.0, 1.0, 1.0)
+    assert (
+        hand_from_content(tomllib.loads(other.to_toml()), "again").identity
+        == other.identity
+        != hand.identity
+    )
+    with pytest.raises(
+        ConfigError, match="joint_rated_torque_N_m: 1 values; expected 3, one per link_length_m"
+    ):
+        hand_from_content(
+            hand.content | {"digit": [{**rated[0], "joint_rated_torque_N_m": (1.0,)}, *rated[1:]]},
+            "short",
+        )

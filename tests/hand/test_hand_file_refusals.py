@@ -1,0 +1,196 @@
+"""Every mistake in a hand file gives one error line with the key, its value and the expected value."""
+
+import copy
+import math
+import re
+
+import pytest
+from _pytest.mark.structures import ParameterSet
+
+from handctl.errors import ConfigError
+from handctl.hand.digit import DigitModel
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.load import hand_content, hand_from_content, packaged_hands
+from tests.conftest import NIGHTLY
+
+CONTENT_BY_HAND = {name: hand_content(name) for name in packaged_hands()}
+SIGNED_KEYS = re.compile(
+    r"gravity|mount_|joint_m(in|ax)_deg|moment_arm|zero_rad|coupling|direction"
+)
+OPTIONAL_KEYS = {"coupling"}
+
+
+def content_leaves(node, path=()):
+    """Yield the path and the value of everything in a hand's content that is not a table or a list."""
+    entries = (
+        node.items()
+        if isinstance(node, dict)
+        else enumerate(node)
+        if isinstance(node, list)
+        else None
+    )
+    if entries is None:
+        yield path, node
+        return
+    for key, value in entries:
+        yield from content_leaves(value, (*path, key))
+
+
+def content_tables(node, path=()):
+    """Yield the path and the content of each table whose keys the schema defines."""
+    if isinstance(node, dict):
+        yield path, node
+    for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+        if isinstance(value, dict | list) and key != "moment_arm_m":
+            yield from content_tables(value, (*path, key))
+
+
+def is_number(value):
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def with_value(content, path, value):
+    """Return a copy of a hand's content with one value replaced."""
+    content = copy.deepcopy(content)
+    node = content
+    for key in path[:-1]:
+        node = node[key]
+    node[path[-1]] = value
+    return content
+
+
+def key_path_text(content, path):
+    """Return a key path in the spelling of an error message."""
+    text, node = "", content
+    for key in path:
+        node = node[key]
+        if isinstance(key, int):
+            text += f"[{node.get('name', key) if isinstance(node, dict) else key}]"
+        else:
+            text += f".{key}" if text else key
+    return text
+
+
+HANDS_WITH_PLANAR_DIGITS = tuple(name for name in packaged_hands() if name != "orca_like")
+"""Packaged hands with planar digits on the palm.
+
+``orca_like`` has the same keys, and in addition axes and inertias of spatial chains.
+"""
+
+
+def one_per_key(cases: list[ParameterSet]) -> list[ParameterSet]:
+    """Return one of the cases for each key, from any hand and any entry of a list. At night, return all cases."""
+    by_key = {re.sub(r"^\w+-|\[[^]]*\]", "", str(case.id)): case for case in reversed(cases)}
+    return cases if NIGHTLY else list(by_key.values())
+
+
+NUMBER_CASES = [
+    pytest.param(
+        CONTENT_BY_HAND[name],
+        path,
+        value,
+        id=f"{name}-{key_path_text(CONTENT_BY_HAND[name], path)}",
+    )
+    for name in HANDS_WITH_PLANAR_DIGITS
+    for path, value in content_leaves(CONTENT_BY_HAND[name])
+    if is_number(value)
+    and path != ("schema",)
+    and not (len(path) > 1 and isinstance(path[1], int) and path[1] in (1, 2))
+]
+"""Numeric values of the packaged files.
+
+The entries of middle and ring finger are left out, because they repeat others.
+"""
+SAMPLED_NUMBER_CASES = one_per_key(NUMBER_CASES)
+
+
+@pytest.mark.parametrize(("content", "path", "value"), SAMPLED_NUMBER_CASES)
+def test_invalid_number_in_a_hand_file_is_refused(refusal, content, path, value):
+    wrong = [
+        (math.nan, "nan"),
+        (math.inf, "inf"),
+        (-math.inf, "-inf"),
+        (True, "true"),
+        ("12", '"12"'),
+        ([1.0], "[1.0]"),
+    ]
+    if value != 0 and not SIGNED_KEYS.search(str(path)):
+        wrong.append((-value, str(-value)))
+    for bad, shown in wrong:
+        line = refusal(with_value(content, path, bad))
+        assert line.startswith(f"my/hand.toml: {key_path_text(content, path)}: {shown};")
+
+
+@pytest.mark.parametrize(("content", "path", "value"), SAMPLED_NUMBER_CASES)
+def test_no_number_may_be_absurdly_large(refusal, content, path, value):
+    for absurd in (1e9, 10**400):
+        assert f"my/hand.toml: {key_path_text(content, path)}: " in refusal(
+            with_value(content, path, absurd)
+        )
+
+
+@pytest.mark.parametrize("name", HANDS_WITH_PLANAR_DIGITS)
+def test_a_missing_key_is_refused(refusal, name):
+    for path, table in content_tables(CONTENT_BY_HAND[name]):
+        for key in table:
+            if key in ("schema", "sensor_node") or "mesh" in key:  # these keys are optional
+                continue
+            content = with_value(CONTENT_BY_HAND[name], (*path, key), None)
+            node = content
+            for part in path:
+                node = node[part]
+            del node[key]
+            line = refusal(content)
+            place = key_path_text(content, path)
+            if key in OPTIONAL_KEYS:
+                assert "index_tendon" in line or f"{place}.{key}: its tendons" in line
+            else:
+                assert line.startswith(
+                    f"my/hand.toml: {place}{'.' if place else ''}{key}: missing;"
+                )
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_an_unknown_key_is_refused(refusal, name):
+    for path, _ in content_tables(CONTENT_BY_HAND[name]):
+        line = refusal(with_value(CONTENT_BY_HAND[name], (*path, "colour"), 1.0))
+        place = key_path_text(CONTENT_BY_HAND[name], path)
+        assert line.startswith(
+            f"my/hand.toml: {place}{'.' if place else ''}colour: unknown key; expected one of "
+        )
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_a_misspelt_key_is_reported_with_the_right_one(refusal, name):
+    for path, table in content_tables(CONTENT_BY_HAND[name]):
+        for key in table:
+            if key == "schema" and path == ():
+                continue
+            content = with_value(CONTENT_BY_HAND[name], (*path, key + "s"), table[key])
+            node = content
+            for part in path:
+                node = node[part]
+            del node[key]
+            line = refusal(content)
+            assert f"{key}s: unknown key; expected {key}" in line
+
+
+def test_random_change_is_read_or_refused_in_one_line():
+    """Any wrong value, of any type and in any place of the content, raises ConfigError."""
+    content = CONTENT_BY_HAND["jamia"]
+    for path, _ in [*content_leaves(content), *content_tables(content)]:
+        if len(path) > 1 and path[1] in (1, 2):
+            continue
+        for odd in ("", "x\ny", 0, -1, 1.5, False, [], {}, [[]], [{}], {"name": 3}, [None], 2**70):
+            for depth in range(1, len(path) + 1):
+                assert usable_or_refused(with_value(content, path[:depth], odd))
+
+
+def usable_or_refused(content):
+    """Return True if a hand can be built from a content and used, or if the content is refused with one line."""
+    try:
+        hand = hand_from_content(content, "f")
+    except ConfigError as error:
+        return "\n" not in str(error)
+    digits = [DigitModel.of(hand, name) for name in hand.digit_names]
+    return len(hand.identity) == 64 and len(digits) > 0 and urdf_text(hand).startswith("<robot")

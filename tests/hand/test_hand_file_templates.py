@@ -1,0 +1,160 @@
+"""Test schema 2 of hand files.
+
+A file with defaults and templates gives the same hand as a file with all values written out.
+"""
+
+import copy
+from typing import Any
+
+import pytest
+
+from firmware_sim.description import load_hand as simulated
+from handctl.hand.description import Hand
+from handctl.hand.file.templates import resolve_templates
+from handctl.hand.load import (
+    PACKAGED_HANDS_FOLDER,
+    hand_content,
+    hand_path,
+    load_hand,
+    packaged_hands,
+    read_toml,
+    validate_content,
+)
+
+IDENTITY_BY_HAND = {
+    "jamia": "dfe326d335b4750c9691d04677693432890e51d12d456e868647810bddb4c49c",
+    "jamia11": "879de7b39ebe29ed6f7c866c9bb0d4f94a6f97beb1d86836c60a6ca0b420694a",
+    "jamia_bench": "1363c530f1eb4516b007634ba69ed61610e9ce4537fb2d76b345e61737af9f44",
+}
+"""Identities that the packaged hands had when their files were of schema 1.
+
+Calibrations and logs refer to these identities.
+"""
+MAX_LINES = 120
+"""Largest number of lines of a packaged hand file."""
+MAX_LINES_BY_HAND = {"orca_like": 175}
+"""Largest number of lines of larger packaged hand files. ``orca_like`` has 17 joints and three kinds of digits."""
+
+
+def jamia_content() -> dict[str, Any]:
+    """Return the content of jamia.toml as it is packaged, with its defaults and templates."""
+    return read_toml(hand_path("jamia"))
+
+
+def hand_of_content(content: dict[str, Any]) -> Hand:
+    """Return the hand of a content, and check that the content has no mistakes."""
+    hand, mistakes = validate_content(content)
+    assert not mistakes
+    assert hand
+    return hand
+
+
+@pytest.mark.parametrize("name", IDENTITY_BY_HAND)
+def test_the_packaged_hands_keep_their_identity(name: str) -> None:
+    assert load_hand(name).identity == IDENTITY_BY_HAND[name]
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_a_packaged_file_is_short(name: str) -> None:
+    assert len(
+        (PACKAGED_HANDS_FOLDER / f"{name}.toml").read_text("utf-8").splitlines()
+    ) < MAX_LINES_BY_HAND.get(name, MAX_LINES)
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_the_resolved_hand_is_a_file_of_schema_1_for_controller_and_simulator(
+    name: str, tmp_path: Any
+) -> None:
+    path = tmp_path / "flat.toml"
+    path.write_text(load_hand(name).to_toml())
+    assert read_toml(path)["schema"] == 1
+    assert load_hand(path).identity == load_hand(name).identity
+    assert simulated(str(path)) == simulated(name)
+
+
+def test_a_section_replaces_its_template_and_the_template_the_default() -> None:
+    content = jamia_content()
+    content["default"]["digit"]["link_radius_m"] = 0.006
+    content["digit_template"]["finger"]["link_radius_m"] = 0.005
+    content["digit"][1]["link_radius_m"] = 0.003
+    assert [digit.link_radius_m for digit in hand_of_content(content).digit] == [
+        0.005,
+        0.003,
+        0.005,
+        0.006,
+    ]
+
+
+def test_tables_are_merged_key_by_key() -> None:
+    content = jamia_content()
+    content["digit"][0]["tendon"] = {"tendon": {"knee_N": 150.0, "moment_arm_m": {"j3": 0.002}}}
+    first, second, *_ = hand_of_content(content).tendon
+    assert first.moment_arm_m == {"index_j1": 0.003, "index_j2": 0.003, "index_j3": 0.002}
+    assert (first.knee_N, second.knee_N) == (150.0, 200.0)
+
+
+def test_tendons_and_motors_have_templates_too() -> None:
+    content = jamia_content()
+    content["tendon_template"] = {"thin": {"rated_breaking_force_N": 300.0}}
+    content["motor_template"] = {"slow": {"velocity_range_rad_s": 30.0}}
+    content["digit_template"]["finger"]["tendon"]["tendon"]["template"] = "thin"
+    content["digit"][0]["motor"]["motor"]["template"] = "slow"
+    hand = hand_of_content(content)
+    assert [tendon.rated_breaking_force_N for tendon in hand.tendon] == [300.0, 300.0, 300.0, 620.0]
+    assert [motor.velocity_range_rad_s for motor in hand.motor] == [30.0, 50.0, 50.0, 50.0]
+
+
+def test_tendons_and_motors_may_have_their_own_sections() -> None:
+    content = jamia_content()
+    thumb = content["digit"][3]
+    del thumb["tendon"], thumb["motor"]
+    arms = {"thumb_j1": 0.003, "thumb_j2": 0.003}
+    content["tendon"] = [{"name": "thumb_tendon", "motor": "thumb_motor", "moment_arm_m": arms}]
+    content["motor"] = [{"name": "thumb_motor", "node_id": 4}]
+    assert hand_of_content(content).identity == IDENTITY_BY_HAND["jamia"]
+
+
+def test_one_number_holds_for_every_link() -> None:
+    content = jamia_content()
+    content["digit"][0]["joint_max_deg"] = 90
+    assert [digit.joint_max_deg for digit in hand_of_content(content).digit[::3]] == [
+        (90.0, 90.0, 90.0),
+        (100.0, 100.0),
+    ]
+
+
+def test_the_key_all_means_every_tendon_and_joint() -> None:
+    hand = load_hand("jamia11")
+    assert (hand.sensor_node.tendons, hand.sensor_node.joints) == (hand.tendon_names, hand.joints)
+
+
+def test_no_two_sections_share_a_list() -> None:
+    content = hand_content("jamia")
+    content["digit"][0]["link_mass_kg"][0] = 1.0
+    content["digit"][0]["coupling"][0][0] = 2.0
+    assert content["digit"][1] == {**hand_content("jamia")["digit"][1]}
+
+
+def test_resolving_templates_does_not_change_its_argument() -> None:
+    content = jamia_content()
+    before = copy.deepcopy(content)
+    resolve_templates(content)
+    assert content == before
+
+
+def test_resolved_content_is_resolved_already() -> None:
+    content = hand_content("jamia11")
+    assert resolve_templates(content).content == content
+
+
+def test_a_deeply_nested_table_is_reported_without_a_crash() -> None:
+    content = jamia_content()
+    deep: dict[str, Any] = {}
+    for _ in range(5000):
+        deep = {"a": deep}
+    content["default"]["tendon"]["a"] = deep
+    content["digit_template"]["finger"]["tendon"]["tendon"]["a"] = deep
+    assert [mistake.where for mistake in validate_content(content)[1]] == [
+        "digit_template.finger.tendon.tendon.a",
+        "default.tendon.a",
+    ]

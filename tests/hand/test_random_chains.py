@@ -1,0 +1,292 @@
+"""Compare spatial chains with pinocchio and MuJoCo, for twenty random hands with gravity in any direction."""
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+
+from firmware_sim.description import load_hand as simulated_hand
+from firmware_sim.plant.mjcf import model_text
+from firmware_sim.scene.scene import load_scene
+from handctl.core.estimation.tip import joint_lever
+from handctl.hand import dynamics, rigid_body
+from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
+from handctl.hand.formats.mjcf import mjcf_text
+from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.kinematics import forward_kinematics, joint_points, point_jacobian, tip_jacobian
+from handctl.hand.link_frames import link_transforms
+from handctl.hand.load import load_hand
+from handctl.hand.tree import HandTree
+from handctl.log.topics.transforms import link_frames, link_quaternions, multiply_quaternions
+from tests.hand.random_chains import RANDOM_CHAIN_SEEDS, random_hand, random_tree
+from tests.hand.test_dynamics import (
+    RELATIVE_TOLERANCE,
+    arrays_agree,
+    inverse_dynamics_of_hand,
+    pinocchio_by_hand,
+    random_motions,
+)
+
+
+@pytest.fixture(params=RANDOM_CHAIN_SEEDS)
+def random_hand_and_digits(request: pytest.FixtureRequest) -> tuple[Hand, tuple[DigitModel, ...]]:
+    """Return a random hand and its digits. A test with this fixture runs once for each random hand."""
+    hand = random_hand(request.param)
+    return hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+
+
+def test_random_hands_have_all_counts_of_links():
+    assert {len(random_hand(seed).digit[0].joints) for seed in RANDOM_CHAIN_SEEDS} == set(
+        range(1, 9)
+    )
+
+
+def test_dynamics_and_kinematics_equal_those_of_pinocchio(random_hand_and_digits, rng):
+    hand, digits = random_hand_and_digits
+    for digit in digits:
+        model = pinocchio_by_hand(digit, hand.mount.gravity_m_s2)
+        tip = model.addFrame(
+            pinocchio.Frame(
+                "tip",
+                digit.joint_count,
+                pinocchio.SE3(np.eye(3), np.array([digit.lengths[-1], 0.0, 0.0])),
+                pinocchio.FrameType.OP_FRAME,
+            )
+        )
+        data = model.createData()
+        world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        for q, dq, ddq in random_motions(rng, digit.joint_count, 50):
+            tau = pinocchio.rnea(model, data, q, dq, ddq)
+            assert arrays_agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
+            standing = pinocchio.computeGeneralizedGravity(model, data, q)
+            assert np.allclose(
+                dynamics.gravity_torque(digit, q), standing, rtol=0, atol=RELATIVE_TOLERANCE * 1e-3
+            )
+            upper = np.triu(pinocchio.crba(model, data, q))
+            assert arrays_agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
+            assert arrays_agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
+            pinocchio.framesForwardKinematics(model, data, q)
+            pose = forward_kinematics(digit, q)
+            assert np.allclose(pose.position, data.oMf[tip].translation, atol=1e-13)
+            assert np.allclose(pose.rotation, data.oMf[tip].rotation, atol=1e-13)
+            jacobian = pinocchio.computeFrameJacobian(model, data, q, tip, world).reshape(6, -1)[:3]
+            assert np.allclose(tip_jacobian(digit, q), jacobian, atol=1e-13)
+            energy = pinocchio.computePotentialEnergy(model, data, q) + sum(digit.masses) * np.dot(
+                hand.mount.gravity_m_s2, digit.mount_position
+            )
+            assert np.isclose(dynamics.potential_energy(digit, q), energy, rtol=1e-9, atol=1e-15)
+            kinetic = pinocchio.computeKineticEnergy(model, data, q, dq) + 0.5 * np.dot(
+                digit.armature, dq**2
+            )
+            assert np.isclose(dynamics.kinetic_energy(digit, q, dq), kinetic, rtol=1e-9)
+
+
+def inverse_by_mujoco(model, q, dq, ddq):
+    """Return the inverse dynamics and mass matrix of a MuJoCo model without its constraints, damping and springs."""
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model.dof_damping[:] = model.jnt_stiffness[:] = model.tendon_damping[:] = 0.0
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    data.qpos[:], data.qvel[:], data.qacc[:] = q, dq, ddq
+    mujoco.mj_inverse(model, data)
+    mujoco.mj_fullM(model, data, full)
+    return np.array(data.qfrc_inverse), full
+
+
+def test_exports_and_the_simulator_s_own_model_are_the_same_hand(
+    random_hand_and_digits, rng, tmp_path
+):
+    """The MJCF export has the dynamics of the hand. So has the model that the simulator makes by separate code."""
+    hand, digits = random_hand_and_digits
+    path = tmp_path / "random.toml"
+    path.write_text(hand.to_toml())
+    for text in (mjcf_text(hand), model_text(simulated_hand(str(path)), load_scene(None))):
+        model = mujoco.MjModel.from_xml_string(text)
+        assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
+        for q, dq, ddq in random_motions(rng, model.nv, 10):
+            theirs, full = inverse_by_mujoco(model, q, dq, ddq)
+            assert arrays_agree(inverse_dynamics_of_hand(digits, q, dq, ddq), theirs)
+            for digit in digits:
+                own = digit.joints
+                assert arrays_agree(dynamics.mass_matrix(digit, q[own]), full[own, own])
+
+
+def test_the_urdf_describes_the_same_hand(random_hand_and_digits, rng):
+    hand, digits = random_hand_and_digits
+    model = pinocchio.buildModelFromXML(urdf_text(hand))
+    model.gravity.linear = np.array(hand.mount.gravity_m_s2)
+    order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
+    data = model.createData()
+    for q, dq, ddq in random_motions(rng, len(hand.joints), 10):
+        theirs = [np.zeros(model.nv) for _ in range(3)]
+        for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
+            vector[order] = mine
+        armature = np.concatenate([digit.armature for digit in digits]) * ddq
+        assert arrays_agree(
+            inverse_dynamics_of_hand(digits, q, dq, ddq) - armature,
+            pinocchio.rnea(model, data, *theirs)[order],
+        )
+        pinocchio.framesForwardKinematics(model, data, theirs[0])
+        for digit in digits:
+            for transform in link_transforms(digit, q[digit.joints]):
+                place = data.oMf[model.getFrameId(transform.frame)]
+                assert np.allclose(transform.position, place.translation, atol=1e-12)
+                turned = pinocchio.Quaternion(
+                    np.array(transform.quaternion_xyzw)
+                ).toRotationMatrix()
+                assert np.allclose(turned, place.rotation, atol=1e-12)
+
+
+def test_transforms_of_the_log_are_those_of_the_model(random_hand_and_digits, rng):
+    """The transforms of the log are made from the text of the hand file alone.
+
+    Composed, they are those of the model.
+    """
+    hand, digits = random_hand_and_digits
+    q = rng.uniform(-2.0, 2.0, len(hand.joints))
+    place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
+    for link in link_frames(hand.to_toml()):
+        position, turn = place[link.parent]
+        here = (
+            np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position
+            + position
+        )
+        own = (
+            tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        )
+        place[link.child] = here, multiply_quaternions(turn, own)
+    for digit in digits:
+        for transform in link_transforms(digit, q[digit.joints]):
+            position, turn = place[transform.frame]
+            assert np.allclose(transform.position, position, atol=1e-12)
+            assert np.isclose(abs(np.dot(turn, transform.quaternion_xyzw)), 1.0, atol=1e-12)
+
+
+def test_jacobians_and_levers_are_derivatives(random_hand_and_digits, rng):
+    _, digits = random_hand_and_digits
+    h = 1e-6
+    for digit in digits:
+        steps = h * np.eye(digit.joint_count)
+        q = rng.uniform(-2.0, 2.0, digit.joint_count)
+        slope = [
+            (joint_points(digit, q + s)[-1] - joint_points(digit, q - s)[-1]) / (2 * h)
+            for s in steps
+        ]
+        assert np.allclose(tip_jacobian(digit, q), np.transpose(slope), atol=1e-9)
+        side = forward_kinematics(digit, q).rotation[:, 1]
+        assert np.allclose(joint_lever(digit, q), side @ tip_jacobian(digit, q), atol=1e-14)
+        for link in range(digit.joint_count):
+            middle = point_jacobian(digit, q, link, 0.5 * digit.lengths[link])
+            normal = np.array(rigid_body.link_poses(digit.table, digit.parent, q))[link, [1, 4, 7]]
+            lever = rigid_body.tip_levers(
+                digit.table, digit.parent, q, link, 0.5 * digit.lengths[link]
+            )
+            assert np.allclose(lever, normal @ middle, atol=1e-14)
+
+
+@pytest.fixture(params=[*RANDOM_CHAIN_SEEDS, "orca_like"])
+def random_hand_tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
+    """Return a hand whose digits are a tree.
+
+    A test with this fixture runs once for each random tree and for the packaged one.
+    """
+    hand = (
+        load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)
+    )
+    return hand, HandTree.of(hand)
+
+
+def test_random_trees_have_digits_on_digits_on_digits():
+    carried = [
+        sum(digit.mount_on is not None for digit in random_tree(seed).digit)
+        for seed in RANDOM_CHAIN_SEEDS
+    ]
+    assert max(carried) >= 3
+    on_a_carried_one = [
+        digit.mount_on is not None and hand.digit_named(digit.mount_on).mount_on is not None
+        for hand in map(random_tree, RANDOM_CHAIN_SEEDS)
+        for digit in hand.digit
+    ]
+    assert any(on_a_carried_one)
+
+
+def test_a_tree_is_the_same_in_both_mujoco_models(random_hand_tree, rng, tmp_path):
+    hand, whole = random_hand_tree
+    path = tmp_path / "tree.toml"
+    path.write_text(hand.to_toml())
+    for text in (mjcf_text(hand), model_text(simulated_hand(str(path)), load_scene(None))):
+        model = mujoco.MjModel.from_xml_string(text)
+        assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
+        for q, dq, ddq in random_motions(rng, model.nv, 10):
+            theirs, full = inverse_by_mujoco(model, q, dq, ddq)
+            assert arrays_agree(whole.inverse_dynamics(q, dq, ddq), theirs)
+            assert arrays_agree(whole.mass_matrix(q), full)
+
+
+def test_the_dynamics_of_a_tree_equal_those_of_pinocchio(random_hand_tree, rng):
+    hand, whole = random_hand_tree
+    model = pinocchio.buildModelFromXML(urdf_text(hand))
+    model.gravity.linear = np.array(hand.mount.gravity_m_s2)
+    order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
+    data = model.createData()
+    for q, dq, ddq in random_motions(rng, len(hand.joints), 10):
+        theirs = [np.zeros(model.nv) for _ in range(3)]
+        for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
+            vector[order] = mine
+        armature = whole.table[rigid_body.ARMATURE_ROW] * ddq
+        assert arrays_agree(
+            whole.inverse_dynamics(q, dq, ddq) - armature,
+            pinocchio.rnea(model, data, *theirs)[order],
+        )
+        standing = pinocchio.computeGeneralizedGravity(model, data, theirs[0])[order]
+        springs = whole.stiffness * (q + whole.preload)
+        assert np.allclose(whole.static_torque(q) - springs, standing, rtol=0.0, atol=1e-12)
+        pinocchio.framesForwardKinematics(model, data, theirs[0])
+        for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
+            place = data.oMf[model.getFrameId(f"{digit.name}_tip")]
+            assert np.allclose(points_of_digit[-1], place.translation, atol=1e-12)
+
+
+def test_logged_transforms_of_a_tree_equal_the_model(random_hand_tree, rng):
+    hand, whole = random_hand_tree
+    q = rng.uniform(-2.0, 2.0, len(hand.joints))
+    place = {"palm": (np.zeros(3), (0.0, 0.0, 0.0, 1.0))}
+    for link in link_frames(hand.to_toml()):
+        position, turn = place[link.parent]
+        here = (
+            np.array(pinocchio.Quaternion(np.array(turn)).toRotationMatrix()) @ link.position
+            + position
+        )
+        own = (
+            tuple(link_quaternions(link, q[[link.joint]])[0]) if link.joint >= 0 else link.rotation
+        )
+        place[link.child] = here, multiply_quaternions(turn, own)
+    for digit, points_of_digit in zip(whole.digits, whole.points(q), strict=True):
+        assert np.allclose(place[f"{digit.name}_tip"][0], points_of_digit[-1], atol=1e-12)
+
+
+def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(random_hand_tree, rng):
+    """The weight of a digit alone equals that of the digit in the tree, while all digits that carry it are at zero."""
+    hand, whole = random_hand_tree
+    for digit in whole.digits:
+        if digit.name in hand.carrier_digits:
+            continue
+        q = np.zeros(len(hand.joints))
+        q[digit.joints] = rng.uniform(-2.0, 2.0, digit.joint_count)
+        assert np.allclose(
+            whole.static_torque(q)[digit.joints], dynamics.static_torque(digit, q[digit.joints])
+        )
+
+
+def test_each_number_of_a_table_matters(rng):
+    """If a number of the middle link changes by a thousandth, the torque leaves the tolerance of these tests."""
+    hand = random_hand(3, 3)
+    digit = DigitModel.of(hand, "d0")
+    q, dq, ddq = next(iter(random_motions(rng, 3, 1)))
+    right = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
+    for row in range(rigid_body.LENGTH_ROW):
+        table = digit.table.copy()
+        table[row, 1] *= 1.001
+        wrong = rigid_body.rigid_body_torques(table, digit.parent, digit.gravity, q, dq, ddq)
+        unused = table[row, 1] == 0.0
+        assert unused != (not arrays_agree(wrong, right)), row

@@ -1,0 +1,363 @@
+"""Cases of each fault: input that shows the fault, input just below its limit, its action, and who may clear it."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from handctl.core.detectors.residuals import (
+    BALANCE,
+    COMMAND_DIFFERENCE,
+    EXCESS_FRICTION,
+    JERK,
+    SLIP,
+    TENSION,
+)
+from handctl.core.types import Mode
+from handctl.drives.causes import DriveFaultCause
+from handctl.drives.contract import DrivePhase
+from handctl.safety.action import Action
+from handctl.safety.judge import EventReport, filter_error_frames, second_controller_reports
+from tests.safety.synthetic_monitor import (
+    NOW_NS,
+    PERIOD_NS,
+    PERIOD_S,
+    StateRows,
+    SyntheticMonitor,
+    synthetic_limits,
+)
+
+TENDON_COUNT = 8
+"""Number of tendons of the hand.
+
+Faults that exclude each other in one tendon are shown in two tendons, so that all faults can be
+present at once.
+"""
+EIGHT_TENDON_LIMITS = replace(
+    synthetic_limits(TENDON_COUNT), tension_trip=(140.0, 50.0, *(140.0,) * 6), drive_limit=(160.0, 60.0, *(160.0,) * 6)
+)  # fmt: skip
+LOAD_CELLS_NODE = TENDON_COUNT
+"""Index of all load cells together among the nodes of the hand."""
+
+
+class TickInput(NamedTuple):
+    """Input of the safety monitor for one tick.
+
+    Rows of the state that differ from those at rest are given by field and index. Reports come from
+    buses and host.
+    """
+
+    rows: Mapping[str, dict[object, float]] = MappingProxyType({})
+    reports: tuple[EventReport, ...] = ()
+
+
+INPUT_AT_REST = TickInput()
+
+
+class FaultCase(NamedTuple):
+    """Expected behaviour of one fault.
+
+    Attributes:
+        input_with_fault: input that shows the fault.
+        input_below_limit: input that is just below its limit.
+        instance: name of the part that has the fault. debounce: ticks until the fault counts. action: action that the
+            fault demands. latched: whether only an operator ends the fault.
+        only_while_armed: whether the fault does not count while no drive is armed.
+    """
+
+    input_with_fault: TickInput
+    input_below_limit: TickInput
+    instance: str
+    debounce: int
+    action: Action
+    latched: bool
+    only_while_armed: bool = False
+
+
+def state_rows(**cells: object) -> TickInput:
+    """Return an input with rows of the state. A row is one number for a field of the run, or numbers by index."""
+    return TickInput({name: c if isinstance(c, dict) else {...: c} for name, c in cells.items()})  # type: ignore[misc]
+
+
+def frame_ages(field: str, **late: int) -> TickInput:
+    """Return an input with the ages of frames in ticks.
+
+    The frames are feedback of motors (m1=...), or of load cells (t1=...) or joint encoders
+    (j1=...).
+    """
+    first = TENDON_COUNT if field == "group_ns" and min(late)[0] == "j" else 0
+    return state_rows(
+        **{
+            field: {
+                first + int(name[1:]): NOW_NS - ticks * PERIOD_NS for name, ticks in late.items()
+            }
+        }
+    )
+
+
+def late_motors(**late: int) -> TickInput:
+    return frame_ages("feedback_ns", **late)
+
+
+def late_sensors(**late: int) -> TickInput:
+    return frame_ages("group_ns", **late)
+
+
+def lost_frames(**number: int) -> TickInput:
+    """Return an input with lost frames of nodes (m1=..., cells=...) in the last ticks before the present one."""
+    return state_rows(
+        lost={
+            (0, LOAD_CELLS_NODE if name == "cells" else int(name[1:])): (1 << n) - 1
+            for name, n in number.items()
+        }
+    )
+
+
+def malformed_frames(node: int, before: int) -> TickInput:
+    """Return an input with frames of a wrong length from a node, one in this tick and ``before`` in earlier ticks."""
+    return state_rows(misread_now={node: 1}, misshapen={node: (1 << before) - 1})
+
+
+def filtered_residuals(row: int, **values: float) -> TickInput:
+    """Return an input with one kind of filtered residual, for the named tendons or motors."""
+    return state_rows(residual={(row, int(name[1:])): value for name, value in values.items()})
+
+
+def measured_tensions(**values: float) -> TickInput:
+    return state_rows(measured_tension={int(name[1:]): value for name, value in values.items()})
+
+
+def drive_temperatures(**values: float) -> TickInput:
+    return state_rows(temperature={int(name[1:]): value for name, value in values.items()})
+
+
+def drive_error(motor: int, cause: DriveFaultCause, code: int = 9) -> TickInput:
+    return state_rows(
+        phase={motor: int(DrivePhase.FAULT)},
+        fault_cause={motor: int(cause)},
+        fault_code={motor: code},
+    )
+
+
+def event_report(kind: str, where: str = "can0", number: int = 1) -> TickInput:
+    return TickInput(reports=((kind, where, float(number)),))
+
+
+def merge_inputs(*tick_input: TickInput) -> TickInput:
+    """Combine several inputs into one input of the same tick."""
+    cells: dict[str, dict[object, float]] = {}
+    for one in tick_input:
+        for name, values in one.rows.items():
+            larger = min if name.endswith("_ns") and name != "late_ns" else max
+            mine = cells.setdefault(name, {})
+            for index, value in values.items():
+                mine[index] = larger(mine[index], value) if index in mine else value
+    return TickInput(
+        cells, tuple(dict.fromkeys(report for one in tick_input for report in one.reports))
+    )
+
+
+def without_torque(tick_input: TickInput) -> TickInput:
+    """Return an input with the mode of a hand that is ready to be armed."""
+    return TickInput({**tick_input.rows, "mode": {...: int(Mode.READY)}}, tick_input.reports)
+
+
+def slack_tendon(before: int, tendon: int = 3) -> TickInput:
+    """Return an input with a tendon that is slack now and was slack in the ``before`` ticks before."""
+    return state_rows(
+        slack_ticks={tendon: before}, taut_ago={tendon: 5}, residual={(TENSION, tendon): 0.0}
+    )
+
+
+def derailed_tendon(tendon: int, deg: float) -> TickInput:
+    """Return an input with an angle between joint and spool of a tendon. It is the third such reading in a row."""
+    excursion = -20.0 / 1e5 - 0.02 * np.radians(deg)
+    return state_rows(joints_read=1, taut_s={tendon: 1.0}, slip_from={tendon: 0.0}, derailed={tendon: 2.0},
+                measured_excursion={tendon: excursion})  # fmt: skip
+
+
+def open_stream(silence_ns: int) -> TickInput:
+    """Return an input with an open stream of targets. Its latest target was sent ``silence_ns`` ago."""
+    return state_rows(streaming=2, stream_sent_ns=NOW_NS - silence_ns)
+
+
+def stuck_motor(motor: int, goal: float) -> TickInput:
+    return state_rows(motor_value={motor: 0.0}, motor_stuck={motor: 50},
+                      motor_anchor={(0, motor): 0.0, (1, motor): 20.0},
+                followed={motor: goal})  # fmt: skip
+
+
+def stuck_joint(joint: int, deg: float) -> TickInput:
+    turned = np.radians(deg) / 50.0 + 20.0 / 1e5
+    return state_rows(joint_value={joint: 0.3}, joint_stuck={joint: 50}, joint_anchor={joint: 0.0},
+                measured_joint={joint: 0.3}, measured_travel={joint: turned})  # fmt: skip
+
+
+def replayed_readings(tendon: int, run: int) -> TickInput:
+    """Return an input with load-cell readings that repeat those of 16 ticks ago, ``run`` times in a row."""
+    past = {(age, tendon): 20.0 + (age - 15) / 16.0 for age in range(64)}
+    return state_rows(past=past, same={(15, tendon): run - 1})
+
+
+def alone_on_the_bus(heard: bool) -> TickInput:
+    reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], heard)
+    return TickInput({"mode": {...: int(Mode.INVENTORY)}}, tuple(reports))
+
+
+RELAXING_ROWS = {"mode": {...: int(Mode.RELAX)}, "mode_since": {...: NOW_NS * 1e-9 - 0.2}}
+"""Rows of the state of a hand that has been relaxing for longer than its tendons need to lose their tension."""
+AFTER_CUT_ROWS = {"mode": {...: int(Mode.CUT)}, "cut_ticks": {...: 49}}
+"""Rows of the state of a hand whose motor torque was cut 100 ms ago."""
+
+
+def pulled_after_cut(tension: float) -> TickInput:
+    return TickInput(
+        {**AFTER_CUT_ROWS, "measured_tension": {...: 5.0, 0: tension}, "cut_from": {0: 30.0}}
+    )
+
+
+def swinging_tension(tendon: int, before: float) -> TickInput:
+    return state_rows(swing_square={tendon: 90.0}, swing_s={tendon: before})
+
+
+def partial_torque_reports(motor: int, part: float) -> TickInput:
+    """Return an input with a motor that reports the fraction ``part`` of each change of its command by 1 N."""
+    return state_rows(
+        report_moments={
+            (row, motor): value for row, value in enumerate((1.0, part, part, 1.0, 0.95))
+        }
+    )
+
+
+PASS, WARN, HOLD, RELAX, CUT = Action
+CASE_BY_FAULT = {
+    "B01": FaultCase(late_motors(m1=1), INPUT_AT_REST, "m1", 1, WARN, False, True),
+    "B02": FaultCase(late_motors(m0=6), late_motors(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 5)), "m0", 1, RELAX,
+                     True, True),
+    "B03a": FaultCase(lost_frames(m1=21), lost_frames(m0=20, m1=20, cells=20), "m1", 1, HOLD, False, True),
+    "B03b": FaultCase(lost_frames(cells=41), lost_frames(m0=40, m1=40, cells=40), "load cells", 1, RELAX, True, True),
+    "B04": FaultCase(state_rows(stale_now=1), INPUT_AT_REST, "load cells", 1, WARN, False, True),
+    "B05": FaultCase(state_rows(twice={0: 1}), INPUT_AT_REST, "m0", 1, WARN, False, True),
+    "B06": FaultCase(state_rows(twice={2: 2}), state_rows(twice={2: 1}), "m2", 1, RELAX, True, True),
+    "B07": FaultCase(state_rows(stale_now=2), state_rows(stale_now=1), "load cells", 1, WARN, False, True),
+    "B08": FaultCase(malformed_frames(1, 2), malformed_frames(1, 1), "m1", 1, RELAX, True, True),
+    "B09": FaultCase(malformed_frames(1, 0), state_rows(misshapen={1: 1}), "m1", 1, WARN, False, True),
+    "B10": FaultCase(state_rows(strange=50, unknown=0.1 / (1.0 - PERIOD_S)), state_rows(strange=50), "bus", 1, WARN,
+                     False),
+    "B11a": FaultCase(state_rows(frames=65), state_rows(frames=64), "bus", 2, RELAX, True, True),
+    "B11b": FaultCase(state_rows(frames=65), state_rows(frames=128, missed=1), "bus", 10, CUT, True, True),
+    "B12": FaultCase(event_report("bus_off"), event_report("bus_on"), "can0", 1, CUT, True),
+    "B13a": FaultCase(event_report("error_warning"), event_report("error_active"), "can0", 1, WARN, False),
+    "B13b": FaultCase(event_report("error_passive"), event_report("error_warning"), "can0", 20, RELAX, True),
+    "B14": FaultCase(event_report("enetdown"), event_report("enobufs"), "can0", 1, CUT, True),
+    "B15": FaultCase(event_report("enobufs"), event_report("dropped"), "can0", 2, RELAX, True),
+    "B16": FaultCase(event_report("enodev"), event_report("enetdown"), "can0", 1, CUT, True),
+    "B17": FaultCase(late_motors(m0=4), late_motors(**dict.fromkeys(EIGHT_TENDON_LIMITS.motors, 4)), "m0", 1, RELAX,
+                     True, True),
+    "B18": FaultCase(alone_on_the_bus(False), alone_on_the_bus(True), "can0 no acknowledge", 20, RELAX, True),
+    "N01": FaultCase(drive_error(1, DriveFaultCause.DROPPED_OUT), drive_error(1, DriveFaultCause.OTHER), "m1", 1,
+                     RELAX, True, True),
+    "N02": FaultCase(late_sensors(t1=6), late_sensors(**dict.fromkeys(EIGHT_TENDON_LIMITS.tendons, 5)), "t1", 1, RELAX,
+                     True, True),
+    "N02b": FaultCase(late_sensors(j1=16), late_sensors(j1=15), "j1", 1, RELAX, True, True),
+    "N04": FaultCase(stuck_motor(5, 0.6e-3), stuck_motor(5, 0.49e-3), "m5", 1, RELAX, True, True),
+    "N05a": FaultCase(state_rows(jump={0: 0.4}), INPUT_AT_REST, "m0", 1, WARN, False),
+    "N05b": FaultCase(state_rows(jump={0: 0.4}, dropped={0: 2.0}), state_rows(jump={0: 0.4}, dropped={0: 1.0}), "m0",
+                      1, RELAX, True),
+    "N06a": FaultCase(filtered_residuals(SLIP, t1=3.1), filtered_residuals(SLIP, t0=3.0), "t1", 1, WARN, False, True),
+    "N06b": FaultCase(filtered_residuals(SLIP, t0=6.1), filtered_residuals(SLIP, t1=6.0), "t0", 1, RELAX, True, True),
+    "N07": FaultCase(filtered_residuals(JERK, m1=1.1e-4), filtered_residuals(JERK, m0=1e-4), "m1", 1, HOLD, False,
+                     True),
+    "N08": FaultCase(drive_error(2, DriveFaultCause.WATCHDOG), drive_error(2, DriveFaultCause.VOLTAGE), "m2", 1, RELAX,
+                     True, True),
+    "N09a": FaultCase(drive_temperatures(m0=70.1), drive_temperatures(m0=70.0), "m0", 20, WARN, False),
+    "N09b": FaultCase(drive_temperatures(m1=85.1), drive_temperatures(m1=85.0), "m1", 20, RELAX, True),
+    "N10": FaultCase(drive_error(3, DriveFaultCause.VOLTAGE), drive_error(3, DriveFaultCause.HOT), "m3", 1, RELAX,
+                     True, True),
+    "N11": FaultCase(drive_error(4, DriveFaultCause.OTHER), state_rows(fault_cause={4: DriveFaultCause.OTHER}), "m4",
+                     1, RELAX, True,
+    True),
+    "N11b": FaultCase(drive_error(5, DriveFaultCause.UNKNOWN), drive_error(5, DriveFaultCause.OTHER), "m5", 1, CUT,
+                      True, True),
+    "N12": FaultCase(drive_error(6, DriveFaultCause.MISMATCH), drive_error(6, DriveFaultCause.OTHER), "m6", 1, CUT,
+                     True, True),
+    "N13": FaultCase(state_rows(twice={0: 1}), INPUT_AT_REST, "m0", 3, RELAX, True, True),
+    "N14": FaultCase(
+        filtered_residuals(COMMAND_DIFFERENCE, m0=15.1), filtered_residuals(COMMAND_DIFFERENCE, m1=15.0), "m0", 1,
+        RELAX, True, True
+    ),
+    "N14b": FaultCase(swinging_tension(1, 0.25), swinging_tension(1, 0.25 - 1.5 * PERIOD_S), "t1", 1, RELAX, True,
+                      True),
+    "N15": FaultCase(lost_frames(m7=0)._replace(rows={"lost": {(0, 7): 0b1010101010101}}),
+                lost_frames(m7=0)._replace(rows={"lost": {(0, 7): 0b10101010101}}), "m7", 1, WARN, False, True),
+    "N16": FaultCase(pulled_after_cut(30.0), pulled_after_cut(14.9), "t0", 1, CUT, True, True),
+    "N17": FaultCase(partial_torque_reports(1, 0.1), partial_torque_reports(1, 0.2), "m1", 1, RELAX, True, True),
+    "T01": FaultCase(state_rows(measured_tension={3: 0.0}, speed={3: 0.1}),
+                     state_rows(measured_tension={3: 0.0}, speed={3: 0.03}),
+                "t3", 2, RELAX, True, True),
+    "T02a": FaultCase(slack_tendon(25), slack_tendon(24), "t3", 1, WARN, False, True),
+    "T02b": FaultCase(slack_tendon(250), slack_tendon(249), "t3", 1, RELAX, True, True),
+    "T03": FaultCase(measured_tensions(t1=50.1), measured_tensions(t0=139.9, t1=50.0), "t1", 1, RELAX, True),
+    "T03b": FaultCase(measured_tensions(t1=60.1), measured_tensions(t0=159.9, t1=60.0), "t1", 1, CUT, True),
+    "T03c": FaultCase(measured_tensions(t1=50.1)._replace(rows=measured_tensions(t1=50.1).rows | RELAXING_ROWS),
+                 measured_tensions(t0=139.9,
+                                   t1=50.0)._replace(rows=measured_tensions(t0=139.9, t1=50.0).rows | RELAXING_ROWS),
+                 "t1", 1, CUT, True, True),
+    "T04a": FaultCase(filtered_residuals(BALANCE, t0=5.1), filtered_residuals(BALANCE, t1=5.0), "t0", 1, WARN, False,
+                      True),
+    "T04b": FaultCase(filtered_residuals(BALANCE, t1=10.1), filtered_residuals(BALANCE, t0=10.0), "t1", 1, RELAX, True,
+                      True),
+    "T05": FaultCase(state_rows(cell_value={2: 20.0}, cell_stuck={2: 39}, cell_anchor={2: 14.0}),
+                state_rows(cell_value={2: 20.0}, cell_stuck={2: 38}, cell_anchor={2: 14.0}), "t2", 1, RELAX, True,
+                True),
+    "T05b": FaultCase(replayed_readings(2, 16), replayed_readings(2, 7), "t2", 1, RELAX, True, True),
+    "T06": FaultCase(measured_tensions(t0=244.0), measured_tensions(t0=243.9, t1=-4.9), "t0", 3, RELAX, True, True),
+    "T08": FaultCase(derailed_tendon(4, 15.1), derailed_tendon(4, 14.9), "t4", 1, RELAX, True, True),
+    "T09": FaultCase(filtered_residuals(EXCESS_FRICTION, t0=3.1), filtered_residuals(EXCESS_FRICTION, t1=3.0), "t0", 1,
+                     WARN, False, True),
+    "H01": FaultCase(state_rows(late_ns=520_000), state_rows(late_ns=500_000), "loop", 1, PASS, False),
+    "H02": FaultCase(state_rows(missed=1), INPUT_AT_REST, "loop", 1, WARN, False),
+    "H03": FaultCase(state_rows(missed=5), state_rows(missed=4), "loop", 1, RELAX, True, True),
+    "H04": FaultCase(event_report("suspended", "host", 900), event_report("recorder", "host"), "host", 1, RELAX, True),
+    "H08": FaultCase(event_report("recorder", "disk_full"), event_report("recorder", "misshapen"), "disk_full", 1,
+                     WARN, False),
+    "H09": FaultCase(event_report("recorder", "dropped"), event_report("dropped", "dropped"), "dropped", 1, WARN,
+                     False),
+    "H10": FaultCase(event_report("recorder", "gone"), event_report("recorder", "misshapen"), "gone", 1, WARN, False),
+    "H13": FaultCase(TickInput(reports=tuple(second_controller_reports(["0x001"]))), INPUT_AT_REST, "0x001", 1, RELAX,
+                     True),
+    "I07a": FaultCase(state_rows(refused_now=1, refused=1), state_rows(refused=1), "goal", 1, WARN, False, True),
+    "I07b": FaultCase(state_rows(refused_now=1, refused=3), state_rows(refused_now=1, refused=2), "goal", 1, RELAX,
+                      True, True),
+    "I11a": FaultCase(open_stream(100_000_001), open_stream(100_000_000), "stream", 1, HOLD, False, True),
+    "I11b": FaultCase(open_stream(1_000_000_001), open_stream(1_000_000_000), "stream", 1, RELAX, True, True),
+}  # fmt: skip
+OTHER_SIGNS_BY_FAULT = {
+    "B16": [event_report("ebadf")],
+    "N04": [stuck_joint(0, 11.0), stuck_motor(5, -0.6e-3)],
+    "N05a": [state_rows(joint_jump={0: 0.4})],
+    "N05b": [state_rows(joint_jump={0: 0.4}, joint_dropped={0: 2.0})],
+    "N11": [drive_error(4, DriveFaultCause.HOT), drive_error(4, DriveFaultCause.LOST)],
+    "T06": [
+        measured_tensions(t0=-5.0),
+        measured_tensions(t0=300.0),
+        merge_inputs(measured_tensions(t0=-3.0), state_rows(saturated={0: 1})),
+        merge_inputs(measured_tensions(t0=9.0), state_rows(saturated={0: 1})),
+    ],
+    "H08": [event_report("recorder", "disk_low")],
+    "H09": [event_report("recorder", "filling")],
+    "H10": [event_report("recorder", "error")],
+}
+
+
+def rested_monitor() -> SyntheticMonitor:
+    """Return the safety monitor of a hand at rest. The residuals of the hand keep the values that a test sets."""
+    return SyntheticMonitor(EIGHT_TENDON_LIMITS, residual_fraction=0.0, coulomb=0.0, stiffness=1e5)
+
+
+def reset_for_input(monitor: SyntheticMonitor, tick_input: TickInput) -> StateRows:
+    """Reset a monitor to a hand at rest, and return the rows of an input that are to be set for one tick."""
+    monitor.reset_to_rest()
+    return dict(tick_input.rows)

@@ -1,0 +1,257 @@
+"""Safety monitor of a synthetic hand: a test sets rows of the state, and one call is one tick of ``find_faults``."""
+
+from collections.abc import Iterable
+from types import FunctionType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from handctl.compiled import compile_kernels
+from handctl.controller.apply_requests import clear_latched_faults
+from handctl.controller.state import Decisions, State
+from handctl.core import block as s
+from handctl.core import stages
+from handctl.core.block import STATE, Tables, state_tables
+from handctl.core.constants import AXES, ELEMENTS, HAND, KINDS, ConstantTables, constant_tables
+from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
+from handctl.core.hand_constants import low_pass_fractions
+from handctl.core.types import Mode
+from handctl.safety.faults.fault import (
+    JOINT_INSTANCE,
+    MOTOR_INSTANCE,
+    NODE_INSTANCE,
+    TENDON_INSTANCE,
+)
+from handctl.safety.faults.table import DETECTOR_ROWS
+from handctl.safety.judge import (
+    CountedFault,
+    EventReport,
+    LatchedFault,
+    TickVerdict,
+    faults_counting_since_now,
+    judge_tick,
+)
+from handctl.safety.limits import LOAD_CELLS, SafetyLimits
+
+PERIOD_S, NAN = 0.002, np.nan
+SPOOL_RADIUS_M = 0.005
+"""Radius of the spools [m]."""
+NOW_NS = 10_000_000_000
+"""Time of every tick [ns]. It can stay the same, because only the age of readings counts."""
+PERIOD_NS = round(PERIOD_S * 1e9)
+StateRows = dict[str, Any]
+"""Values of the state by the name of a field: one value for all elements of the field, or values by index."""
+
+
+def synthetic_limits(tendons: int) -> SafetyLimits:
+    """Return limits of a synthetic hand with tendons t0, t1, ..., each with one motor and one joint."""
+    names = [tuple(f"{letter}{i}" for i in range(tendons)) for letter in "tmj"]
+    return SafetyLimits(
+        *names, tension_trip=(140.0,) * tendons, drive_limit=(160.0,) * tendons, tension_rail=244.0, tension_low=-5.0,
+        silent_ticks=6, one_silent_ticks=4, stalled_ticks=5, frames=64, noise=1e-4,
+    )  # fmt: skip
+
+
+class SyntheticMonitor:
+    """A hand of N tendons. Each has a motor, a joint, and separate frames for its load cell and its joint encoder.
+
+    The hand is active and at rest, and all nodes have just replied. Load cells, motors and commands
+    are at 20 N.
+
+    Attributes:
+        limits: names of the hand's parts, and thresholds of its faults.
+        layout, block: layout and block of the state. constants_layout, constants: layout and block of the
+            constants. Tests may change them.
+        latched, reported_faults: latched and reported faults, as ``safety.judge`` keeps them.
+    """
+
+    def __init__(
+        self,
+        limits: SafetyLimits,
+        motor_period: Any = PERIOD_S,
+        joint_period: float = PERIOD_S,
+        **constants: Any,
+    ) -> None:
+        compile_kernels()
+        n = len(limits.tendons)
+        self.limits = limits
+        sizes = dict.fromkeys((*s.AXES, *AXES), n) | {
+            "node": n + 1, "group": 2 * n, "instance": n + 1, "run": 1, "kind": KINDS, "element": ELEMENTS, "place": 3,
+        }  # fmt: skip
+        self.layout = STATE.layout({name: sizes[name] for name in s.AXES})
+        self.constants_layout = HAND.layout({name: sizes[name] for name in AXES})
+        self.constants = self.constants_layout.initial.copy()
+        motor_period = np.full(n, 1.0) * motor_period
+        every = SimpleNamespace(period=PERIOD_S, tendon_count=n)
+        self.set_constants(
+            motor_mass=5.0, motor_damping=40.0, coulomb=3.0, stiffness=1e5, spool=SPOOL_RADIUS_M, arms_sum=0.02,
+            excursion_to_joints=50.0 * np.eye(n), moves=np.eye(n), period=PERIOD_S, period_ns=PERIOD_NS,
+            motor_period=motor_period, joint_period=joint_period,
+            residual_fraction=low_pass_fractions(every, motor_period, joint_period),  # type: ignore[arg-type]
+            cell_group=np.arange(n), joint_group=n + np.arange(n), tension_groups=n, mute_ns=30_000_000,
+            answers_once=1, digit=np.arange(n), joints_first=np.arange(n), joints_end=np.arange(n) + 1,
+            stream_hold_ns=100_000_000, stream_relax_ns=1_000_000_000,
+        )  # fmt: skip
+        self.replace_limits(limits)
+        self.set_constants(**constants)
+        self.block = self.layout.initial.copy()
+        self.latched: tuple[LatchedFault, ...] = ()
+        self.reported_faults: tuple[CountedFault, ...] = ()
+        self.set_rows({
+            "mode": int(Mode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
+            "measured_travel": 0.0, "measured_position": 0.0, "measured_tension": 20.0, "measured_force": 20.0,
+            "asked": 20.0, "wanted": 20.0, "followed": 0.0, "temperature": 40.0, "phase": 3, "phase_before": 3,
+            "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}, "filtered": 1,
+        })  # fmt: skip
+        self.block_at_rest = self.block.copy()
+
+    def replace_limits(self, limits: SafetyLimits) -> None:
+        """Replace the names and thresholds of the hand from the next tick on."""
+        self.limits = limits
+        self.set_constants(
+            tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.noise,
+            temperature_soft=limits.temperature_soft, temperature_hard=limits.temperature_hard,
+            tension_rail=limits.tension_rail, tension_low=limits.tension_low, silent_ticks=limits.silent_ticks,
+            one_silent_ticks=limits.one_silent_ticks, stalled_ticks=limits.stalled_ticks, frames_limit=limits.frames,
+        )  # fmt: skip
+
+    def set_constants(self, **values: Any) -> None:
+        """Set constants of the hand by name."""
+        for name, value in values.items():
+            self.constants_layout.view(self.constants, name)[...] = value
+
+    def set_rows(self, rows: StateRows) -> None:
+        """Set rows of the state by name."""
+        for name, value in rows.items():
+            if isinstance(value, dict):
+                for index, one in value.items():
+                    self.view(name)[index] = one
+            else:
+                self.view(name)[...] = value
+
+    def view(self, name: str) -> Any:
+        """Return a field of the state as a view that can be changed."""
+        return self.layout.view(self.block, name)
+
+    def field_values(self, name: str) -> list[Any]:
+        """Return a field of the state as a list."""
+        return list(self.view(name).tolist())
+
+    def reset_to_rest(self) -> None:
+        """Reset all values to those of a hand at rest, except the time for which each fault has been present."""
+        present = self.view("fault_ticks").copy()
+        self.block[:] = self.block_at_rest
+        self.set_rows({"fault_ticks": present})
+
+    @property
+    def state_tables(self) -> Tables:
+        """Return the tables of the state, in the form that interpreted functions take."""
+        return _uncompiled(state_tables)(self.block, self.layout.places)
+
+    @property
+    def hand_tables(self) -> ConstantTables:
+        """Return the tables of the constants, in the form that interpreted functions take."""
+        return _uncompiled(constant_tables)(self.constants, self.constants_layout.places)
+
+    def tick(self, rows: StateRows | None = None, **more: Any) -> dict[str, dict[str, float]]:
+        """Set rows of the state and find the faults of one tick.
+
+        Return the value of each finding by fault and instance.
+        """
+        self.set_rows({**(rows or {}), **more})
+        self.demanded_action, self.found_values = stages.find_faults(
+            self.block,
+            self.layout.places,
+            self._read_only_constants(),
+            self.constants_layout.places,
+            self.layout.initial,
+        )
+        reported: dict[str, dict[str, float]] = {}
+        for row, i in zip(*np.nonzero(~np.isnan(self.found_values)), strict=True):
+            fault, kind = DETECTOR_ROWS[row]
+            reported.setdefault(fault.id, {})[self.instance_name(kind, i) or fault.name] = float(
+                self.found_values[row, i]
+            )
+        return reported
+
+    def observe_readings(self, rows: StateRows | None = None) -> None:
+        """Convert received values to measurements and screen positions, as a tick does before the detectors run."""
+        self.set_rows(rows or {})
+        stages.observe_tick(
+            self.block,
+            self.layout.places,
+            self._read_only_constants(),
+            self.constants_layout.places,
+        )
+
+    def store_commands(self, rows: StateRows | None = None) -> None:
+        """Store the commands of this tick, as the end of a tick does."""
+        self.set_rows(rows or {})
+        stages.store_commands(
+            self.block,
+            self.layout.places,
+            self._read_only_constants(),
+            self.constants_layout.places,
+        )
+
+    def judge(
+        self, rows: StateRows | None = None, reports: Iterable[EventReport] = ()
+    ) -> TickVerdict:
+        """Judge one tick with its findings, the latched faults, and the reports of buses and host."""
+        self.tick(rows)
+        return self.conclude(self.demanded_action, reports)
+
+    def conclude(self, demanded: int, reports: Iterable[EventReport]) -> TickVerdict:
+        """Latch the findings of a tick, add the reports, and select the action."""
+        fresh = faults_counting_since_now(self.limits, self.found_values, self.view("fault_ticks"))
+        verdict = judge_tick(self.latched, self.reported_faults, fresh, demanded, reports)
+        self.latched, self.reported_faults = verdict.latched, verdict.reported_faults
+        return verdict
+
+    def clear_latched(self) -> None:
+        """Clear the latched faults, as a request of the operator does."""
+        decisions = Decisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
+        state = State(self.layout, self.block, decisions)
+        clear_latched_faults(state)
+        self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
+
+    def instance_name(self, kind: str, i: int) -> str:
+        """Return the name of the part that has a fault, or an empty text for a fault of the whole hand."""
+        names = {
+            TENDON_INSTANCE: self.limits.tendons,
+            MOTOR_INSTANCE: self.limits.motors,
+            JOINT_INSTANCE: self.limits.joints,
+        }
+        return (
+            {**names, NODE_INSTANCE: (*self.limits.motors, LOAD_CELLS)}[kind][i]
+            if kind in {*names, NODE_INSTANCE}
+            else ""
+        )
+
+    def _read_only_constants(self) -> Any:
+        constants = self.constants.view()
+        constants.flags.writeable = False
+        return constants
+
+
+def _uncompiled(function: Any) -> Any:
+    """Return an uncompiled copy of an inner function.
+
+    The inner functions that it calls are copied in the same way.
+    """
+    if not hasattr(function, "py_func"):
+        return function
+    code = function.py_func
+    known = dict(code.__globals__)
+    known |= {
+        name: _uncompiled(known[name])
+        for name in code.__code__.co_names
+        if hasattr(known.get(name), "py_func")
+    }
+    return FunctionType(code.__code__, known, code.__name__, code.__defaults__)
+
+
+def call_interpreted(function: Any, *arguments: Any) -> Any:
+    """Call an inner function in uncompiled form. It may call other inner functions of its module."""
+    with np.errstate(all="ignore"):
+        return _uncompiled(function)(*arguments)

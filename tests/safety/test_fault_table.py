@@ -1,0 +1,342 @@
+"""Test every row of the fault table: its limit from both sides, its action, and who may clear its fault."""
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from handctl.core.detectors import judge as compiled_judge
+from handctl.safety import judge as judgement
+from handctl.safety.action import Action, RelaxMethod
+from handctl.safety.faults.fault import ENDED_BY_ITSELF, ENDED_BY_OPERATOR, Fault
+from handctl.safety.faults.table import (
+    ACTION_NUMBERS,
+    DEBOUNCE_TICKS,
+    DETECTOR_ROWS,
+    FAULT_BY_ID,
+    FAULT_TABLE,
+    FAULTS_BY_EVENT_KIND,
+)
+from handctl.safety.judge import TickVerdict
+from handctl.safety.limits import SafetyLimits, ticks_for
+from tests.safety.fault_cases import (
+    CASE_BY_FAULT,
+    EIGHT_TENDON_LIMITS,
+    INPUT_AT_REST,
+    OTHER_SIGNS_BY_FAULT,
+    TickInput,
+    drive_temperatures,
+    measured_tensions,
+    merge_inputs,
+    reset_for_input,
+    rested_monitor,
+    without_torque,
+)
+from tests.safety.synthetic_monitor import SyntheticMonitor, call_interpreted
+
+SAFETY_PAGE = Path(__file__).parents[2] / "docs/explanation/safety.md"
+
+
+def check_ticks(
+    *ticks: TickInput, monitor: SyntheticMonitor | None = None
+) -> tuple[SyntheticMonitor, list[TickVerdict]]:
+    """Judge several ticks one after the other, and return the monitor and the verdicts."""
+    monitor = monitor or rested_monitor()
+    return monitor, [
+        monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
+        for tick_input in ticks
+    ]
+
+
+def check_fault_alone(
+    id_: str, *ticks: TickInput, monitor: SyntheticMonitor | None = None
+) -> tuple[SyntheticMonitor, list[Action], list[tuple[str, str]]]:
+    """Judge several ticks.
+
+    Return the monitor, the action of one fault in each tick, and the findings of this fault.
+    """
+    monitor, actions, reported = monitor or rested_monitor(), [], []
+    for tick_input in ticks:
+        verdict = monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
+        found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
+        present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
+        present += [one.ticks for one in verdict.reported_faults if one.id == id_]
+        counts = max(present, default=0) >= FAULT_BY_ID[id_].debounce or id_ in {
+            mark.id for mark in verdict.latched
+        }
+        actions.append(FAULT_BY_ID[id_].action if counts else Action.PASS)
+        assert verdict.action >= actions[-1], "the largest wins"
+        reported += [(f.fault.id, f.instance) for f in verdict.findings if f.fault.id == id_]
+    return monitor, actions, reported
+
+
+def test_every_row_has_a_case_and_is_there_once() -> None:
+    assert [fault.id for fault in FAULT_TABLE] == list(CASE_BY_FAULT)
+
+
+def test_hand_without_disturbance_has_no_fault() -> None:
+    monitor, verdicts = check_ticks(*[INPUT_AT_REST] * 50)
+    assert (monitor.latched, monitor.reported_faults) == ((), ())
+    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+    assert not any(verdict.findings for verdict in verdicts)
+
+
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
+def test_a_fault_counts_after_its_ticks_and_is_reported_once(id_: str) -> None:
+    case = CASE_BY_FAULT[id_]
+    _, actions, reported = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce - 1))
+    assert (actions, reported) == ([Action.PASS] * (case.debounce - 1), [])
+    _, actions, reported = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce + 5))
+    assert actions == [Action.PASS] * (case.debounce - 1) + [case.action] * 6
+    assert reported == [(id_, case.instance)]
+
+
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
+def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
+    _, actions, reported = check_fault_alone(id_, *[CASE_BY_FAULT[id_].input_below_limit] * 100)
+    assert set(actions) == {Action.PASS}
+    assert not reported
+
+
+@pytest.mark.parametrize("id_", OTHER_SIGNS_BY_FAULT)
+def test_every_sign_of_a_fault_is_detected(id_: str) -> None:
+    for tick_input in OTHER_SIGNS_BY_FAULT[id_]:
+        _, actions, _ = check_fault_alone(id_, *[tick_input] * CASE_BY_FAULT[id_].debounce)
+        assert actions[-1] == CASE_BY_FAULT[id_].action
+
+
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
+def test_interrupted_fault_counts_from_zero(id_: str) -> None:
+    case = CASE_BY_FAULT[id_]
+    if case.debounce == 1:
+        return
+    almost = [case.input_with_fault] * (case.debounce - 1)
+    _, actions, _ = check_fault_alone(id_, *almost, INPUT_AT_REST, *almost, INPUT_AT_REST)
+    assert set(actions) == {Action.PASS}
+
+
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
+def test_latched_fault_stays_until_cleared(id_: str) -> None:
+    case = CASE_BY_FAULT[id_]
+    monitor, _, _ = check_fault_alone(id_, *[case.input_with_fault] * case.debounce)
+    _, actions, reported = check_fault_alone(id_, *[INPUT_AT_REST] * 100, monitor=monitor)
+    assert set(actions) == {case.action if case.latched else Action.PASS}
+    assert not reported
+    monitor.clear_latched()
+    _, actions, _ = check_fault_alone(id_, INPUT_AT_REST, monitor=monitor)
+    assert actions == [Action.PASS]
+    _, actions, reported = check_fault_alone(
+        id_, *[case.input_with_fault] * case.debounce, monitor=monitor
+    )
+    assert actions[-1] == case.action, "it can come again"
+    assert [name for name, _ in reported] == [id_], "and is reported again"
+
+
+@pytest.mark.parametrize("id_", [id_ for id_, case in CASE_BY_FAULT.items() if case.latched])
+def test_clearing_a_present_fault_has_no_effect(id_: str) -> None:
+    case = CASE_BY_FAULT[id_]
+    monitor, _, _ = check_fault_alone(id_, *[case.input_with_fault] * (case.debounce + 3))
+    monitor.clear_latched()
+    _, actions, _ = check_fault_alone(id_, case.input_with_fault, monitor=monitor)
+    assert actions == [case.action]
+    _, actions, _ = check_fault_alone(id_, INPUT_AT_REST, monitor=monitor)
+    assert actions == [case.action], "it has latched again"
+
+
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
+def test_a_silent_drive_is_no_fault_while_torque_is_off(id_: str) -> None:
+    case = CASE_BY_FAULT[id_]
+    _, actions, _ = check_fault_alone(
+        id_, *[without_torque(case.input_with_fault)] * (case.debounce + 1)
+    )
+    assert actions[-1] == (Action.PASS if case.only_while_armed else case.action)
+
+
+def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
+    nan = {f"t{i}": math.nan for i in range(len(EIGHT_TENDON_LIMITS.tendons))}
+    _, verdicts = check_ticks(
+        *[merge_inputs(measured_tensions(**nan), drive_temperatures(**nan))] * 30
+    )
+    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+
+
+def test_each_row_is_one_line_for_the_operator() -> None:
+    for fault in FAULT_TABLE:
+        assert fault.title
+        assert fault.detection
+        assert "\n" not in fault.title + fault.detection
+        assert fault.clears in ("by the operator", "by itself")
+        assert fault.latched == CASE_BY_FAULT[fault.id].latched
+        assert fault.action < Action.RELAX or fault.latched, "only a person ends a relax or a cut"
+
+
+FAULTS_OF_TENSION_LOOP = {
+    "N04",
+    "N05b",
+    "N06b",
+    "N12",
+    "N13",
+    "N14",
+    "N14b",
+    "N17",
+    "T04b",
+    "T05b",
+    "B06",
+    "H13",
+}
+"""Faults that cast doubt on the tension loop. Its measurements may be wrong, or a drive may not obey it."""
+
+
+def test_faults_of_the_tension_loop_relax_without_it() -> None:
+    relaxing = {one.id: one.relax_method for one in FAULT_TABLE if one.action >= Action.RELAX}
+    assert {
+        one for one, release in relaxing.items() if release is RelaxMethod.OPEN_LOOP
+    } == FAULTS_OF_TENSION_LOOP
+    assert {one for one, release in relaxing.items() if release is RelaxMethod.FAST_LOOP} == {
+        "T03",
+        "T06",
+    }
+
+
+def test_the_safety_page_lists_how_each_fault_relaxes() -> None:
+    rows = [
+        line.split("|")
+        for line in SAFETY_PAGE.read_text().splitlines()
+        if line.startswith("| RELAX ")
+    ]
+    listed = {row[1].strip(): set(re.findall(r"[A-Z]\d\d[a-c]?", row[3])) for row in rows}
+    for release in (RelaxMethod.FAST_LOOP, RelaxMethod.OPEN_LOOP):
+        # A fault that cuts the torque does not relax.
+        relaxing = {
+            one.id
+            for one in FAULT_TABLE
+            if one.relax_method is release and one.action is Action.RELAX
+        }
+        assert listed[release.value] == relaxing
+
+
+def test_a_fault_is_either_found_or_reported() -> None:
+    """A fault is either found by a detector or reported by a bus or the host.
+
+    A detector has one row for each kind of part.
+    """
+    for fault in FAULT_TABLE:
+        assert bool(fault.per) != bool(fault.reports), fault.id
+        assert [kind for one, kind in DETECTOR_ROWS if one is fault] == list(fault.per)
+        assert fault.name or "hand" not in fault.per
+    assert len(DETECTOR_ROWS) <= len(rested_monitor().view("fault_ticks")), (
+        "there is room for how long each is present"
+    )
+    assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE_TICKS.tolist()
+    assert [fault.action for fault, _ in DETECTOR_ROWS] == ACTION_NUMBERS.tolist()
+    assert {fault.id for ones in FAULTS_BY_EVENT_KIND.values() for fault in ones} == {
+        f.id for f in FAULT_TABLE if f.reports
+    }
+
+
+@pytest.mark.parametrize(("seconds", "period", "least", "ticks"), [
+    (0.030, 0.005, 4, 6), (0.030, 0.002, 4, 15), (0.030, 0.01, 4, 4), (0.025, 0.002, 3, 13), (0.025, 0.02, 3, 3),
+])  # fmt: skip
+def test_a_time_is_rounded_to_ticks(seconds: float, period: float, least: int, ticks: int) -> None:
+    assert ticks_for(seconds, period, least) == ticks
+
+
+def trace_fault(id_: str) -> list[tuple[Action, int]]:
+    """Return the action and the number of findings of one fault in each tick, from before its onset to its end.
+
+    Interpreted code debounces the fault.
+    """
+    case, monitor, seen = CASE_BY_FAULT[id_], rested_monitor(), []
+    kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_}
+    for tick_input in [
+        case.input_below_limit,
+        *[case.input_with_fault] * (case.debounce + 1),
+        INPUT_AT_REST,
+    ]:
+        rows, before = reset_for_input(monitor, tick_input), monitor.view("fault_ticks").copy()
+        monitor.tick(rows)
+        monitor.set_rows({"fault_ticks": before})
+        monitor.found_values[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = (
+            math.nan
+        )
+        demanded = call_interpreted(
+            compiled_judge.debounce_faults, monitor.state_tables, monitor.found_values
+        )
+        reports = tick_input.reports if judgement.FAULT_BY_ID[id_].reports else ()
+        verdict = monitor.conclude(demanded, reports)
+        seen.append((verdict.action, len(verdict.findings)))
+    return seen
+
+
+@pytest.fixture
+def declare_changed(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
+    """Return a function that replaces the declaration of a fault by a changed one."""
+
+    def declare_fault(other: Fault) -> None:
+        found = tuple(
+            (other if fault.id == other.id else fault, kind) for fault, kind in DETECTOR_ROWS
+        )
+        monkeypatch.setattr(judgement, "DETECTOR_ROWS", found)
+        monkeypatch.setattr(judgement, "FAULT_BY_ID", FAULT_BY_ID | {other.id: other})
+        monkeypatch.setattr(judgement, "FAULTS_BY_EVENT_KIND", {
+            kind: tuple(other for fault in ones if fault.id == other.id) for kind, ones in FAULTS_BY_EVENT_KIND.items()
+        })  # fmt: skip
+        debounce, actions = DEBOUNCE_TICKS.copy(), ACTION_NUMBERS.copy()
+        for row, (fault, _) in enumerate(found):
+            debounce[row], actions[row] = fault.debounce, fault.action
+        monkeypatch.setattr(judgement, "DEBOUNCE_TICKS", debounce)
+        monkeypatch.setattr(compiled_judge, "DEBOUNCE_TICKS", debounce)
+        monkeypatch.setattr(compiled_judge, "ACTION_NUMBERS", actions)
+
+    return declare_fault
+
+
+@pytest.mark.parametrize("id_", CASE_BY_FAULT)
+def test_a_changed_row_would_be_noticed(id_: str, declare_changed) -> None:
+    """If a number or a word of a row is changed by one step, the result differs. The cases can therefore fail."""
+    fault = FAULT_BY_ID[id_]
+    other = ENDED_BY_ITSELF if fault.latched else ENDED_BY_OPERATOR
+    changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]
+    changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
+    changed += [
+        replace(fault, action=Action(fault.action + step))
+        for step in (-1, 1)
+        if 0 <= fault.action + step <= 4
+    ]
+    declare_changed(fault)
+    right = trace_fault(id_)
+    for mutant in changed:
+        if (mutant.action, mutant.latched) == (
+            Action.PASS,
+            True,
+        ) or fault.action == mutant.action == Action.PASS:
+            continue  # a latched fault without an action has no effect
+        declare_changed(mutant)
+        assert trace_fault(id_) != right, mutant
+
+
+THRESHOLD_STEPS = {
+    "B02": {"silent_ticks": 1}, "N02": {"silent_ticks": 1}, "H03": {"stalled_ticks": 1},
+    "N09a": {"temperature_soft": 0.2}, "N09b": {"temperature_hard": 0.2},
+    "T06": {"tension_rail": 0.1},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("id_", THRESHOLD_STEPS)
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_moved_threshold_would_be_noticed(id_: str, sign: int) -> None:
+    name, step = next(iter(THRESHOLD_STEPS[id_].items()))
+    moved: SafetyLimits = replace(
+        EIGHT_TENDON_LIMITS, **{name: getattr(EIGHT_TENDON_LIMITS, name) + sign * step}
+    )
+    case, monitor = CASE_BY_FAULT[id_], rested_monitor()
+    monitor.replace_limits(moved)
+    _, actions, _ = check_fault_alone(
+        id_,
+        *[case.input_with_fault if sign > 0 else case.input_below_limit] * case.debounce,
+        monitor=monitor,
+    )
+    assert actions[-1] == (Action.PASS if sign > 0 else case.action)

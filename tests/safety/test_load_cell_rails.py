@@ -1,0 +1,39 @@
+"""A load cell at either end of its range gives no information about the tendon."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from handctl.safety.action import Action
+from tests.safety.fault_cases import measured_tensions, merge_inputs, state_rows, without_torque
+from tests.safety.synthetic_monitor import SyntheticMonitor, synthetic_limits
+
+RAIL_LIMITS = replace(synthetic_limits(2), tension_rail=243.9, tension_low=-4.0)
+
+
+@pytest.mark.parametrize("rail", [243.9, 249.0, -4.0, -6.0])
+def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail: float) -> None:
+    monitor = SyntheticMonitor(RAIL_LIMITS)
+    actions = [monitor.judge(measured_tensions(t0=5.0, t1=rail).rows).action for _ in range(3)]
+    assert actions == [Action.PASS, Action.PASS, Action.RELAX]
+    assert [(mark.id, mark.instance) for mark in monitor.latched] == [("T06", "t1")]
+
+
+@pytest.mark.parametrize("tension", [-2.0, 0.0, 100.0, math.nan])
+def test_tensions_possible_for_a_tendon_are_no_fault(tension: float) -> None:
+    monitor = SyntheticMonitor(RAIL_LIMITS)
+    for _ in range(10):
+        assert monitor.judge(measured_tensions(t0=5.0, t1=tension).rows).action == Action.PASS
+
+
+def test_a_saturated_load_cell_is_reported_once_with_its_reading_for_any_tare() -> None:
+    """With a tare of -3 N, a load cell with a broken wire reads -3 N.
+
+    An intact load cell may read this for a moment too.
+    """
+    tick_input = merge_inputs(measured_tensions(t1=-3.0), state_rows(saturated={1: 1}))
+    assert SyntheticMonitor(RAIL_LIMITS).tick(tick_input.rows)["T06"] == {"t1": -3.0}
+    assert "T06" not in SyntheticMonitor(RAIL_LIMITS).tick(without_torque(tick_input).rows)
+    high = merge_inputs(measured_tensions(t0=250.0, t1=244.0), state_rows(saturated={1: 1}))
+    assert SyntheticMonitor(RAIL_LIMITS).tick(high.rows)["T06"] == {"t0": 250.0, "t1": 244.0}

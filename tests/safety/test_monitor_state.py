@@ -1,0 +1,573 @@
+"""Test the state that the safety monitor keeps between ticks.
+
+Two synthetic tendons show each fault just below and above its limit.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.monitor import thresholds
+from handctl.core import block as s
+from handctl.core.block import STATE
+from handctl.core.detectors import residuals
+from handctl.core.detectors.residuals import (
+    BALANCE,
+    EXCESS_FRICTION,
+    MOTOR_FORCE,
+    QUICK_FORCE,
+    TENSION,
+    TIME_CONSTANTS_S,
+)
+from handctl.core.types import Mode
+from tests.safety.synthetic_monitor import (
+    NOW_NS,
+    PERIOD_NS,
+    PERIOD_S,
+    SPOOL_RADIUS_M,
+    SyntheticMonitor,
+    call_interpreted,
+    synthetic_limits,
+)
+
+NAN = np.nan
+TWO_TENDON_LIMITS = replace(
+    synthetic_limits(2), tendons=("a", "b"), motors=("ma", "mb"), joints=("ja", "jb"),
+    tension_rail=240.0, drive_limit=(1e9, 1e9),
+)  # fmt: skip
+FindingsByFault = dict[str, dict[str, float]]
+
+
+def make_monitor(
+    stiffness: float = 1e5, motor_period: Any = PERIOD_S, joint_period: float = PERIOD_S
+) -> SyntheticMonitor:
+    """Return the safety monitor of two tendons.
+
+    Stiffness [N/m] and sampling periods of motors and joints [s] are given.
+    """
+    arms = np.array([0.02, 0.01])
+    monitor = SyntheticMonitor(
+        TWO_TENDON_LIMITS, motor_period, joint_period, stiffness=stiffness, arms_sum=arms,
+        excursion_to_joints=np.diag(1.0 / arms),
+        step_limit=[0.1, 0.2], joint_step_limit=[0.3, 0.4],
+    )  # fmt: skip
+    monitor.set_rows({"residual": 0.0, "filtered": 0})
+    return monitor
+
+
+FIELD_BY_NAME = {"tension": "measured_tension", "travel": "measured_travel", "position": "measured_position",
+                 "speed": "speed",
+         "force": "measured_force", "excursion": "measured_excursion", "joints": "measured_joint",
+         "read": "joints_read"}  # fmt: skip
+
+
+def resting_tick(**given: Any) -> dict[str, Any]:
+    """Return the measurements of two tendons that rest under 20 N, with some changes.
+
+    A single number is for both tendons.
+    """
+    facts = {
+        "tension": 20.0,
+        "travel": 0.0,
+        "speed": 0.0,
+        "force": 20.0,
+        "excursion": NAN,
+        "joints": NAN,
+        "read": False,
+    }
+    facts |= given
+    # Travel and position come from the same encoder. The travel is the position times the radius of
+    # the spool.
+    facts.setdefault("position", np.asarray(facts["travel"]) / SPOOL_RADIUS_M)
+    return {FIELD_BY_NAME[name]: value for name, value in facts.items()}
+
+
+def monitor_at_20_newton(monitor: SyntheticMonitor | None = None, **given: Any) -> SyntheticMonitor:
+    """Return the monitor of a hand at rest whose commanded and planned tensions are 20 N."""
+    monitor = monitor or make_monitor()
+    monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | given)
+    return monitor
+
+
+def run_ticks(
+    number: int, monitor: SyntheticMonitor | None = None, **given: Any
+) -> tuple[SyntheticMonitor, FindingsByFault]:
+    """Run the same tick several times. Return the monitor and the last findings.
+
+    Values that are functions get the number of the tick.
+    """
+    monitor, found = monitor or monitor_at_20_newton(), {}
+    for k in range(number):
+        found = monitor.tick(
+            resting_tick(**{name: v(k) if callable(v) else v for name, v in given.items()})
+        )
+    return monitor, found
+
+
+def test_at_rest_nothing_is_reported():
+    monitor, found = run_ticks(600)
+    assert found == {}
+    assert monitor.view("taut_s") == pytest.approx([1.2, 1.2])
+    assert (monitor.field_values("taut_ago"), monitor.field_values("slack_ticks")) == (
+        [0, 0],
+        [0, 0],
+    )
+
+
+def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
+    """The filters start at the values that are present when the hand is armed.
+
+    Tension and force have not changed since, so no reading must change.
+    """
+    _, found = run_ticks(200, monitor_at_20_newton(wanted=NAN, followed=NAN, asked=NAN))
+    assert found == {}
+
+
+def test_without_torque_all_history_but_the_counts_is_reset():
+    monitor, _ = run_ticks(10)
+    monitor.set_rows({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
+    assert monitor.tick(resting_tick(), mode=int(Mode.READY)) == {}
+    for field in STATE.fields:
+        first, end = {
+            "tendon": (s.TENDON_FIRST, s.TENDON_END), "tendon_int": (s.TENDON_INT_FIRST, s.TENDON_INT_END),
+            "joint": (s.JOINT_FIRST, s.JOINT_END), "joint_int": (s.JOINT_INT_FIRST, s.JOINT_INT_END),
+            "run_int": (s.RUN_INT_FIRST, s.RUN_INT_END),
+        }.get(field.table, (0, 0))  # fmt: skip
+        if first <= field.first < end:
+            initial = monitor.layout.view(monitor.layout.initial, field.name)
+            np.testing.assert_array_equal(monitor.view(field.name), initial, err_msg=field.name)
+    assert monitor.view("unknown").item() == pytest.approx(3.0 * (1.0 - PERIOD_S))
+    assert monitor.field_values("open_questions") == [2, 1]
+    assert monitor.field_values("lost")[0] == [10, 10, 10]
+    assert monitor.field_values("misshapen") == [6, 6, 6]
+
+
+def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
+    monitor = run_ticks(3)[0]
+    monitor.set_rows({"mode": int(Mode.CUT)})
+    for _ in range(50):
+        assert "N16" not in monitor.tick(resting_tick(tension=[30.0, 8.0]))
+    assert monitor.tick(resting_tick(tension=[30.0, 8.0]))["N16"] == {"a": 30.0}
+    assert monitor.field_values("cut_from") == [30.0, 8.0]
+
+
+def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut():
+    monitor = run_ticks(3, tension=[30.0, 25.0])[0]
+    run_ticks(2, monitor, tension=NAN)
+    monitor.set_rows({"mode": int(Mode.CUT)})
+    for k in range(51):
+        found = monitor.tick(resting_tick(tension=[30.0, 8.0] if k else NAN))
+    assert found["N16"] == {"a": 30.0}
+    assert monitor.field_values("cut_from") == [30.0, 25.0]
+
+
+def unexplained_tensions(monitor: SyntheticMonitor) -> list[float]:
+    return [
+        call_interpreted(
+            residuals.unexplained_tension, monitor.state_tables, monitor.hand_tables, n
+        )
+        for n in (0, 1)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)]
+)
+def test_lasting_residual_is_a_fault(tension, residual):
+    """Friction explains 3 N of the residual. The tolerance of the torque constant explains a tenth of 20 N."""
+    monitor, found = run_ticks(1200, tension=tension)
+    assert unexplained_tensions(monitor) == pytest.approx([residual] * 2, abs=0.05)
+    all_cells = {name: pytest.approx(residual, abs=0.05) for name in "ab"}
+    assert found.get("T04a", {}) == (all_cells if residual > 5.0 else {})
+
+
+@pytest.mark.parametrize(("force", "is_reported"), [(5.1, False), (4.9, True), (35.1, True)])
+def test_missing_torque_is_a_fault(force, is_reported):
+    _, found = run_ticks(600, force=force, tension=force)
+    expected = {name: pytest.approx(15.1, abs=0.01) for name in ("ma", "mb")}
+    assert found.get("N14", {}) == (expected if is_reported else {})
+
+
+@pytest.mark.parametrize(("rub", "is_reported"), [(5.8, False), (6.1, True)])
+def test_friction_above_the_hand_file_is_a_fault(rub, is_reported):
+    """After seconds of motion, a friction counts that exceeds the model by 3 N and a tenth of the force of 29 N.
+
+    The tenth is the tolerance of the torque constant.
+    """
+    monitor = run_ticks(30)[0]
+    monitor.set_rows({"residual": {EXCESS_FRICTION: rub, MOTOR_FORCE: 29.0}})
+    _, found = run_ticks(1, monitor, force=29.0, tension=29.0)
+    grown = [call_interpreted(residuals.excess_friction, monitor.state_tables, n) for n in (0, 1)]
+    assert grown == pytest.approx([rub - 2.9] * 2, abs=0.01)
+    assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if is_reported else {})
+
+
+def test_a_noisy_encoder_is_detected():
+    """An encoder whose position alternates by d in each tick has a mean squared second difference of 16 d^2."""
+    for size, expected in (
+        (2.4e-3, {}),
+        (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02))),
+    ):
+        _, found = run_ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
+        assert found.get("N07", {}) == expected
+
+
+def test_a_slack_tendon_and_a_torn_tendon_are_distinguished():
+    monitor, _ = run_ticks(100)
+    _, found = run_ticks(90, monitor, tension=[0.0, 20.0])
+    assert list(found["T02a"]) == ["a"]
+    assert "T01" not in found
+    monitor, _ = run_ticks(100)
+    _, found = run_ticks(3, monitor, tension=[0.0, 20.0], speed=[0.05, 0.05])
+    assert found["T01"] == {"a": 0.05}
+
+
+def test_joint_and_spool_are_compared_once_the_tendon_is_taut():
+    """The moment arms of tendon a have a sum of 20 mm, so an angle of 3 deg is 1.05 mm.
+
+    The limit of 15 deg applies to unfiltered readings.
+    """
+
+    def findings_after_slip(deg):
+        monitor, _ = run_ticks(100, excursion=0.0, read=True)
+        assert not np.isnan(monitor.view("slip_from")).any()
+        return run_ticks(1500, monitor, excursion=[-0.02 * np.radians(deg), 0.0], read=True)[1]
+
+    assert "N06a" not in findings_after_slip(2.9)
+    reported = findings_after_slip(3.1)
+    assert reported["N06a"] == {"a": pytest.approx(3.1, abs=0.02)}
+    assert "T08" not in reported
+    assert "T08" not in findings_after_slip(14.9)
+    assert findings_after_slip(-15.1)["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
+
+
+def test_joint_and_spool_are_not_compared_during_slack_or_shortly_after():
+    monitor, _ = run_ticks(100, excursion=0.0, read=True)
+    run_ticks(1, monitor, tension=[1.9, 20.0], excursion=0.0, read=True)
+    assert (monitor.field_values("taut_s")[0], np.isnan(monitor.field_values("slip_from")[0])) == (
+        0.0,
+        True,
+    )
+    run_ticks(5, monitor, tension=[2.2, 20.0], excursion=0.0, read=True)
+    assert monitor.field_values("taut_s")[0] == 0.0, "between slack and taut no time passes"
+    run_ticks(49, monitor, excursion=0.5, read=True)
+    assert np.isnan(monitor.field_values("slip_from")[0]), "100 ms after it became taut"
+    run_ticks(3, monitor, excursion=0.5, read=True)
+    begin = monitor.field_values("slip_from")[0]
+    assert begin == pytest.approx(-20.0 / 1e5 - 0.5)
+    _, reported = run_ticks(1, monitor, excursion=NAN)
+    assert monitor.field_values("slip_from")[0] == begin
+    assert "T08" not in reported
+
+
+TICKS_PER_JOINT_READING = 4
+"""Ticks from one reading of the joints to the next. A bus may have no room for more readings."""
+
+
+def run_sparse_joints(
+    number: int, monitor: SyntheticMonitor, **given: Any
+) -> list[FindingsByFault]:
+    """Run ticks of a hand whose joints are read in every fourth tick, and return the findings of each tick."""
+    reported = []
+    for k in range(number):
+        read = (
+            {"read": True} | given
+            if k % TICKS_PER_JOINT_READING == 0
+            else {n: v for n, v in given.items() if n == "travel"}
+        )
+        reported.append(monitor.tick(resting_tick(**read)))
+    return reported
+
+
+def test_a_derailed_tendon_is_found_in_three_readings_at_any_joint_rate():
+    monitor = monitor_at_20_newton(make_monitor(joint_period=TICKS_PER_JOINT_READING * PERIOD_S))
+    run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
+    off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
+    reported = run_sparse_joints(9, monitor, **off)
+    assert [k for k, found in enumerate(reported) if "T08" in found] == [8]
+    assert reported[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
+    reported = run_sparse_joints(8, monitor, **off)
+    assert [k for k, found in enumerate(reported) if "T08" in found] == [0, 4], (
+        "in ticks in which joints are read"
+    )
+
+
+def test_good_reading_restarts_the_count_of_derailed_readings():
+    monitor = monitor_at_20_newton(make_monitor(joint_period=TICKS_PER_JOINT_READING * PERIOD_S))
+    run_sparse_joints(100, monitor, excursion=0.0, joints=0.0)
+    off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
+    assert not any("T08" in found for found in run_sparse_joints(8, monitor, **off))
+    run_sparse_joints(4, monitor, excursion=0.0, joints=0.0)
+    assert not any("T08" in found for found in run_sparse_joints(8, monitor, **off))
+
+
+def test_the_joint_spool_filter_has_one_time_constant_at_any_joint_rate():
+    """With a step to 3.5 deg, the filtered angle reaches 3 deg after 0.3 s ln 7 = 0.58 s."""
+    for every in (1, TICKS_PER_JOINT_READING):
+        monitor = monitor_at_20_newton(make_monitor(joint_period=every * PERIOD_S))
+        run_ticks(100, monitor, excursion=0.0, read=True)
+        begun = None
+        for k in range(400):
+            read = (
+                {"excursion": [-0.02 * np.radians(3.5), 0.0], "read": True}
+                if k % every == 0
+                else {}
+            )
+            found = monitor.tick(resting_tick(**read))
+            begun = k * PERIOD_S if begun is None and "N06a" in found else begun
+        assert begun == pytest.approx(0.584, abs=0.01)
+
+
+def test_a_stuck_encoder_is_reported_after_the_same_time_at_any_rate():
+    monitor = monitor_at_20_newton(
+        make_monitor(
+            motor_period=(TICKS_PER_JOINT_READING * PERIOD_S, PERIOD_S),
+            joint_period=TICKS_PER_JOINT_READING * PERIOD_S,
+        )
+    )
+    run_sparse_joints(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
+    run_sparse_joints(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
+    reported = run_sparse_joints(
+        56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3
+    )
+    joint = [k for k, found in enumerate(reported) if "ja" in found.get("N04", {})]
+    assert joint[0] == 48, "100 ms are 12.5 readings after one"
+    monitor = monitor_after_motion(
+        make_monitor(
+            motor_period=(TICKS_PER_JOINT_READING * PERIOD_S, PERIOD_S),
+            joint_period=TICKS_PER_JOINT_READING * PERIOD_S,
+        )
+    )
+    monitor.set_rows({"followed": [0.51e-3, 0.0]})
+    first = None
+    for k in range(60):
+        found = monitor.tick(
+            resting_tick(travel=1e-5 if k % TICKS_PER_JOINT_READING == 0 else [NAN, 1e-5])
+        )
+        first = k if first is None and "N04" in found else first
+    assert first == 48
+
+
+def monitor_after_motion(monitor: SyntheticMonitor | None = None, **given: Any) -> SyntheticMonitor:
+    """Return the monitor of a hand whose filters have settled and whose motors moved in the last tick."""
+    return run_ticks(
+        1, run_ticks(150, monitor_at_20_newton(monitor), **given)[0], **{"travel": 1e-5} | given
+    )[0]
+
+
+@pytest.mark.parametrize(("number", "goal", "is_reported"), [
+    (51, 0.51e-3, True), (50, 0.51e-3, False),      # 50 ticks are 100 ms
+    (60, 0.49e-3, False), (60, -0.51e-3, True),
+])  # fmt: skip
+def test_constant_motor_reading_is_stuck_while_its_goal_moves(number, goal, is_reported):
+    monitor = monitor_after_motion()
+    monitor.set_rows({"followed": [goal, 0.0]})
+    _, found = run_ticks(number, monitor, travel=1e-5)
+    assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if is_reported else {})
+
+
+def test_constant_motor_reading_is_stuck_while_the_tension_changes():
+    for tension, expected in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
+        _, found = run_ticks(
+            200, monitor_after_motion(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension]
+        )
+        assert list(found.get("N04", {})) == expected
+
+
+def test_constant_joint_reading_is_stuck_while_the_spool_turns():
+    for angle, expected in ((9.9, []), (10.1, ["ja"])):
+        joints = {"excursion": 0.0, "read": True}
+        monitor = monitor_after_motion(joints=0.2, **joints)
+        run_ticks(1, monitor, travel=1e-5, joints=0.3, **joints)
+        travel = [1e-5 + np.radians(angle) / 50.0, 1e-5]
+        _, found = run_ticks(55, monitor, travel=travel, joints=0.3, **joints)
+        assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected
+
+
+def test_a_turning_spool_with_a_slack_tendon_does_not_make_a_joint_stuck():
+    """While a tendon is slack, its spool turns without its joint.
+
+    They move together only after the tendon has become taut.
+    """
+    turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
+
+    def stuck(found: FindingsByFault) -> list[str]:
+        return [name for name in found.get("N04", {}) if name[0] == "j"]
+
+    slack = {"tension": 0.5, "force": 0.5}
+    monitor, reported = run_ticks(
+        200, None, **slack, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints
+    )
+    assert stuck(reported) == []
+    _, reported = run_ticks(200, monitor, travel=[3.0 * turn, 0.0], **joints)
+    assert stuck(reported) == [], "that it has become taut moves nothing"
+    _, reported = run_ticks(200, monitor, travel=[4.1 * turn, 0.0], **joints)
+    assert stuck(reported) == ["ja"]
+
+
+@pytest.mark.parametrize(("tension", "expected"), [(2.1, ["ja"]), (1.9, [])])
+def test_a_joint_is_compared_with_its_spool_until_the_tendon_is_slack(tension, expected):
+    joints = {"joints": 0.3, "excursion": 0.0, "read": True}
+    monitor, _ = run_ticks(200, None, tension=2.6, force=2.6, **joints)
+    run_ticks(200, monitor, tension=tension, force=tension, **joints)
+    _, found = run_ticks(
+        60, monitor, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints
+    )
+    assert [name for name in found.get("N04", {}) if name[0] == "j"] == expected
+
+
+def test_each_joint_is_checked_with_its_own_tendons():
+    """A slack tendon a does not change the check of joint b, which has tendon b."""
+    joints = {"joints": 0.3, "excursion": 0.0, "read": True}
+    monitor, _ = run_ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
+    travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
+    _, found = run_ticks(
+        60, monitor, tension=[0.5, 20.0], force=[0.5, 20.0], travel=travel, **joints
+    )
+    assert [name for name in found.get("N04", {}) if name[0] == "j"] == ["jb"]
+
+
+@pytest.mark.parametrize(("number", "force", "tension", "is_reported"), [
+    (400, 25.2, 20.0, True), (400, 14.8, 20.0, True), (400, 24.8, 20.0, False), (38, 60.0, 20.0, False),
+    (39, 60.0, 20.0, False), (40, 60.0, 20.0, True), (400, 26.0, 2.5, False), (400, 26.0, 2.6, True),
+])  # fmt: skip
+def test_constant_load_cell_is_stuck_while_the_torque_moves(number, force, tension, is_reported):
+    chance = np.random.default_rng(1)
+    monitor, _ = run_ticks(100, tension=lambda k: tension + 0.1 * chance.standard_normal())
+    run_ticks(1, monitor, tension=tension)
+    _, found = run_ticks(number, monitor, tension=tension, force=[force, 20.0])
+    assert list(found.get("T05", {})) == (["a"] if is_reported else [])
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_steady_motion_over_skipped_ticks_is_neither_noise_nor_force(late):
+    """After a gap, one reading shows the motion of five ticks.
+
+    It comes in the first tick after the gap or, if its reply is late by a tick, in the second.
+    """
+
+    def run_over_gap(missed):
+        monitor, at, speed, noisy = run_ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
+        for k in range(20):
+            at, speed = (at + 0.25, 0.14) if k == 10 + late else (at + 0.05, speed)
+            rows = resting_tick(position=at, speed=speed, force=23.0 + 40.0 * speed)
+            noisy |= "N07" in monitor.tick(rows, missed=missed if k == 10 else 0)
+        return noisy, monitor.view("residual")[BALANCE]
+
+    noisy, balance = run_over_gap(4)
+    assert not noisy
+    assert np.abs(balance).max() < 0.05
+    noisy, balance = run_over_gap(0)
+    assert noisy, "positive control"
+    assert np.abs(balance).max() > 0.5
+
+
+def screen_positions(
+    monitor: SyntheticMonitor, motors: list[float], joints: list[float] | None, missed: int = 0
+) -> tuple[Any, Any]:
+    """Screen positions of motors and joints, and return the size of each jump.
+
+    ``joints`` is None if none was read.
+    """
+    read = {"joint_fresh": joints is not None, "joint_angle": joints or 0.0}
+    monitor.observe_readings({"answered": 1, "position": motors, "missed": missed, **read})
+    return monitor.field_values("jump"), monitor.field_values("joint_jump")
+
+
+def test_positions_are_checked_separately():
+    monitor = make_monitor()
+    assert screen_positions(monitor, [0.0, 0.0], [0.0, 0.0]) == ([0.0, 0.0], [0.0, 0.0])
+    assert screen_positions(monitor, [0.11, 0.19], [0.29, 0.41]) == ([0.11, 0.0], [0.0, 0.41])
+    assert screen_positions(monitor, [0.05, 0.19], None) == ([0.0, 0.0], [0.0, 0.0])
+    assert monitor.field_values("joint_gap") == [1.0, 2.0]
+    assert monitor.field_values("accepted") == [0.05, 0.19]
+    assert monitor.field_values("dropped") == [0.0, 0.0]
+    assert monitor.field_values("joint_dropped") == [0.0, 1.0]
+
+
+def test_missed_ticks_increase_the_allowed_step_of_motors_and_joints():
+    def monitor_at_zero() -> SyntheticMonitor:
+        monitor = make_monitor()
+        screen_positions(monitor, [0.0, 0.0], [0.0, 0.0])
+        return monitor
+
+    motor, joint = [0.29, 0.61], [0.91, 1.19]
+    assert screen_positions(monitor_at_zero(), motor, joint) == (motor, joint)
+    monitor = monitor_at_zero()
+    jumped, twisted = screen_positions(monitor, motor, joint, 2)
+    assert jumped == [0.0, 0.61], "three times 0.1 and 0.2"
+    assert twisted == [0.91, 0.0], "three times 0.3 and 0.4"
+    monitor = monitor_at_zero()
+    screen_positions(monitor, motor, None, 2)
+    assert monitor.field_values("joint_gap") == [3.0, 3.0]
+
+
+def rows_with_ages(**ages: int) -> dict[str, Any]:
+    """Return rows of the state with ages in ticks of the replies of motors (ma=...) and load cells (a=...)."""
+    heard = {name: NOW_NS - ages.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
+    return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}
+
+
+def test_without_lost_replies_no_count_grows():
+    monitor = make_monitor()
+    assert monitor.tick() == {}
+    assert not monitor.view("lost").any()
+
+
+@pytest.mark.parametrize(("rows", "lost"), [
+    (rows_with_ages(mb=1), [0, 1, 0]), (rows_with_ages(b=1), [0, 0, 1]), (rows_with_ages(ma=3), [1, 0, 0]),
+    (rows_with_ages(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]),
+    (rows_with_ages(ma=1, mb=1) | {"mode": int(Mode.READY)}, [0, 0, 0]),
+])  # fmt: skip
+def test_lost_replies_are_recorded_per_node(rows, lost):
+    monitor = make_monitor()
+    monitor.tick(rows)
+    assert monitor.field_values("lost") == [lost, [0, 0, 0]]
+
+
+def test_malformed_frames_are_reported_with_sender_and_recent_count():
+    monitor = make_monitor()
+    for k in range(3):
+        found = monitor.tick(misread_now=[1, k == 0, 0])
+    assert found["B09"] == {"ma": 3.0}
+    assert monitor.tick(misread_now=[0, 0, 1])["B09"] == {"load cells": 1.0}
+
+
+def test_a_node_that_replies_in_every_second_tick_is_reported():
+    monitor = make_monitor()
+    for k in range(20):
+        found = monitor.tick(rows_with_ages(mb=k % 2))
+        assert list(found.get("N15", {})) == (["mb"] if k >= 13 else []), k
+
+
+def test_count_of_unknown_frames_decays():
+    monitor = make_monitor()
+    monitor.tick(strange=5)
+    assert monitor.view("unknown").item() == 5.0
+    monitor.tick(strange=0)
+    assert monitor.view("unknown").item() == pytest.approx(5.0 * (1.0 - PERIOD_S))
+
+
+def test_refused_goals_are_reported_in_their_tick():
+    monitor = make_monitor()
+    assert monitor.tick(refused=2, refused_now=2)["I07a"] == {"goal": 2.0}
+    assert monitor.tick(refused=3, refused_now=1)["I07b"] == {"goal": 3.0}
+    assert not {"I07a", "I07b"} & set(monitor.tick(refused=3, refused_now=0))
+
+
+def test_thresholds_follow_from_the_hand():
+    assert thresholds.JUMP_MARGIN == 1.5
+    assert residuals.GAIN_FRACTION == 0.1
+    assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
+
+
+def test_fast_residuals_start_at_the_first_reading():
+    monitor = run_ticks(5)[0]
+    for row in (TENSION, QUICK_FORCE):
+        assert monitor.view("residual")[row] == pytest.approx([20.0, 20.0])
+    run_ticks(1, monitor, tension=30.0, force=30.0)
+    moved = 10.0 * -np.expm1(-PERIOD_S / 0.02)
+    for row in (TENSION, QUICK_FORCE):
+        assert monitor.view("residual")[row] == pytest.approx([20.0 + moved, 20.0 + moved])

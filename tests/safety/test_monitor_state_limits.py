@@ -1,0 +1,155 @@
+"""Test the state that the safety monitor keeps between ticks exactly at its limits, to the last bit."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.core.detectors import slip, stuck
+from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
+from handctl.core.detectors.slip import DEG_PER_RAD, SETTLE_S
+from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
+from handctl.safety.faults.tendon import CELL_FORCE_N, CELL_TICKS, DERAILED_DEG, SLACK_N, TAUT_N
+from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, call_interpreted
+from tests.safety.test_monitor_state import make_monitor, resting_tick
+
+SOFT_STIFFNESS = 5e3
+"""Stiffness of a tendon that stretches by 4 mm under 20 N [N/m]."""
+JOINTS_READ = {"excursion": 0.0, "joints": 0.0, "read": True}
+"""Readings of joint encoders that are at zero."""
+
+
+@pytest.fixture
+def monitor() -> SyntheticMonitor:
+    """Return the safety monitor of two tendons. A test sets their filtered tensions and forces."""
+    monitor = make_monitor(SOFT_STIFFNESS)
+    monitor.set_constants(residual_fraction=0.0)
+    monitor.set_rows({"filtered": 1, "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}})
+    return monitor
+
+
+def joint_turns(monitor: SyntheticMonitor, **given: Any) -> list[float]:
+    monitor.set_rows(resting_tick(**given) | {"bears": 1})
+    return [
+        call_interpreted(stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, j)
+        for j in (0, 1)
+    ]
+
+
+def test_tendon_stretch_is_not_counted_as_joint_motion(monitor: SyntheticMonitor) -> None:
+    """When the tension grows, the spool winds the stretch of the tendon. The joint does not move by this part."""
+    np.testing.assert_allclose(
+        joint_turns(monitor, travel=20.0 / SOFT_STIFFNESS, **JOINTS_READ), 0.0, atol=1e-12
+    )
+    wound = joint_turns(
+        monitor, travel=[20.0 / SOFT_STIFFNESS + 1e-3, 20.0 / SOFT_STIFFNESS], **JOINTS_READ
+    )
+    np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
+    monitor.set_rows({"bears": [0, 1]})
+    angle = call_interpreted(
+        stuck.joint_angle_by_spools, monitor.state_tables, monitor.hand_tables, 0
+    )
+    assert math.isnan(angle), "it says nothing"
+
+
+@pytest.mark.parametrize(("tension", "taut"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),
+                                               (TAUT_N + 1e-9, 1.0 + PERIOD_S)])  # fmt: skip
+def test_the_taut_time_does_not_change_between_slack_and_taut(
+    monitor: SyntheticMonitor, tension: float, taut: float
+) -> None:
+    monitor.tick(resting_tick(tension=tension, **JOINTS_READ), taut_s=1.0)
+    assert monitor.field_values("taut_s") == [taut, taut]
+
+
+def test_joint_and_spool_are_not_compared_before_the_tendon_has_settled(
+    monitor: SyntheticMonitor,
+) -> None:
+    for since, settled in ((SETTLE_S, False), (np.nextafter(SETTLE_S, 1.0), True)):
+        now = resting_tick(**JOINTS_READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
+        monitor.tick(now, taut_s=[float(since), 1.0], slip_from=0.0)
+        begin, slipped = monitor.field_values("slip_from"), monitor.field_values("slip")
+        assert np.isnan(begin[0]) != settled
+        assert np.isnan(slipped[0]) != settled
+        assert slipped[1] == pytest.approx((-2.2 / SOFT_STIFFNESS - 1e-3) / 0.01 * DEG_PER_RAD)
+
+
+def stuck_names(
+    monitor: SyntheticMonitor, before: int, value: float, away: dict[str, list[float]]
+) -> dict[str, list[str]]:
+    """Return the names of the stuck sensors after one more equal reading.
+
+    ``away`` is the motion of the signals that are correlated with their readings.
+    """
+    zero = [0.0, 0.0]
+    found = monitor.tick(
+        resting_tick(tension=value, **JOINTS_READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
+        motor_value=0.0, cell_value=value, joint_value=0.0, followed=away.get("goal", zero),
+        motor_anchor=[zero, 20.0 - np.array(away.get("tension", zero))],
+        cell_anchor=20.0 - np.array(away.get("pushed", zero)),
+        joint_anchor=np.array(away.get("turned", zero)) - 20.0 / SOFT_STIFFNESS * np.array([50.0, 100.0]),
+    )  # fmt: skip
+    stands = found.get("N04", {})
+    return {
+        "motor": [name for name in stands if name[0] == "m"], "joint": [name for name in stands if name[0] == "j"],
+        "cell": list(found.get("T05", {})),
+    }  # fmt: skip
+
+
+def test_a_stuck_sensor_is_reported_above_its_limits_and_not_at_them(
+    monitor: SyntheticMonitor,
+) -> None:
+    long = int(STUCK_S / PERIOD_S)
+    assert not any(stuck_names(monitor, 9999, 20.0, {}).values())
+    at = {"goal": [STUCK_GOAL_M, 0.0], "tension": [0.0, STUCK_TENSION_N], "pushed": [CELL_FORCE_N, 9.0],
+          "turned": [STUCK_JOINT_DEG / DEG_PER_RAD * (1.0 - 1e-12), 0.1]}  # fmt: skip
+    assert stuck_names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
+    beyond = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
+    all_names = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
+    assert stuck_names(monitor, long, 20.0, beyond) == all_names
+    assert stuck_names(monitor, long - 1, 20.0, beyond) == all_names | {"motor": [], "joint": []}
+
+
+def test_a_load_cell_may_repeat_a_reading_for_one_tick_less_than_the_limit(
+    monitor: SyntheticMonitor,
+) -> None:
+    pushed = {"pushed": [9.0, 9.0]}
+    assert stuck_names(monitor, CELL_TICKS - 1, 20.0, pushed)["cell"] == ["a", "b"]
+    assert stuck_names(monitor, CELL_TICKS - 2, 20.0, pushed)["cell"] == []
+    assert stuck_names(monitor, CELL_TICKS - 1, TAUT_N, pushed)["cell"] == [], (
+        "a slack tendon's cell may rest"
+    )
+
+
+def test_a_repeating_load_cell_is_reported_in_the_same_tick() -> None:
+    monitor = make_monitor(SOFT_STIFFNESS)
+    monitor.set_rows({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
+    for k in range(CELL_TICKS + 2):
+        found = monitor.tick(resting_tick(force=20.0 if k == 0 else 60.0, tension=20.0))
+        assert ("T05" in found) == (monitor.field_values("cell_stuck")[0] >= CELL_TICKS), k
+    assert monitor.field_values("cell_stuck")[0] > CELL_TICKS
+
+
+def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
+    monitor: SyntheticMonitor,
+) -> None:
+    """Interpreted code is called with excursions whose angles are within four bits of the limit."""
+
+    def slip_and_count(apart: float) -> tuple[float, float]:
+        monitor.set_rows(resting_tick(**JOINTS_READ | {"tension": 0.0, "excursion": -apart}))
+        monitor.set_rows(
+            {
+                "taut_s": 9.0,
+                "slip_from": 0.0,
+                "derailed": 0.0,
+                "measured_tension": TAUT_N,
+                "measured_travel": TAUT_N / SOFT_STIFFNESS,
+            }
+        )
+        call_interpreted(slip.update_slip, monitor.state_tables, monitor.hand_tables, True)
+        return abs(monitor.field_values("slip")[0]), monitor.field_values("derailed")[0]
+
+    apart = DERAILED_DEG / DEG_PER_RAD * 0.02
+    around = [slip_and_count(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
+    assert min(angle for angle, _ in around) <= DERAILED_DEG < max(angle for angle, _ in around)
+    assert all(count == float(angle > DERAILED_DEG) for angle, count in around)

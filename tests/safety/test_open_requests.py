@@ -1,0 +1,135 @@
+"""Test the open requests to drives.
+
+An outstanding reply may be late, and a reply without a request is a duplicate.
+"""
+
+import pytest
+
+from handctl.core.detectors.answers import MAX_REQUESTS, add_requests, close_answered_requests
+from handctl.drives.contract import DrivePhase
+from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
+from tests.safety.synthetic_monitor import SyntheticMonitor, call_interpreted, synthetic_limits
+
+RequestTicks = tuple[tuple[int, ...], ...]
+
+
+class OpenRequests(SyntheticMonitor):
+    """Motors that still owe replies to requests of earlier ticks."""
+
+    def __init__(self, outstanding: RequestTicks) -> None:
+        super().__init__(synthetic_limits(len(outstanding)))
+        self.set_rows({
+            "open_questions": {n: len(ticks) for n, ticks in enumerate(outstanding)},
+            "question": {(i, n): k for n, ticks in enumerate(outstanding) for i, k in enumerate(ticks)},
+        })  # fmt: skip
+
+    @property
+    def outstanding(self) -> RequestTicks:
+        """Return the ticks of the open requests of each motor."""
+        numbers, ticks = (
+            self.view("open_questions"),
+            self.view("question").reshape(MAX_REQUESTS, -1),
+        )
+        return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
+
+    def send_requests(self, k: int, able: tuple[bool, ...] | None = None) -> None:
+        """Send one request to every motor. A motor that is not able may leave its request unanswered."""
+        if able:
+            self.set_rows(
+                {
+                    "phase_before": [
+                        int(DrivePhase.READY if one else DrivePhase.READY - 1) for one in able
+                    ]
+                }
+            )
+        call_interpreted(add_requests, self.state_tables, k)
+
+    def receive_replies(self, came: list[int]) -> list[int]:
+        """Receive ``came`` replies from each motor, and return the indices of motors that replied too often."""
+        self.set_rows({"answered": came})
+        some = call_interpreted(close_answered_requests, self.state_tables, self.hand_tables)
+        surplus = self.view("surplus")
+        assert some == bool(surplus.any())
+        return [n for n, count in enumerate(surplus.tolist()) if count]
+
+
+@pytest.mark.parametrize(("outstanding", "able", "after"), [
+    (((), ()), (True, True), ((7,), (7,))),
+    (((5, 6), ()), (True, True), ((5, 6, 7), (7,))),
+    (((5, 6), (3, 4, 5)), (False, True), ((7,), (3, 4, 5, 7))),    # a drive that may skip replies owes the last one
+    (((), ()), (False, False), ((7,), (7,))),
+    ((tuple(range(7)), tuple(range(-1, 7))), (True, True), ((*range(7), 7), tuple(range(8)))),
+    (((7 - LOSS_WINDOW_TICKS, 6), (8 - LOSS_WINDOW_TICKS, 6)), (True, True),
+        ((6, 7), (8 - LOSS_WINDOW_TICKS, 6, 7))),    # the oldest request expires
+    (((-LOSS_WINDOW_TICKS, 7 - LOSS_WINDOW_TICKS), (-LOSS_WINDOW_TICKS,)), (True, True),
+        ((7 - LOSS_WINDOW_TICKS, 7), (-LOSS_WINDOW_TICKS, 7))),    # not the last request
+])  # fmt: skip
+def test_a_request_increases_the_number_of_outstanding_replies(outstanding, able, after):
+    questions = OpenRequests(outstanding)
+    questions.send_requests(7, able)
+    assert questions.outstanding == after
+
+
+def test_outstanding_requests_are_limited() -> None:
+    questions = OpenRequests(((),))
+    for k in range(3 * MAX_REQUESTS):
+        questions.send_requests(k)
+        assert len(questions.outstanding[0]) == min(k + 1, MAX_REQUESTS)
+    assert questions.outstanding[0] == tuple(range(2 * MAX_REQUESTS, 3 * MAX_REQUESTS))
+
+
+@pytest.mark.parametrize(("outstanding", "came", "after", "too_many"), [
+    (((1,), (1,)), [1, 1], ((), ()), []),
+    (((1,), (1,)), [1, 0], ((), (1,)), []),
+    (((1, 2), (2,)), [2, 1], ((), ()), []),                   # a late and a new reply arrive in one tick
+    (((1,), (1,)), [2, 1], ((), ()), [0]),
+    (((), (1,)), [1, 3], ((), ()), [0, 1]),
+    (((1, 2, 3), ()), [1, 0], ((1, 2), ()), []),              # requests with lost replies stay open
+    (((), ()), [0, 0], ((), ()), []),
+    (((1,), (1, 2)), [1, 1], ((), (1,)), []),
+    (((1,), ()), [1, 1], ((), ()), [1]),
+    (((1, 2), (1, 2)), [1, 2], ((1,), ()), []),
+])  # fmt: skip
+def test_replies_match_requests_and_the_rest_is_excess(outstanding, came, after, too_many):
+    questions = OpenRequests(outstanding)
+    assert questions.receive_replies(came) == too_many
+    assert questions.outstanding == after
+    expected = [1 + len(ticks) if n in too_many else 0 for n, ticks in enumerate(outstanding)]
+    assert questions.field_values("surplus") == expected
+
+
+@pytest.mark.parametrize("ticks", [2, 3, MAX_REQUESTS - 1])
+def test_a_series_of_late_replies_is_no_duplicate_whenever_it_begins(ticks: int) -> None:
+    """After some ticks without a reply, all missing replies may arrive at once. One reply more is a duplicate."""
+    questions = OpenRequests(((),))
+    for start in range(2 * LOSS_WINDOW_TICKS):
+        questions.set_rows({"open_questions": 0})
+        for k in range(start, start + ticks + 1):
+            questions.send_requests(k)
+            extra = questions.receive_replies([0] if k < start + ticks else [ticks + 1])
+            assert extra == [], f"from tick {start} on"
+        assert questions.outstanding == ((),)
+        questions.send_requests(k + 1)
+        assert questions.receive_replies([2]) == [0]
+
+
+def test_lost_replies_do_not_hide_duplicates_for_long() -> None:
+    questions = OpenRequests(((),))
+    for k in range(LOSS_WINDOW_TICKS + 3):
+        questions.send_requests(k)
+        assert questions.receive_replies([0] if k < 3 else [1]) == []
+    assert questions.outstanding == ((2,),), "the last one stays open: all may come a tick late"
+    questions.send_requests(k + 1)
+    assert questions.receive_replies([3]) == [0]
+
+
+def test_node_with_cyclic_messages_has_no_outstanding_requests() -> None:
+    questions = OpenRequests(((), ()))
+    questions.set_constants(answers_once=[0, 1])
+    assert questions.receive_replies([3, 2]) == [1]
+
+
+def test_a_second_frame_of_a_load_cell_is_in_excess() -> None:
+    questions = OpenRequests(((),))
+    questions.set_rows({"answered": 0, "group_answered": {0: 2}})
+    assert call_interpreted(close_answered_requests, questions.state_tables, questions.hand_tables)

@@ -1,0 +1,166 @@
+"""Test several faults at once.
+
+The most severe action wins, latched faults stay, and further faults never weaken the action.
+"""
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.core.types import Mode
+from handctl.safety.action import Action
+from handctl.safety.faults.table import FAULT_TABLE
+from handctl.safety.judge import LatchedFault
+from tests.safety.fault_cases import (
+    CASE_BY_FAULT,
+    INPUT_AT_REST,
+    TickInput,
+    event_report,
+    late_motors,
+    measured_tensions,
+    merge_inputs,
+    reset_for_input,
+    rested_monitor,
+    state_rows,
+)
+from tests.safety.synthetic_monitor import SyntheticMonitor
+from tests.safety.test_fault_table import check_ticks
+
+FAULTS_WHILE_ARMED = [
+    id_
+    for id_ in CASE_BY_FAULT
+    if CASE_BY_FAULT[id_].input_with_fault.rows.get("mode", {...: Mode.ACTIVE})[...] in (4, 5)
+]
+FAULT_PAIRS = list(pairwise([*FAULTS_WHILE_ARMED, FAULTS_WHILE_ARMED[0]])) + [
+    (a, b) for a in ("B02", "T03", "N09b") for b in FAULTS_WHILE_ARMED if a != b
+]
+
+
+def judge_input(monitor: SyntheticMonitor, tick_input: TickInput):
+    return monitor.judge(reset_for_input(monitor, tick_input), tick_input.reports)
+
+
+def test_every_fault_of_the_active_mode_is_paired() -> None:
+    assert set(CASE_BY_FAULT) - set(FAULTS_WHILE_ARMED) == {"B18", "N16"}
+
+
+@pytest.mark.parametrize(("first", "second"), FAULT_PAIRS)
+def test_of_two_simultaneous_faults_the_more_severe_action_wins_and_both_are_reported(
+    first: str, second: str
+) -> None:
+    a, b = CASE_BY_FAULT[first], CASE_BY_FAULT[second]
+    both = merge_inputs(a.input_with_fault, b.input_with_fault)
+    monitor, verdicts = check_ticks(*[both] * max(a.debounce, b.debounce))
+    assert verdicts[-1].action >= max(a.action, b.action)
+    reported = {(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings}
+    assert {(first, a.instance), (second, b.instance)} <= reported
+    for id_, case in ((first, a), (second, b)):
+        assert (LatchedFault(id_, case.instance) in monitor.latched) == case.latched
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [*FAULT_PAIRS, ("B02", "N16"), ("N16", "B02"), ("B18", "T03"), ("N16", "T09")],
+)
+def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str) -> None:
+    """The first fault ends before the second begins. The first stays latched, and the second is still reported."""
+    a, b = CASE_BY_FAULT[first], CASE_BY_FAULT[second]
+    monitor, first_verdicts = check_ticks(*[a.input_with_fault] * a.debounce, INPUT_AT_REST)
+    _, verdicts = check_ticks(*[b.input_with_fault] * b.debounce, monitor=monitor)
+    expected = max(b.action, a.action if a.latched else Action.PASS)
+    assert verdicts[-1].action >= expected
+    reported = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
+    assert second in reported
+    _, (after,) = check_ticks(INPUT_AT_REST, monitor=monitor)
+    left = [case.action for case in (a, b) if case.latched]
+    assert after.action >= max(left, default=Action.PASS)
+    monitor.clear_latched()
+    _, (calm,) = check_ticks(INPUT_AT_REST, monitor=monitor)
+    assert calm.action == Action.PASS
+    assert monitor.latched == ()
+
+
+def test_the_same_fault_of_two_instances_is_two_faults() -> None:
+    monitor, (one,) = check_ticks(late_motors(m0=6))
+    _, (two,) = check_ticks(late_motors(m1=6), monitor=monitor)
+    assert [f.instance for f in one.findings if f.fault.id == "B02"] == ["m0"]
+    assert [f.instance for f in two.findings if f.fault.id == "B02"] == ["m1"]
+    assert [mark.instance for mark in monitor.latched if mark.id == "B02"] == ["m0", "m1"]
+
+
+def test_instances_do_not_share_their_debounce_counts() -> None:
+    left, right = measured_tensions(t0=244.0), measured_tensions(t1=244.0)
+    _, verdicts = check_ticks(left, right, left, right, left, right)
+    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+
+
+def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
+    twice = TickInput(
+        reports=(
+            *event_report("enobufs", "can0", 1).reports,
+            *event_report("enobufs", "can0", 2).reports,
+        )
+    )
+    _, verdicts = check_ticks(twice)
+    assert verdicts[0].action == Action.PASS
+    _, verdicts = check_ticks(twice, twice)
+    assert verdicts[-1].action == Action.RELAX
+    assert len(verdicts[-1].findings) == 1
+
+
+INPUTS_WITH_MANY_FRAMES = {id_: state_rows(frames=6 * 64 + 1) for id_ in ("B11a", "B11b")}
+"""Inputs with too many frames. There are too many even if another fault of the test is shown by missed ticks."""
+INPUT_BY_FAULT = {
+    id_: INPUTS_WITH_MANY_FRAMES.get(id_, CASE_BY_FAULT[id_].input_with_fault)
+    for id_ in FAULTS_WHILE_ARMED
+}
+fault_ids = st.lists(st.sampled_from(FAULTS_WHILE_ARMED), max_size=4)
+inputs_with_faults = fault_ids.map(lambda ids: merge_inputs(*(INPUT_BY_FAULT[i] for i in ids)))
+course_of_faults = st.lists(st.tuples(inputs_with_faults, fault_ids, st.booleans()), max_size=30)
+
+
+@given(course_of_faults)
+def test_additional_faults_never_weaken_the_action(
+    ticks: list[tuple[TickInput, list[str], bool]],
+) -> None:
+    """Of two runs with the same clear requests, one has additional faults in some ticks.
+
+    Its action is never weaker.
+    """
+    less, more = rested_monitor(), rested_monitor()
+    for tick_input, extra, cleared in ticks:
+        if cleared:
+            less.clear_latched()
+            more.clear_latched()
+        mild = judge_input(less, tick_input)
+        wild = judge_input(more, merge_inputs(tick_input, *(INPUT_BY_FAULT[i] for i in extra)))
+        assert wild.action >= mild.action
+        assert set(less.latched) <= set(more.latched)
+
+
+@given(course_of_faults)
+def test_latches_only_grow_between_clearings(
+    ticks: list[tuple[TickInput, list[str], bool]],
+) -> None:
+    monitor, reported = rested_monitor(), list[tuple[str, str]]()
+    for tick_input, _, cleared in ticks:
+        before = () if cleared else monitor.latched
+        if cleared:
+            monitor.clear_latched()
+        verdict = judge_input(monitor, tick_input)
+        assert monitor.latched[: len(before)] == before, "in the order in which they came"
+        assert len(set(monitor.latched)) == len(monitor.latched)
+        actions = {fault.id: fault.action for fault in FAULT_TABLE}
+        assert verdict.action >= max(
+            (actions[mark.id] for mark in monitor.latched), default=Action.PASS
+        )
+        reported += [(f.fault.id, f.instance) for f in verdict.findings]
+        assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(reported), (
+            "nothing latches in silence"
+        )
+
+
+def test_actions_are_ordered() -> None:
+    assert Action.PASS < Action.WARN < Action.HOLD < Action.RELAX < Action.CUT

@@ -1,0 +1,203 @@
+"""Test tendons that are taut, slack, snapped, or still pulled after a cut.
+
+Each rule is tested just below and above its limit.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.core.detectors.residuals import TENSION
+from handctl.core.types import Mode
+from handctl.safety.faults.node import STILL_PULLING_N
+from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
+from tests.safety.synthetic_monitor import PERIOD_S, SyntheticMonitor, synthetic_limits
+
+NAN = math.nan
+TensionList = list[float]
+
+
+class FilteredTendons(SyntheticMonitor):
+    """Tendons whose filtered tensions are set by a test."""
+
+    def __init__(self, count: int, **rows: Any) -> None:
+        super().__init__(synthetic_limits(count), residual_fraction=0.0)
+        self.set_rows(rows)
+
+    def run_tick(
+        self, tension: TensionList, wanted: TensionList, **rows: Any
+    ) -> list[tuple[int, int]]:
+        """Run a tick with tensions and commands.
+
+        Return for each tendon the ticks since it was taut, and its ticks of slack.
+        """
+        self.reported = self.tick(residual={TENSION: tension}, wanted=wanted, **rows)
+        return list(
+            zip(self.field_values("taut_ago"), self.field_values("slack_ticks"), strict=True)
+        )
+
+    def run_tick_after_cut(self, tension: TensionList, **rows: Any) -> dict[str, float]:
+        """Run a tick with load-cell readings after the torque was cut. Return the tendons that are still pulled."""
+        return self.tick(measured_tension=tension, mode=int(Mode.CUT), **rows).get("N16", {})
+
+
+@pytest.mark.parametrize(("cell", "goal", "before", "after"), [
+    # tension, commanded tension, (ticks since taut, ticks slack) before and after
+    (2.6, 20.0, (-1, 0), (0, 0)),     # taut for the first time
+    (2.6, 20.0, (7, 5), (0, 0)),      # taut again
+    (2.5, 20.0, (-1, 0), (-1, 0)),    # never taut yet, so it cannot go slack
+    (0.0, 20.0, (-1, 0), (-1, 0)),
+    (2.5, 20.0, (0, 0), (1, 0)),      # the tension is between slack and taut
+    (2.0, 20.0, (3, 4), (4, 0)),      # just not slack, so the count of slack restarts
+    (1.9, 20.0, (3, 4), (4, 5)),
+    (1.9, 2.5, (3, 4), (4, 0)),       # the commanded tension is so low that slack is allowed
+    (1.9, 2.6, (3, 4), (4, 5)),
+    (1.9, NAN, (3, 4), (-1, 0)),      # a limp tendon may be slack, and must become taut again
+    (30.0, NAN, (3, 4), (-1, 0)),
+    (NAN, 20.0, (3, 4), (4, 0)),      # without a sample a tendon is neither slack nor taut
+])  # fmt: skip
+def test_slack_detector_updates_its_counts_in_each_tick(cell, goal, before, after):
+    tendons = FilteredTendons(1, taut_ago=before[0], slack_ticks=before[1])
+    assert tendons.run_tick([cell], [goal]) == [after]
+
+
+def test_tendons_count_separately_and_begin_as_never_taut():
+    tendons = FilteredTendons(3)
+    assert tendons.run_tick([20.0, 0.0, 1.0], [24.0, 24.0, NAN]) == [(0, 0), (-1, 0), (-1, 0)]
+    assert tendons.run_tick([0.0, 20.0, 1.0], [24.0, 24.0, 24.0]) == [(1, 1), (0, 0), (-1, 0)]
+
+
+def test_slack_is_reported_by_name_and_in_seconds():
+    tendons = FilteredTendons(3, taut_ago=[0, 8, 1], slack_ticks=[0, 25, 24])
+    tendons.run_tick([20.0, 0.0, 0.0], [20.0] * 3)
+    assert tendons.reported["T02a"] == {"t1": 26 * PERIOD_S}
+    tendons = FilteredTendons(2, taut_ago=9, slack_ticks=[249, 250])
+    tendons.run_tick([0.0] * 2, [20.0] * 2)
+    assert tendons.reported["T02a"] == {"t0": 250 * PERIOD_S, "t1": 251 * PERIOD_S}
+    assert tendons.reported["T02b"] == {"t1": 251 * PERIOD_S}
+    tendons = FilteredTendons(1)
+    tendons.run_tick([0.0], [20.0])
+    assert "T02a" not in tendons.reported
+
+
+@pytest.mark.parametrize(("ago", "cell", "goal", "speed", "found"), [
+    (0, 0.0, 24.0, 0.05, True),
+    (49, 0.0, 24.0, 0.05, True),
+    (50, 0.0, 24.0, 0.05, False),     # last taut 100 ms ago
+    (-1, 0.0, 24.0, 0.05, False),     # the tendon has never been taut
+    (0, 4.7, 24.0, 0.05, True),
+    (0, 4.81, 24.0, 0.05, False),     # more than a fifth of the tension is left
+    (0, 4.0, 20.0, 0.05, False),      # exactly a fifth of the tension is left
+    (0, 0.0, 8.0, 0.05, False),       # the commanded tension was too low to decide
+    (0, 0.0, 8.1, 0.05, True),
+    (0, 0.0, 24.0, 0.03, False),      # the spool is too slow
+    (0, 0.0, 24.0, 0.031, True),
+    (0, 0.0, 24.0, -0.05, False),     # the spool pays out
+    (0, NAN, 24.0, 0.05, False),
+    (0, 0.0, NAN, 0.05, False),
+    (0, 0.0, 24.0, NAN, False),
+])  # fmt: skip
+def test_a_snapped_tendon_is_detected(ago, cell, goal, speed, found):
+    """The tested tendon lies between slack and taut, so its ticks since it was taut go on.
+
+    The other tendon is taut.
+    """
+    tendons = FilteredTendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
+    taut = 20.0 if ago == 0 else 2.2
+    tendons.run_tick([20.0, taut], [24.0, goal], measured_tension=[20.0, cell], speed=[0.05, speed])
+    assert tendons.field_values("taut_ago")[1] == (ago if goal == goal else -1)
+    assert tendons.reported.get("T01", {}) == ({"t1": speed} if found else {})
+
+
+def test_no_tendon_snaps_before_tension_is_commanded():
+    tendons = FilteredTendons(1)
+    tendons.run_tick([0.0], [24.0], measured_tension=0.0, speed=0.05)
+    assert "T01" not in tendons.reported
+
+
+def test_tension_at_the_cut_is_stored_and_ticks_are_counted():
+    tendons = FilteredTendons(2, taut_ago=0, slack_ticks=[0, 3], cell_value=[31.0, 21.0])
+    tendons.run_tick_after_cut([30.0, 20.0])
+    assert (tendons.field_values("cut_ticks"), tendons.field_values("cut_from")) == (
+        [0],
+        [30.0, 20.0],
+    )
+    tendons.run_tick_after_cut([10.0, NAN])
+    assert (tendons.field_values("cut_ticks"), tendons.field_values("cut_from")) == (
+        [1],
+        [30.0, 20.0],
+    )
+    tendons.run_tick_after_cut([10.0, 10.0])
+    assert tendons.field_values("cut_ticks") == [2]
+
+
+def test_a_missing_sample_at_the_cut_is_replaced_by_the_previous_one():
+    tendons = FilteredTendons(2, cell_value=[31.0, NAN])
+    tendons.run_tick_after_cut([NAN, 20.0])
+    assert tendons.field_values("cut_from") == [31.0, 20.0]
+    tendons.run_tick_after_cut([10.0, 10.0])
+    assert tendons.field_values("cut_from") == [31.0, 20.0]
+
+
+def test_a_tendon_without_a_sample_before_the_cut_counts_from_its_first_reading():
+    tendons = FilteredTendons(2)
+    tendons.run_tick_after_cut([NAN, 20.0])
+    assert math.isnan(tendons.field_values("cut_from")[0])
+    tendons.run_tick_after_cut([NAN, NAN], cell_value=40.0)
+    assert math.isnan(tendons.field_values("cut_from")[0]), (
+        "what there was before the cut is asked for once"
+    )
+    tendons.run_tick_after_cut([25.0, 5.0])
+    assert tendons.field_values("cut_from") == [25.0, 20.0]
+    tendons.run_tick_after_cut([24.0, 5.0])
+    assert tendons.field_values("cut_from") == [25.0, 20.0]
+
+
+@pytest.mark.parametrize(("ticks", "before", "now", "found"), [
+    (49, 30.0, 30.0, False),          # the time limit has not passed
+    (50, 30.0, 30.0, True),
+    (51, 30.0, 30.0, True),
+    (50, 30.0, 15.1, True),
+    (50, 30.0, 14.9, False),          # the tension fell below half
+    (50, 24.0, 12.0, False),          # the tension fell to exactly half
+    (50, 10.0, 10.0, False),          # no more than the tension by springs and weight
+    (50, 10.1, 10.1, True),
+    (50, 5.0, 40.0, True),            # the tension has grown
+    (50, 30.0, NAN, False),
+    (50, NAN, 30.0, False),           # the tendon had no reading before this tick
+])  # fmt: skip
+def test_a_tendon_still_pulled_by_its_motor_is_detected(ticks, before, now, found):
+    """A tendon without an earlier reading takes its first reading as its reference.
+
+    This reading is not below the reference.
+    """
+    tendons = FilteredTendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
+    reported = tendons.run_tick_after_cut([0.0, now])
+    if math.isnan(before):
+        assert tendons.field_values("cut_from") == [0.0, 30.0]
+        assert reported == {"t1": now}, (
+            "a reading of 100 ms after the cut is one of a tendon that is pulled"
+        )
+    else:
+        assert reported == ({"t1": now} if found else {})
+
+
+def test_the_last_tension_counts_if_the_latest_sample_is_missing():
+    """The check uses readings from 80 ms after the cut on.
+
+    Earlier readings do not show whether the motor let the tendon go.
+    """
+    tendons = FilteredTendons(2)
+    for k in range(50):
+        tendons.run_tick_after_cut([30.0 if k < 40 else NAN, 30.0 if k < 41 else NAN])
+        np.testing.assert_array_equal(
+            tendons.field_values("cut_bears"), [NAN, NAN if k < 40 else 30.0]
+        )
+    assert tendons.run_tick_after_cut([NAN, NAN]) == {"t1": 30.0}
+    assert tendons.run_tick_after_cut([NAN, 9.0]) == {}
+
+
+def test_thresholds_leave_room_between_slack_and_taut():
+    assert SLACK_N < TAUT_N < SNAP_N < STILL_PULLING_N

@@ -1,0 +1,257 @@
+"""Test the tension residual: the measured tension minus the part that torque, inertia and friction explain.
+
+The expected values were computed by hand.
+"""
+
+from collections.abc import Callable
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.core.detectors import residuals
+from handctl.core.detectors.residuals import (
+    BALANCE,
+    COMMAND_DIFFERENCE,
+    EXCESS_FRICTION,
+    FULL_FRICTION_SPEED,
+    TENSION,
+    TIME_CONSTANTS_S,
+)
+from handctl.core.types import Mode
+from handctl.safety.faults.node import NOT_OBEYED_N
+from handctl.safety.faults.tendon import FRICTION_WARN_N, RESIDUAL_WARN_N
+from tests.safety.synthetic_monitor import (
+    NOW_NS,
+    PERIOD_NS,
+    PERIOD_S,
+    SyntheticMonitor,
+    call_interpreted,
+    synthetic_limits,
+)
+
+MOTOR_MASS, MOTOR_DAMPING, COULOMB_FRICTION_N = 5.2, 40.0, 3.0
+NOISE_RNG = np.random.default_rng(1)
+TimeFunction = Callable[[float], float]
+
+
+class MotorWithTendon(SyntheticMonitor):
+    """One motor and its tendon, with residuals that start at zero."""
+
+    def __init__(self, **rows: Any) -> None:
+        super().__init__(
+            synthetic_limits(1),
+            motor_mass=MOTOR_MASS,
+            motor_damping=MOTOR_DAMPING,
+            coulomb=COULOMB_FRICTION_N,
+        )
+        self.set_rows({"residual": 0.0, **rows})
+
+    def run_tick(
+        self, tension: float, force: float, speed: float = 0.0, asked: float | None = None
+    ) -> None:
+        """Run one tick with a measured tension, a reported motor force, a speed, and a commanded force."""
+        commanded = force if asked is None else asked
+        self.tick(speed=speed, measured_tension=tension, measured_force=force, asked=commanded)
+
+    def filtered_residual(self, row: int) -> float:
+        """Return one kind of filtered residual by its row."""
+        return float(self.view("residual")[row, 0])
+
+    @property
+    def unexplained_tension(self) -> float:
+        """Return the part of the tension that motor, inertia, friction and tolerances do not explain [N]."""
+        return float(
+            call_interpreted(residuals.unexplained_tension, self.state_tables, self.hand_tables, 0)
+        )
+
+    @property
+    def excess_friction(self) -> float:
+        """Return the friction of the motor in excess of the modelled friction [N]."""
+        return float(call_interpreted(residuals.excess_friction, self.state_tables, 0))
+
+
+def residuals_after(
+    seconds: float, tension: TimeFunction, force: TimeFunction, speed: TimeFunction = lambda t: 0.0,
+    asked: TimeFunction | None = None,
+    noise: float = 0.5,
+) -> MotorWithTendon:  # fmt: skip
+    """Return a motor and its tendon after ``seconds``. Tension, force and speed are functions of time."""
+    rotor = MotorWithTendon()
+    for k in range(round(seconds / PERIOD_S)):
+        t = k * PERIOD_S
+        cell = tension(t) + noise * NOISE_RNG.standard_normal()
+        rotor.run_tick(cell, force(t), speed(t), None if asked is None else asked(t))
+    return rotor
+
+
+@pytest.mark.parametrize("held", [0.0, 20.0, 100.0])
+def test_a_tendon_at_rest_leaves_no_residual(held):
+    state = residuals_after(2.0, lambda t: held, lambda t: held)
+    assert state.unexplained_tension == 0.0
+
+
+def test_inertia_friction_and_damping_are_explained():
+    """The tendon speed oscillates by 10 mm/s at 2 Hz. The friction is that of the hand file."""
+    w, a = 2 * np.pi * 2.0, 0.01
+
+    def speed(t):
+        return a * np.sin(w * t)
+
+    def force(t):
+        return 20.0 + 5.2 * a * w * np.cos(w * t) + 40.0 * speed(t) + 3.0 * np.tanh(speed(t) / 1e-3)
+
+    state = residuals_after(3.0, lambda t: 20.0, force, speed)
+    assert state.unexplained_tension == 0.0
+    assert state.excess_friction < 1.0
+
+
+def test_acceleration_torque_is_no_residual():
+    """A rotor accelerates at 10 m/s2 for 0.1 s, which takes 52 N of the motor force. This force is no residual."""
+
+    def force(t):
+        speed = 10.0 * t
+        return 20.0 + 5.2 * 10.0 + 40.0 * speed + 3.0 * np.tanh(speed * 1e3)
+
+    state = residuals_after(0.1, lambda t: 20.0, force, speed=lambda t: 10.0 * t, noise=0.0)
+    assert abs(state.filtered_residual(BALANCE)) < 0.2
+    still = residuals_after(0.1, lambda t: 20.0, force, noise=0.0)
+    assert still.filtered_residual(BALANCE) > 10.0, "it would be, if the rotor stood"
+
+
+@pytest.mark.parametrize("drift", [-20.0, 20.0])
+def test_a_load_cell_that_is_wrong_is_seen_within_a_second(drift):
+    state = residuals_after(1.0, lambda t: 24.0 + drift, lambda t: 24.0)
+    assert state.unexplained_tension > 10.0
+
+
+def test_a_torque_constant_within_its_tolerance_is_no_fault():
+    state = residuals_after(2.0, lambda t: 100.0, lambda t: 109.0)
+    assert state.unexplained_tension == 0.0
+
+
+def test_friction_that_has_grown_is_seen_in_motion_only():
+    """The friction is 8 N above that of the hand file.
+
+    It shows as fault T09 when the motor moves to and fro for 15 s.
+    """
+    w, a = 2 * np.pi, 0.02
+
+    def speed(t):
+        return a * np.sin(w * t)
+
+    def force(t):
+        return (
+            20.0 + 5.2 * a * w * np.cos(w * t) + 40.0 * speed(t) + 11.0 * np.tanh(speed(t) / 1e-3)
+        )
+
+    moving = residuals_after(15.0, lambda t: 20.0, force, speed)
+    assert moving.excess_friction > 3.0
+    resting = residuals_after(15.0, lambda t: 20.0, lambda t: 28.0)
+    assert resting.excess_friction == 0.0
+
+
+def test_missing_torque_is_detected():
+    """A missing motor force of 39 N exceeds the limit of a fault within 20 ticks.
+
+    A missing force of 14.9 N stays below it.
+    """
+    state = residuals_after(20 * PERIOD_S, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 39.0)
+    assert state.filtered_residual(COMMAND_DIFFERENCE) > NOT_OBEYED_N
+    state = residuals_after(0.5, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 14.9)
+    assert state.filtered_residual(COMMAND_DIFFERENCE) < NOT_OBEYED_N
+
+
+def test_noise_causes_no_fault_in_ten_thousand_hours():
+    """The filtered noise of a hand at rest stays below all warning limits, even with load cells of triple noise."""
+    left = np.array(
+        [
+            residuals_after(1.0, lambda t: 24.0, lambda t: 24.0, noise=1.5).filtered_residual(
+                BALANCE
+            )
+            for _ in range(40)
+        ]
+    )
+    chance = 1.0 / (10_000.0 * 3600.0 / PERIOD_S)
+    rare = NormalDist(sigma=float(left.std())).inv_cdf(1.0 - chance / 2.0)
+    assert 0.5 < rare < 1.5, "the noise was felt"
+    assert rare < min(RESIDUAL_WARN_N, FRICTION_WARN_N, NOT_OBEYED_N)
+
+
+def test_losses_of_every_second_reply_are_counted():
+    monitor = SyntheticMonitor(synthetic_limits(2))
+    for k in range(120):
+        found = monitor.tick(feedback_ns=[NOW_NS - PERIOD_NS * (k % 2 == 0), NOW_NS])
+    assert found["B03a"] == {"m0": 50.0}
+    assert found["N15"] == {"m0": 0.5}
+    for _ in range(100):
+        found = monitor.tick(feedback_ns=NOW_NS)
+    assert not monitor.view("lost").any(), "as if nothing had been"
+    assert found == {}
+
+
+def test_unknown_frames_are_forgotten_after_a_second():
+    monitor = SyntheticMonitor(synthetic_limits(1))
+    assert monitor.tick(strange=100)["B10"] == {"bus": 100.0}
+    for _ in range(1, 501):
+        monitor.tick(strange=0)
+    assert monitor.view("unknown").item() == pytest.approx(100.0 / np.e, rel=0.01)
+
+
+def test_a_tendon_that_was_never_taut_is_not_slack():
+    monitor = SyntheticMonitor(synthetic_limits(2), residual_fraction=0.0)
+
+    def slack_faults(tension, wanted):
+        return monitor.tick(residual={TENSION: tension}, wanted=wanted).get("T02a", {})
+
+    for _ in range(100):
+        assert slack_faults([0.0, 5.0], [5.0, 5.0]) == {}
+    for _ in range(30):
+        found = slack_faults([0.0, 0.0], [5.0, 5.0])
+    assert found == {"t1": 30 * PERIOD_S}
+    assert slack_faults([0.0, 0.0], [5.0, np.nan]) == {}, "a limp tendon may hang"
+
+
+def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
+    def snap_faults_after(ticks, cell=0.5, speed=0.05):
+        monitor = SyntheticMonitor(synthetic_limits(1), residual_fraction=0.0)
+        monitor.tick(wanted=24.0)
+        for _ in range(ticks):
+            found = monitor.tick(
+                residual={TENSION: 0.0}, wanted=24.0, measured_tension=cell, speed=speed
+            )
+        return found.get("T01", {})
+
+    assert snap_faults_after(1) == {"t0": 0.05}
+    assert snap_faults_after(1, speed=0.01) == {}, "its spool does not run"
+    assert snap_faults_after(1, cell=12.0) == {}, "it bears something"
+    assert snap_faults_after(61) == {}, "taking up a tendon that has long been slack"
+
+
+def test_a_tendon_still_pulled_after_the_cut_is_detected():
+    monitor = SyntheticMonitor(synthetic_limits(2))
+    monitor.tick(measured_tension=30.0)
+    assert "N16" not in monitor.tick(mode=int(Mode.CUT), measured_tension=[30.0, 30.0])
+    for _ in range(49):
+        assert "N16" not in monitor.tick(measured_tension=[29.0, 8.0])
+    assert monitor.tick(measured_tension=[29.0, 8.0])["N16"] == {"t0": 29.0}
+
+
+@pytest.mark.parametrize("speed", [-2e-3, 5e-4, 1e-3, 0.02])
+def test_the_residual_filter_takes_the_exact_share_per_tick(speed):
+    rotor = MotorWithTendon(last_speed=speed)
+    rotor.run_tick(20.0, 30.0, speed)
+    balance = 30.0 - 20.0 - MOTOR_DAMPING * speed - COULOMB_FRICTION_N * np.tanh(speed / 1e-3)
+    share = -np.expm1(-PERIOD_S / TIME_CONSTANTS_S[BALANCE])
+    assert rotor.filtered_residual(BALANCE) == pytest.approx(share * balance, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("speed", "counts"),
+    [(FULL_FRICTION_SPEED, False), (np.nextafter(FULL_FRICTION_SPEED, 1.0), True)],
+)
+def test_friction_is_judged_above_the_speed_of_full_friction(speed, counts):
+    rotor = MotorWithTendon(last_speed=speed)
+    rotor.run_tick(20.0, 30.0, speed)
+    assert bool(rotor.filtered_residual(EXCESS_FRICTION)) == counts

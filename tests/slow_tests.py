@@ -1,0 +1,139 @@
+"""Choose the slow tests by their measured processor time.
+
+`make test` leaves out the slow tests. CI or the nightly run performs them.
+
+    make test SLOW_S=inf PYTEST_FLAGS=--durations-file=times.jsonl      # writes the time of each test
+    python -m tests.slow_tests times.jsonl                                    # writes tests/slow_tests.txt
+
+    make unit HANDCTL_SLOW_S=0 PYTEST_FLAGS=--durations-file=times.jsonl    # only the tests of `make test`
+    python -m tests.slow_tests times.jsonl --add                              # adds those that have become slow
+
+A run leaves out the listed tests whose cost is above ``HANDCTL_SLOW_S``. `make test` sets 0, and CI
+sets 3, with a higher value for tests on the real clock. `make nightly` and plain pytest run all
+listed tests. The cost of a test is its processor time, for a test on the real clock its elapsed
+time. In a sample, each test function keeps its first cases up to a total cost of ``FUNCTION_BUDGET_S`` or
+``REAL_CLOCK_BUDGET_S``. Each file keeps at least its cheapest test if that costs no more than ``FILE_LIMIT_S``. A
+sample therefore still enters nearly every file.
+"""
+
+import json
+import re
+import resource
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+SLOW_TESTS_FILE = Path(__file__).parent / "slow_tests.txt"
+FUNCTION_BUDGET_S = 0.5
+"""Processor time that the cases of one test function may take in `make test` [s]."""
+REAL_CLOCK_BUDGET_S = 3.0
+"""Elapsed time that the cases of one test function on the real clock may take in `make test` [s]."""
+CHEAP_CASE_S = 0.05
+"""Cost up to which a case never counts as slow [s]."""
+FILE_LIMIT_S = 15.0
+"""Limit of the cost of a file's cheapest test [s]. Above it, a sample leaves out the whole file."""
+
+
+def tests_slower_than(limit_s: float) -> frozenset[str]:
+    """Return the node identifiers of the listed tests that cost more than a limit [s]."""
+    return frozenset(test for test, cost_s in listed_costs().items() if cost_s > limit_s)
+
+
+def listed_costs() -> dict[str, float]:
+    """Return the cost of each listed test [s], by its node identifier."""
+    lines = SLOW_TESTS_FILE.read_text(encoding="utf-8").splitlines()
+    rows = [line.partition(" ") for line in lines if not line.startswith("#")]
+    return {test: float(cost_s) for cost_s, _, test in rows}
+
+
+def processor_time() -> float:
+    """Return the processor time of this process and of its children that have ended [s]."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+class DurationRecorder:
+    """Plugin that appends the processor time and the elapsed time of each test to a file.
+
+    Attributes:
+        path: a line of JSON per test: node identifier, processor time [s], elapsed time [s], and True for
+            a test on the real clock.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Append to a file that the processes of xdist share."""
+        self.path = path
+        self._elapsed_s: defaultdict[str, float] = defaultdict(float)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Add the elapsed time of a part of a test. A test in a virtual machine has the time that it took there."""
+        self._elapsed_s[report.nodeid] += report.duration
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        """Measure the times of one test with its fixtures, and write them."""
+        processor = processor_time()
+        result = yield
+        times = (processor_time() - processor, self._elapsed_s.pop(item.nodeid, 0.0))
+        clock = (
+            item.get_closest_marker("realtime") is not None
+            or item.get_closest_marker("alone") is not None
+        )
+        row = [item.nodeid, *(round(one, 3) for one in times), clock]
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+        return result
+
+
+def choose_slow_tests(rows: list[tuple[str, float, float, bool]]) -> dict[str, float]:
+    """Choose the slow tests, and return the time of each [s].
+
+    Args:
+        rows: node identifier, processor time and elapsed time [s] of each test, and True for a test on the
+            real clock, in the order of the run.
+    """
+    files: dict[str, list[tuple[float, str]]] = {}
+    spent: dict[str, float] = {}
+    slow: dict[str, float] = {}
+    for test, processor, elapsed, clock in rows:
+        cost = elapsed if clock else processor
+        function = re.sub(r"\[.*", "", test, flags=re.DOTALL)
+        files.setdefault(test.partition("::")[0], []).append((cost, test))
+        spent[function] = spent.get(function, 0.0) + cost
+        if (
+            spent[function] > (REAL_CLOCK_BUDGET_S if clock else FUNCTION_BUDGET_S)
+            and cost > CHEAP_CASE_S
+        ):
+            slow[test] = cost
+    for tests in files.values():
+        cost, cheapest = min(tests)
+        if all(test in slow for _, test in tests) and cost <= FILE_LIMIT_S:
+            del slow[cheapest]
+    return slow
+
+
+def main(path: Path, add: bool) -> None:
+    """Write the list of slow tests from a file of durations.
+
+    Args:
+        path: file with the times of a run.
+        add: True to keep the tests that are listed, because the run was a sample and left them out.
+    """
+    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    slow = choose_slow_tests(rows) | (listed_costs() if add else {})
+    head = "# Written by `python -m tests.slow_tests`: seconds, test. `make test` leaves these to longer runs."
+    lines = [head, *(f"{slow[test]:.1f} {test}" for test in sorted(slow))]
+    SLOW_TESTS_FILE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    sample_s = sum(
+        processor for test, processor, _, clock in rows if test not in slow and not clock
+    )
+    clock_s = sum(elapsed for test, _, elapsed, clock in rows if test not in slow and clock)
+    print(f"{len(slow)} of {len(rows)} tests are slow")
+    print(f"a sample takes {sample_s:.0f} s of a core, and {clock_s:.0f} s on the real clock")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), add="--add" in sys.argv[2:])

@@ -1,0 +1,77 @@
+"""Detect stalls of the machine. If a test on the real clock fails during a stall, this does not show a defect.
+
+A host sometimes pauses a virtual machine for tens of milliseconds. In such a stall, a controller
+correctly ends its run. A sleeping process on each core detects the stall from outside the tested
+processes.
+"""
+
+import contextlib
+import os
+import subprocess
+import sys
+import time
+
+SLEEP_PERIOD_S = 0.002
+"""Duration of one sleep of a sleeping process [s]."""
+MIN_STALL_S = 0.010
+"""Smallest lateness of a sleeper that counts as a stall [s].
+
+Even a busy core wakes a sleeper within some milliseconds.
+"""
+
+
+class StallMeter:
+    """Processes that sleep and report when they wake up late. They run until :meth:`close`.
+
+    Attributes:
+        pids: processes of the sleepers, one per core.
+    """
+
+    def __init__(self) -> None:
+        """Start the sleeping processes and wait until each has started."""
+        command = [sys.executable, "-I", "-S", __file__]
+        self._sleepers = [
+            subprocess.Popen([*command, str(core)], stdout=subprocess.PIPE)
+            for core in os.sched_getaffinity(0)
+        ]
+        for sleeper in self._sleepers:
+            assert sleeper.stdout
+            sleeper.stdout.readline()
+            os.set_blocking(sleeper.stdout.fileno(), False)
+        self.pids = [sleeper.pid for sleeper in self._sleepers]
+        self._unread: list[tuple[float, float]] = []
+
+    def longest_since(self, begin: float) -> float:
+        """Return the longest stall that ended after a time of ``time.monotonic`` [s]. Zero if there was none."""
+        for sleeper in self._sleepers:
+            assert sleeper.stdout
+            for line in (sleeper.stdout.read() or b"").splitlines():
+                ended, late = map(float, line.split())
+                self._unread.append((ended, late))
+        self._unread = [(ended, late) for ended, late in self._unread if ended > begin]
+        return max((late for _, late in self._unread), default=0.0)
+
+    def close(self) -> None:
+        """End the sleeping processes."""
+        for sleeper in self._sleepers:
+            sleeper.kill()
+            sleeper.communicate()
+
+
+def _report_stalls(core: int) -> None:
+    """Sleep on one core until the parent process has ended. Report the end and the duration of each stall [s]."""
+    os.sched_setaffinity(0, {core})
+    parent = os.getppid()
+    last = time.monotonic()
+    print("ready", flush=True)
+    while os.getppid() == parent:
+        time.sleep(SLEEP_PERIOD_S)
+        now = time.monotonic()
+        if now - last - SLEEP_PERIOD_S > MIN_STALL_S:
+            print(now, now - last - SLEEP_PERIOD_S, flush=True)
+        last = now
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(BrokenPipeError, KeyboardInterrupt):
+        _report_stalls(int(sys.argv[1]))

@@ -1,0 +1,296 @@
+"""Run a command where the SocketCAN interfaces vcan0 and vcan1 exist: ``python tests/vcan/uml_guest.py -- COMMAND...``.
+
+If the kernel has vcan, the command runs in a network namespace. Otherwise it runs in a guest of
+user-mode Linux (Debian package user-mode-linux), which needs no special rights. All files of the
+guest are on the disk of the host, except those in /dev/shm.
+"""
+
+import argparse
+import contextlib
+import functools
+import itertools
+import os
+import select
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+TIMED_OUT_STATUS, NO_EXIT_STATUS, NO_VCAN_STATUS = 124, 125, 126
+"""Exit statuses of a run that took too long, that ended without a status, and that had no vcan."""
+PACKAGE_BY_PROGRAM = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod"}
+SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+KERNEL_MODULES = Path("/usr/lib/uml/modules")
+MEMORY_BYTES = 2 << 30
+_guest_numbers = itertools.count()
+MAKE_INTERFACES_SCRIPT = """\
+set -e
+for name in vcan0 vcan1; do
+    ip link add dev $name type vcan
+    ip link set $name mtu 72 # CAN FD; only possible while the interface is down
+    ip link set $name up
+done
+ip link set lo up
+"""
+
+
+def vcan_access() -> tuple[str, str]:
+    """Return how this machine gets vcan: "native", "uml", or "" with the reason why it has none."""
+    if shutil.which("unshare") is not None:
+        trial = subprocess.run(
+            [*_namespace_command(), "bash", "-c", MAKE_INTERFACES_SCRIPT],
+            capture_output=True,
+            check=False,
+            env=_environment(),
+        )
+        if trial.returncode == 0:
+            return "native", ""
+    for program, package in PACKAGE_BY_PROGRAM.items():
+        if shutil.which(program, path=_environment()["PATH"]) is None:
+            return (
+                "",
+                f"the kernel has no vcan, and {program} (Debian package {package}) is not installed",
+            )
+    if not _modules_folder().is_dir():
+        return "", f"linux.uml is there, but not its modules in {_modules_folder()}"
+    return "uml", ""
+
+
+def run_with_vcan(
+    command: Sequence[str],
+    extra_env: Mapping[str, str] | None = None,
+    timeout_s: float = 300.0,
+    report_line: Callable[[str], None] = print,
+) -> int:
+    """Run a command with the interfaces vcan0 and vcan1, in this folder and with this environment.
+
+    Args:
+        command: program and its arguments.
+        extra_env: environment variables in addition to those of this process.
+        timeout_s: time after which the whole guest is killed [s].
+        report_line: function that is called with each line of the command's output.
+
+    Returns: The exit status of the command. Without one: TIMED_OUT, NO_STATUS or NO_VCAN.
+    """
+    kind, reason = vcan_access()
+    if not kind:
+        report_line(f"no vcan: {reason}")
+        return NO_VCAN_STATUS
+    job = Path(tempfile.mkdtemp(prefix="handctl-vcan-"))
+    try:
+        environment = {**_environment(), "PYTHONDONTWRITEBYTECODE": "1", **(extra_env or {})}
+        if kind == "native":
+            (job / "run").write_text(_job_script(command, environment))
+            return _run_natively(job, timeout_s, report_line)
+        environment |= {"TMPDIR": "/dev/shm", "HANDCTL_RUN_DIR": "/dev/shm/handctl"}
+        (job / "run").write_text(_job_script(command, environment))
+        return _run_in_guest(job, timeout_s, report_line)
+    finally:
+        shutil.rmtree(job)
+
+
+def _job_script(command: Sequence[str], environment: Mapping[str, str]) -> str:
+    names = (
+        name for name in environment if name.isidentifier() and name not in {"PWD", "SHLVL", "_"}
+    )
+    exports = "".join(f"export {name}={shlex.quote(environment[name])}\n" for name in names)
+    return f"{MAKE_INTERFACES_SCRIPT}{exports}cd {shlex.quote(os.getcwd())}\nexec {shlex.join(command)}\n"
+
+
+def _environment() -> dict[str, str]:
+    """Return the environment of this process. Its PATH contains the system programs, even for an ordinary user."""
+    return {**os.environ, "PATH": f"{os.environ.get('PATH', '')}:{SYSTEM_PATH}"}
+
+
+def _namespace_command() -> list[str]:
+    return ["unshare", "--net"] if os.geteuid() == 0 else ["unshare", "--net", "--map-root-user"]
+
+
+@functools.cache
+def _modules_folder() -> Path:
+    version = subprocess.run(
+        ["linux.uml", "--version"], capture_output=True, text=True, check=True, env=_environment()
+    )
+    return KERNEL_MODULES / version.stdout.strip()
+
+
+def _run_natively(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
+    process = _start_process([*_namespace_command(), "bash", str(job / "run")], _environment())
+    try:
+        for line in _read_lines(process, time.monotonic() + timeout_s):
+            report_line(line)
+        status = process.wait(timeout=10)
+        return status if status >= 0 else 128 - status  # as a shell reports a signal
+    except TimeoutError:
+        return TIMED_OUT_STATUS
+    finally:
+        _kill_group(process)
+
+
+def _run_in_guest(job: Path, timeout_s: float, report_line: Callable[[str], None]) -> int:
+    with _on_one_core():
+        process = _start_process(
+            _guest_command(job), {**_environment(), "TMPDIR": _memory_folder()}
+        )
+    try:
+        other_lines = _report_job(
+            _read_lines(process, time.monotonic() + timeout_s), job, report_line
+        )
+    except TimeoutError:
+        return TIMED_OUT_STATUS
+    finally:
+        _kill_group(process)
+    try:
+        return int((job / "rc").read_text())
+    except FileNotFoundError:
+        for line in other_lines:
+            report_line(f"guest: {line}")
+        return NO_EXIT_STATUS
+
+
+@contextlib.contextmanager
+def _on_one_core() -> Iterator[None]:
+    """Keep the child processes of this thread on one core. The guest after it gets the next core.
+
+    The kernel and a program of a guest run in turn as two processes of the host. It takes five
+    times as long to wake a process on another core. With both on one core, a system call took 20 us
+    instead of 100 us.
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[next(_guest_numbers) % len(cores)]})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
+
+
+def _guest_command(job: Path) -> list[str]:
+    init = Path(__file__).with_name("init").resolve()
+    return [
+        *_with_all_registers(job),
+        *(
+            "linux.uml",
+            f"mem={MEMORY_BYTES >> 20}M",
+            "root=/dev/root",
+            "rootfstype=hostfs",
+            "rootflags=/",
+            "rw",
+        ),
+        *(
+            f"init={init}",
+            "con=null",
+            "con0=null,fd:1",
+            "con1=null",
+            "ssl=null",
+            "quiet",
+            "loglevel=3",
+        ),
+        *(f"uml_dir={job}/", f"job={job}", f"moddir={_modules_folder()}"),
+    ]
+
+
+def _with_all_registers(job: Path) -> list[str]:
+    """Return the prefix of the guest's command.
+
+    A processor with AMX needs one, because the guest does not save its registers.
+    """
+    if "amx_tile" not in Path("/proc/cpuinfo").read_text(
+        encoding="utf-8"
+    ).split() or not shutil.which("gcc"):
+        return []
+    library = job / "xstate.so"
+    source = Path(__file__).with_name("xstate.c").resolve()
+    subprocess.run(["gcc", "-shared", "-fPIC", "-O2", "-o", str(library), str(source)], check=True)
+    return ["env", f"LD_PRELOAD={library}"]
+
+
+def _memory_folder() -> str:
+    """Return the folder for the file that holds the guest's memory.
+
+    The /dev/shm of a container often has only 64 MB.
+    """
+    shared = Path("/dev/shm")
+    large_enough = shared.is_dir() and shutil.disk_usage(shared).free > MEMORY_BYTES
+    return (
+        str(shared)
+        if large_enough and not os.statvfs(shared).f_flag & os.ST_NOEXEC
+        else tempfile.gettempdir()
+    )
+
+
+def _start_process(command: list[str], environment: dict[str, str]) -> "subprocess.Popen[bytes]":
+    return subprocess.Popen(
+        command,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    )
+
+
+def _kill_group(process: "subprocess.Popen[bytes]") -> None:
+    """Kill every process of a run. User-mode Linux has a process on the host for each address space of the guest."""
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def _read_lines(process: "subprocess.Popen[bytes]", deadline_s: float) -> Iterator[str]:
+    assert process.stdout is not None
+    pipe, rest = process.stdout.fileno(), b""
+    while True:
+        if not select.select([pipe], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
+            raise TimeoutError
+        chunk = os.read(pipe, 1 << 16)
+        *whole, rest = (rest + chunk).split(b"\n")
+        for line in [*whole, *([rest] if rest and not chunk else [])]:
+            yield line.rstrip(b"\r").decode(errors="replace")
+        if not chunk:
+            return
+
+
+def _report_job(lines: Iterator[str], job: Path, report_line: Callable[[str], None]) -> list[str]:
+    """Report the lines that the job in a guest prints.
+
+    Returns: The lines before and after those of the job. They are from the kernel and from init.
+    """
+    other_lines: list[str] = []
+    started = False
+    for line in lines:
+        if line.endswith(f"end {job}"):
+            if unfinished := line.removesuffix(f"end {job}"):
+                report_line(unfinished)
+            return other_lines
+        if started:
+            report_line(line)
+        elif line == f"begin {job}":
+            started = True
+        else:
+            other_lines.append(line)
+    return other_lines
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description="run a command beside the SocketCAN interfaces vcan0 and vcan1"
+    )
+    parser.add_argument(
+        "--timeout", type=float, default=300.0, metavar="S", help="kill it after this time [s]"
+    )
+    parser.add_argument("command", nargs="+")
+    arguments = parser.parse_args()
+    return run_with_vcan(
+        arguments.command,
+        timeout_s=arguments.timeout,
+        report_line=lambda line: print(line, flush=True),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
