@@ -217,7 +217,8 @@ def test_tmotorcancontrol_decodes_the_same_values() -> None:
     assert isinstance(drive, CubemarsDrive)
     for torque in (-18.0, -1.0, 0.3, 18.0):
         manager.MIT_controller(1, "AK80-9", 0.0, 0.0, 0.0, 0.0, torque)
-        ours, theirs = (int.from_bytes(data, "big") for data in (drive.command(torque), sent[-1]))
+        (command,) = drive.torque_frames(torque)
+        ours, theirs = (int.from_bytes(data, "big") for data in (command.data, sent[-1]))
         assert ours >> 12 & 0xFFFFFF == theirs >> 12 & 0xFFFFFF == 0, "no gains"
         assert abs((ours & 0xFFF) - (theirs & 0xFFF)) <= 1
     bench = DriveBench([drive_spec("mit", 1, "ak80-9")])

@@ -67,15 +67,15 @@ LINE_BY_MISTAKE: dict[str, tuple[dict[str, Any], str]] = {
     ),
     # Regression: the key of another alternative was suggested, which is the key itself.
     "unknown in this alternative": (
-        {"name": "a", "step": [MOVE | {"tension_N": 1.0}]},
+        {"name": "a", "step": [MOVE_CONTENT | {"tension_N": 1.0}]},
         "step[0].tension_N: unknown key; expected one of kind, speed_deg_s",
     ),
     "unknown in a table of this alternative": (
-        {"name": "a", "step": [{"kind": "hold", "tension_N": 1.0, "spare": MOVE | {"tension_N": 1.0}}]},
+        {"name": "a", "step": [{"kind": "hold", "tension_N": 1.0, "spare": MOVE_CONTENT | {"tension_N": 1.0}}]},
         "step[0].spare.tension_N: unknown key; expected one of kind, speed_deg_s",
     ),
     "unknown in an alternative without tag": (
-        {"name": "a", "either": MOVE | {"sped_deg_s": 1.0}},
+        {"name": "a", "either": MOVE_CONTENT | {"sped_deg_s": 1.0}},
         "either.sped_deg_s: unknown key; expected speed_deg_s?",
     ),
     "wrong": ({"name": 3}, "name: 3; expected a valid string"),

@@ -1,0 +1,40 @@
+"""Test that every file that the settings and the documents name exists."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+REPOSITORY = Path(__file__).parents[2]
+FOLDERS = "benchmarks|docs|examples|firmware_sim|fuzz|logs|src|tests|tools"
+PATH_PATTERN = re.compile(rf"(?<![\w/.-])(?:{FOLDERS})/[\w/.*-]*[\w*]")
+"""A path in a text. It may contain the wildcard of a shell."""
+PLACEHOLDER_PATTERN = re.compile(r"[A-Z]{3,}|[.]{3}|RUN")
+"""A path with a word in capital letters, such as NAME, is a pattern for the reader."""
+DOCUMENTS = [
+    REPOSITORY / "pyproject.toml",
+    REPOSITORY / "Makefile",
+    *REPOSITORY.glob("*.md"),
+    *(REPOSITORY / "docs").rglob("*.md"),
+]
+HISTORY = "CHANGELOG.md"
+"""Document that also names files of earlier versions."""
+
+
+def missing_paths(text: str) -> list[str]:
+    """Return the paths of Python files in a text that do not exist."""
+    paths = sorted(set(PATH_PATTERN.findall(text)))
+    checked = [p for p in paths if p.endswith(".py") and not PLACEHOLDER_PATTERN.search(p)]
+    return [path for path in checked if not any(REPOSITORY.glob(path))]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_named_file_exists(document: Path) -> None:
+    """Regression: the settings of mutation testing named two files that had been renamed."""
+    if document.name != HISTORY:
+        assert missing_paths(document.read_text()) == []
+
+
+def test_a_missing_file_is_found() -> None:
+    text = "`src/handctl/errors.py`, tests/safety/*.py, tests/nothing.py, tests/drives/NAME.py"
+    assert missing_paths(text) == ["tests/nothing.py"]
