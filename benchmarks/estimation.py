@@ -29,10 +29,10 @@ from trials.script import Script, Step
 from trials.windows import REGIMES, windows
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 
 HANDS = ("jamia", "jamia11")
 TRIED_PLANTS = PLANTS | FURTHER_PLANTS

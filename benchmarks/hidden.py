@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from handctl.campaign.stage import CAMPAIGN_TASK, hand_with_protocol, homed_run
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.safety.action import Action
 from handctl.session.plan import default_rate

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import hand_content, hand_from_content
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
 PAGE = Path(__file__).parents[1] / "docs" / "evidence" / "control-sensing.md"

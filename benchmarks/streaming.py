@@ -25,9 +25,9 @@ import numpy as np
 
 import handctl
 from handctl.client import HandClient, TargetStream
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.truth import TruthRecord, read_truth
 

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.tuning.tune_files import load_tuned_hand
-from handctl.core.gains.bounds import values_by_key, with_values
+from handctl.core.gains.gain_bounds import values_by_key, with_values
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 from handctl.session.plan import default_rate
 from handctl.tune.loops.design import linear_factors, worst_margins

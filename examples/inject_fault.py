@@ -7,10 +7,10 @@ handctl fault inject "snap tendon=index_tendon".
 import json
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
 model = HandModel.of(load_hand("jamia"), Gains(), 500.0)

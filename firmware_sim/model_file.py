@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
-from firmware_sim.description import SimulatorError
+from firmware_sim.hand_description import SimulatorError
 from firmware_sim.model_meshes import BodyMesh, mjcf_meshes, rotation_of, urdf_files, urdf_meshes
 from firmware_sim.printing import one_line
 

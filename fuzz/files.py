@@ -12,14 +12,14 @@ from typing import Any
 from fuzz.mutate import ByteSource, mutated_content, paths_of_values
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, GainsFile, GainsProvenance
-from handctl.core.identified import identified_hand
+from handctl.core.identified_parameters import identified_hand
 from handctl.document import validate_content
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import HandctlError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.toml_text import toml_text
-from handctl.hand.load import (
+from handctl.hand.hand_loading import (
     PACKAGED_HANDS_FOLDER,
     hand_content,
     hand_from_content,

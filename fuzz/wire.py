@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fuzz.drives import FUZZED_DRIVES
-from handctl.core.schema import BlockArray
+from handctl.core.block_schema import BlockArray
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from tests.drives.protocol_bench import Bench, hand_file

@@ -43,10 +43,10 @@ RATE_HZ = 200.0
 def enabled(motors):
     """Return a controller of a packaged hand with this many MIT motors, and a state in which all motors are enabled."""
     from handctl.core.gains.gains import Gains
-    from handctl.core.model import HandModel
-    from handctl.core.types import Mode
-    from handctl.hand.load import load_hand
-    from handctl.programs.grasp import TaskProgram
+    from handctl.core.hand_model import HandModel
+    from handctl.core.tick_types import Mode
+    from handctl.hand.hand_loading import load_hand
+    from handctl.programs.task_program import TaskProgram
     from handctl.session.simulate import SimulatorSettings, homed_controller
     from handctl.session.tasks import find_task
 
@@ -67,15 +67,15 @@ class Ours:
     def __init__(self, interface, channel, motors):
         import numpy as np
 
-        from handctl.core import wire
+        from handctl.core import cyclic_frames
         from handctl.drives.contract import DriveTarget
-        from handctl.drives.records import WORDS_PER_RECORD
+        from handctl.drives.frame_records import WORDS_PER_RECORD
         from handctl.runtime.buses.open import open_bus
 
         self.controller, state = enabled(motors)
         self.state = state.copy()
         self.want = DriveTarget.ENABLE
-        self.start = wire.begin_tick
+        self.start = cyclic_frames.begin_tick
         self.np = np
         self.shape = 1 + motors, WORDS_PER_RECORD
         self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)

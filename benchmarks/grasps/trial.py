@@ -8,14 +8,14 @@ import numpy as np
 
 from firmware_sim.plant.mjcf import STEP_S
 from firmware_sim.plant.plant import Plant
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickEvent
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickEvent
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
 from handctl.programs.task import HoldPhase
+from handctl.programs.task_program import TaskProgram
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task

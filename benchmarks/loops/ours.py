@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder

@@ -8,9 +8,9 @@ import select
 import sys
 
 from firmware_sim.bus.frame import Frame, pack_record
-from firmware_sim.bus.local import HubPort
-from firmware_sim.priority import take_priority
-from firmware_sim.rig import LockstepHand
+from firmware_sim.bus.local_ports import HubPort
+from firmware_sim.lockstep_hand import LockstepHand
+from firmware_sim.realtime_priority import take_priority
 
 SPECIAL = b"\xff" * 7
 ENABLED = 1

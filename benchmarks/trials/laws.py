@@ -5,14 +5,14 @@ from functools import partial
 
 import numpy as np
 
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
 from handctl.controller.tick import Controller
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.core.gains.motion_design import largest_force_weight
-from handctl.core.model import InverseDynamics
-from handctl.core.types import TickIn
-from handctl.drives.records import Frames
+from handctl.core.hand_model import InverseDynamics
+from handctl.core.tick_types import TickIn
+from handctl.drives.frame_records import Frames
 from handctl.hand.digit import DigitModel, JointValues
 from handctl.hand.dynamics import damping_torque, required_torque, spring_torque, static_torque
 from handctl.paper.model import equations

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.setup import make_controller
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
+from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.estimation.filter_stack import FilterDesign
 from handctl.core.gains.gains import Gains
-from handctl.core.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
+from handctl.core.tick_types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from handctl.report.truth import TruthRecord, read_truth

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.report.summary import mean_angles
 from handctl.tune.loops.design import keeps_required_margins, linear_factors
 from handctl.tune.loops.linear import LoopKind

@@ -17,9 +17,16 @@ import numpy as np
 import psutil
 import synthetic
 
-from handctl.core.types import TELEMETRY_FIELDS, IoEvent, Mode, PackedTelemetry, TickIn, TickOut
+from handctl.core.tick_types import (
+    TELEMETRY_FIELDS,
+    IoEvent,
+    Mode,
+    PackedTelemetry,
+    TickIn,
+    TickOut,
+)
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_as_records
+from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder

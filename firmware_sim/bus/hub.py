@@ -17,8 +17,8 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from firmware_sim.bus.frame import RECORD_SIZE
-from firmware_sim.description import SimulatorError
-from firmware_sim.paths import bus_path
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.socket_paths import bus_path
 
 BUFFER_BYTES = 1 << 20
 """Size of the socket buffer requested from the kernel for each direction [bytes].

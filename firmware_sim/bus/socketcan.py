@@ -9,8 +9,8 @@ import struct
 from collections.abc import Collection
 
 from firmware_sim.bus.frame import FDF, Frame
-from firmware_sim.description import SimulatorError
-from firmware_sim.wire.medium import NEVER_NS
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.wire.simulated_wire import NEVER_NS
 
 _CAN_FRAME_STRUCT = struct.Struct("=IB3x8s")
 """``struct can_frame``: identifier, length, 3 bytes of padding, 8 bytes of payload. Source: Linux ``can.h``."""
@@ -24,7 +24,7 @@ The limit keeps a flooded bus from stopping the simulation.
 
 
 class SocketCanPort:
-    """A port on a SocketCAN interface. See ``ports.BusPort``."""
+    """A port on a SocketCAN interface. See ``bus_ports.BusPort``."""
 
     due_ns = NEVER_NS
 
@@ -62,15 +62,15 @@ class SocketCanPort:
         self._socket.setblocking(False)
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.BusPort.readers``."""
+        """See ``bus_ports.BusPort.readers``."""
         return [self._socket]
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.BusPort.writers``."""
+        """See ``bus_ports.BusPort.writers``."""
         return []
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """See ``ports.BusPort.receive``."""
+        """See ``bus_ports.BusPort.receive``."""
         frames: list[Frame] = []
         if self._socket not in ready:
             return frames
@@ -95,7 +95,7 @@ class SocketCanPort:
         return Frame(can_id, data[:length], flags | FDF, self._bus)
 
     def send(self, frames: list[Frame]) -> None:
-        """See ``ports.BusPort.send``."""
+        """See ``bus_ports.BusPort.send``."""
         for frame in frames:
             fd = frame.flags & FDF
             raw = (
@@ -111,5 +111,5 @@ class SocketCanPort:
                 self.lost += 1
 
     def close(self) -> None:
-        """See ``ports.BusPort.close``."""
+        """See ``bus_ports.BusPort.close``."""
         self._socket.close()

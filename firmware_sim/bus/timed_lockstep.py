@@ -4,10 +4,10 @@ from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 
 from firmware_sim.bus.frame import ERROR, Frame
-from firmware_sim.wire.controller import CanController
-from firmware_sim.wire.medium import SimulatedWire
-from firmware_sim.wire.options import WireSpec
-from firmware_sim.world import SimulatedWorld
+from firmware_sim.simulated_world import SimulatedWorld
+from firmware_sim.wire.can_controller import CanController
+from firmware_sim.wire.simulated_wire import SimulatedWire
+from firmware_sim.wire.wire_options import WireSpec
 
 
 class TimedLockstep:

@@ -11,12 +11,12 @@ from heapq import heappop, heappush
 
 from firmware_sim.bus.frame import ERROR, EXTENDED, RECORD_SIZE, REMOTE, Frame, pack_record
 from firmware_sim.bus.hub import Hub, HubConnection
-from firmware_sim.bus.local import split_records
-from firmware_sim.wire.adapter import NO_LATENCY_CLASS, AdapterLatency
-from firmware_sim.wire.bits import BitRates
-from firmware_sim.wire.controller import CanController
-from firmware_sim.wire.medium import SimulatedWire, WireOptions
-from firmware_sim.wire.options import parse_wire_options
+from firmware_sim.bus.local_ports import split_records
+from firmware_sim.wire.can_adapter import NO_LATENCY_CLASS, AdapterLatency
+from firmware_sim.wire.can_controller import CanController
+from firmware_sim.wire.frame_bits import BitRates
+from firmware_sim.wire.simulated_wire import SimulatedWire, WireOptions
+from firmware_sim.wire.wire_options import parse_wire_options
 
 DEFAULT_BITRATES = (1_000_000, 5_000_000)
 """Bit rates of a bus that belongs to no hand: nominal and data phase [bit/s]."""
@@ -30,7 +30,7 @@ _QUEUE_STRUCT = struct.Struct("<II")
 
 
 class TimedPort:
-    """A port on a simulated wire. See ``ports.BusPort``.
+    """A port on a simulated wire. See ``bus_ports.BusPort``.
 
     Events since the last call are processed in the order in which they occur on the wire.
     ``receive`` returns only frames that ended at the same time, because the nodes must answer
@@ -96,7 +96,7 @@ class TimedPort:
 
     @property
     def due_ns(self) -> int:
-        """See ``ports.BusPort.due_ns``."""
+        """See ``bus_ports.BusPort.due_ns``."""
         return min(self.wire.next_ns(), self._late[0][0]) if self._late else self.wire.next_ns()
 
     @property
@@ -105,17 +105,17 @@ class TimedPort:
         return self.wire.load(0, max(1, self._now_ns() - self._start_ns))
 
     def readers(self) -> list[socket.socket]:
-        """See ``ports.BusPort.readers``."""
+        """See ``bus_ports.BusPort.readers``."""
         return self._hub.readers()
 
     def writers(self) -> list[socket.socket]:
-        """See ``ports.BusPort.writers``."""
+        """See ``bus_ports.BusPort.writers``."""
         return self._hub.writers()
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
         """Receive the frames that were the next to end on the wire, if any have ended by now.
 
-        See ``ports.BusPort``.
+        See ``bus_ports.BusPort``.
         """
         now_ns = self._now_ns()
         if ready:
@@ -201,7 +201,7 @@ class TimedPort:
     def send(self, frames: list[Frame]) -> None:
         """Send the answers of the nodes.
 
-        An answer may start at the time at which the last received frame ended. See ``ports.BusPort``.
+        An answer may start at the time at which the last received frame ended. See ``bus_ports.BusPort``.
         """
         for frame in frames:
             controller = self._nodes.get(frame.can_id)
@@ -210,7 +210,7 @@ class TimedPort:
             self._refused += not controller.offer(frame, self._at_ns)
 
     def close(self) -> None:
-        """See ``ports.BusPort.close``."""
+        """See ``bus_ports.BusPort.close``."""
         self._hub.close()
 
 

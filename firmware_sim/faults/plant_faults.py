@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.faults.text import CELL_TARGET, ENCODER_TARGET, SENSOR_NODE_NAME, Fault
+from firmware_sim.faults.fault_text import CELL_TARGET, ENCODER_TARGET, SENSOR_NODE_NAME, Fault
 from firmware_sim.faults.wire_faults import ActiveFault
 from firmware_sim.nodes.cia402.node import Cia402Node
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
@@ -19,7 +19,7 @@ from firmware_sim.nodes.moteus.node import MoteusNode
 from firmware_sim.nodes.odrive.node import OdriveNode
 from firmware_sim.nodes.robstride import node as robstride
 from firmware_sim.nodes.robstride.node import RobstrideNode
-from firmware_sim.nodes.sensors import CHANNELS_PER_FRAME, JOINT_OFFSET
+from firmware_sim.nodes.sensor_node import CHANNELS_PER_FRAME, JOINT_OFFSET
 
 UndoFunction = Callable[[], None]
 OUTSIDE_RANGE_N = 1e4

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from firmware_sim.bus.frame import EXTENDED, Frame
-from firmware_sim.faults.text import Fault
+from firmware_sim.faults.fault_text import Fault
 
 NEVER_NS = 1 << 62
 """Release time [ns] of stored frames that a fault releases itself, and not at a certain time."""

@@ -19,10 +19,10 @@ import enum
 import math
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.mit.codec import FrameRanges, decode_command, to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec, ShaftSpec
-from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 FULL_SCALE = {

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import call, compiled, kernel_helper, rows_at
-from firmware_sim.plant.structs import RotorStruct, TendonStruct
+from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 
 CAPSTAN_SPEED = 1e-3
 """Tendon speed at which capstan friction reaches 76 % of its final value [m/s].

@@ -10,9 +10,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from firmware_sim.compiled import array_of
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
 from firmware_sim.plant.drivetrain import compute_command, encoded, integrate, measure_angle
-from firmware_sim.plant.structs import RotorStruct, Servo
+from firmware_sim.plant.plant_structs import RotorStruct, Servo
 
 CURRENT_LAG_S = 0.3e-3
 """Time constant of the drive's current loop [s], for a bandwidth of about 500 Hz."""

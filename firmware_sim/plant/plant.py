@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import addresses, machine_code
-from firmware_sim.description import Hand, SimulatorError
+from firmware_sim.hand_description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
-from firmware_sim.plant.engine import RigidBodyEngine
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
 from firmware_sim.plant.motor import Motor, motor_rows, step_factors
+from firmware_sim.plant.rigid_body_engine import RigidBodyEngine
 from firmware_sim.plant.tendon import TendonRouting
-from firmware_sim.scene import support as support_kernels
+from firmware_sim.scene import support_table as support_kernels
 from firmware_sim.scene.scene import Scene, SinkingTable
-from firmware_sim.scene.stages import StageSequence
-from firmware_sim.scene.support import SupportTable
+from firmware_sim.scene.scene_stages import StageSequence
+from firmware_sim.scene.support_table import SupportTable
 
 STEP_NS = round(STEP_S * 1e9)
 """Time step of the plant [ns]."""

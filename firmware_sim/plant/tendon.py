@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.compiled import array_of
-from firmware_sim.description import POWER_COUNT, TendonSpec
-from firmware_sim.plant.structs import TendonStruct
+from firmware_sim.hand_description import POWER_COUNT, TendonSpec
+from firmware_sim.plant.plant_structs import TendonStruct
 
 PULLEY_NUMBER_COUNT = 4 + POWER_COUNT
 """Count of numbers of a pulley: mean moment arm [m], 1 if the arm varies, two joint limits [rad], and coefficients."""

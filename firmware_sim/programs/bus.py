@@ -2,9 +2,9 @@
 
 import select
 
-from firmware_sim.bus.ports import open_port
+from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
-from firmware_sim.command import CommandParser, until_signal
+from firmware_sim.command_line import CommandParser, until_signal
 from firmware_sim.printing import printable_text
 from firmware_sim.shared_clock import SharedClock
 

@@ -4,17 +4,18 @@ import argparse
 import sys
 from dataclasses import replace
 
+from firmware_sim.bus.bus_ports import open_port
 from firmware_sim.bus.frame import Frame
-from firmware_sim.bus.ports import open_port
 from firmware_sim.bus.timed_port import DEFAULT_BITRATES, timed_port_maker
-from firmware_sim.command import CommandParser, check_time_scale, until_signal
-from firmware_sim.description import MotorSpec, SimulatorError
-from firmware_sim.faults.active import ActiveFaults
+from firmware_sim.bus_server import BusServer
+from firmware_sim.command_line import CommandParser, check_time_scale, until_signal
+from firmware_sim.faults.active_faults import ActiveFaults
 from firmware_sim.faults.bench_world import BenchWorld
+from firmware_sim.faults.fault_socket import FaultSocket, is_served
 from firmware_sim.faults.faulty_drive import DRIVE_FAULTS, with_fault, with_faulty_specs
-from firmware_sim.faults.socket import FaultSocket, is_served
+from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS
-from firmware_sim.nodes.cia402.dictionary import EDS_PATH
+from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH
 from firmware_sim.nodes.mit.node import (
     CLEAR_ANSWERS,
     EACH_CLEAR_ANSWERED,
@@ -22,14 +23,13 @@ from firmware_sim.nodes.mit.node import (
     WATCHDOG_BEHAVIOURS,
 )
 from firmware_sim.nodes.odrive import bench as odrive_bench
-from firmware_sim.nodes.odrive.motion import MOTION_ENDPOINTS
+from firmware_sim.nodes.odrive.motion_modes import MOTION_ENDPOINTS
 from firmware_sim.nodes.protocol_spec import SimulatedNode
-from firmware_sim.paths import faults_path
 from firmware_sim.plant.motor import Motor
 from firmware_sim.printing import printable_text
 from firmware_sim.programs.drive_types import MIT_TYPES, ROBSTRIDE_TYPES, drive_spec
-from firmware_sim.server import BusServer
 from firmware_sim.shared_clock import SharedClock
+from firmware_sim.socket_paths import faults_path
 
 STEP_NS = 1_000_000
 """Time step of the shafts [ns]."""
@@ -62,7 +62,7 @@ objects of a CiA 402 drive, for CANopen tools: {EDS_PATH}
 
 
 class SimulatedDriveBench:
-    """Simulated drives on one bus. See ``server.ServedNodes``.
+    """Simulated drives on one bus. See ``bus_server.ServedNodes``.
 
     Attributes:
         motors: rotors in the order of the drive descriptions.

@@ -1,6 +1,6 @@
 """Drives as delivered: with the manufacturer's identifiers, ranges and timing, and with a free shaft."""
 
-from firmware_sim.description import MotorSpec, SimulatorError
+from firmware_sim.hand_description import MotorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench

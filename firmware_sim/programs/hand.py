@@ -8,22 +8,22 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.bus.ports import BusPort, assign_buses, is_on_this_machine, open_port
+from firmware_sim.bus.bus_ports import BusPort, assign_buses, is_on_this_machine, open_port
 from firmware_sim.bus.timed_port import timed_port_maker
-from firmware_sim.command import CommandParser, check_time_scale, until_signal
-from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.faults.socket import FaultSocket
-from firmware_sim.paths import clock_path, faults_path, truth_path
-from firmware_sim.plant.perturb import PERTURBATION_KEYS, perturbed_hand
+from firmware_sim.bus_server import BusServer
+from firmware_sim.command_line import CommandParser, check_time_scale, until_signal
+from firmware_sim.faults.fault_socket import FaultSocket
+from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_hand
 from firmware_sim.printing import printable_text
-from firmware_sim.priority import RealTimePriority
+from firmware_sim.realtime_priority import RealTimePriority
 from firmware_sim.scene.scene import load_scene, packaged_scenes
-from firmware_sim.serials import with_serial_numbers
-from firmware_sim.server import BusServer
+from firmware_sim.serial_numbers import with_serial_numbers
 from firmware_sim.shared_clock import SharedClock
-from firmware_sim.truth import TruthWriter
-from firmware_sim.wire.options import WIRE_OPTION_KEYS as WIRE_KEYS
-from firmware_sim.world import SimulatedWorld, make_world
+from firmware_sim.simulated_world import SimulatedWorld, make_world
+from firmware_sim.socket_paths import clock_path, faults_path, truth_path
+from firmware_sim.truth_file import TruthWriter
+from firmware_sim.wire.wire_options import WIRE_OPTION_KEYS as WIRE_KEYS
 
 _KEYS = "\n".join(f"  {key:16}{text}" for key, text in PERTURBATION_KEYS.items())
 _WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())

@@ -16,8 +16,8 @@ from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnected
 from lerobot_robot_handctl.config_handctl import HandctlKeyboardConfig, HandctlLogConfig
 from lerobot_robot_handctl.names import named, positions
 
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 
 CLOSE, OPEN, OPEN_ALL = "qwertyuiop", "asdfghjkl;", " "

@@ -3,8 +3,8 @@
 from handctl.campaign.stage import homed_run
 from handctl.cli.console import display
 from handctl.cli.console.display import DisplayProcess
-from handctl.core.types import Mode, TickEvent
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import Mode, TickEvent
+from handctl.hand.hand_loading import load_hand
 from handctl.safety.faults.table import FAULT_BY_ID, remedy_for
 
 RATE_HZ = 500.0

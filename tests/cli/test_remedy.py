@@ -6,9 +6,9 @@ from typing import cast
 import pytest
 
 from handctl.cli.main import main
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
 from handctl.core.gains.gains import Gains
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.loop import LoopStats
 from handctl.session import pace
 from handctl.session.pace import pace_advice

@@ -18,7 +18,7 @@ from handctl.cli.checks.fragment import hand_file_snippet
 from handctl.cli.main import main
 from handctl.drives.discovery import TWO_DRIVES_WARNING
 from handctl.drives.frame import EXTENDED, REMOTE, Frame
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.hand.file.sections import Bus, Motor
 from handctl.runtime.diagnostics.scan import BusScan, requests_without_answers, scan_bus
 from tests.drives.bench_process import drives

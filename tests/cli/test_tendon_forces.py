@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
+from handctl.controller.gain_change import DesignCache, gain_change_events
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.retune import DesignCache, gain_change_events
-from handctl.core.gains.bounds import checked_bound, different_values, values_by_key, with_values
+from handctl.core.gains.gain_bounds import (
+    checked_bound,
+    different_values,
+    values_by_key,
+    with_values,
+)
 from handctl.core.gains.gains import (
     Gains,
     GainsProvenance,
@@ -17,9 +22,9 @@ from handctl.core.gains.gains import (
     packaged_gains,
 )
 from handctl.core.gains.motion_design import design_motion
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 KEY = "tendon.index_tendon.motion_force_N"
 FILE = '[[tendon]]\nname = "index_tendon"\nmotion_force_N = 5.0\n'

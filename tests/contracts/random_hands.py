@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from handctl.campaign.stage import FIRST_NODE, with_drives
-from handctl.controller.setup import make_controller
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
+from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode, TickIn
+from handctl.core.tick_types import Mode, TickIn
 from handctl.drives import readback
 from handctl.drives.cia402 import codec as cia402
 from handctl.drives.contract import DrivePhase, DriveState
@@ -25,8 +25,8 @@ from handctl.drives.moteus import codec as moteus
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.drives.signals import Message, Quantity, SignalTable
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content
-from handctl.programs.live import LiveProgram
+from handctl.hand.hand_loading import hand_content, hand_from_content
+from handctl.programs.live_session import LiveProgram
 
 RATE_HZ, TICKS = 200.0, 40
 """Control rate [Hz] and number of ticks of each random hand."""

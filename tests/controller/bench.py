@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
 from handctl.controller.tick import Controller
-from handctl.core.model import HandModel
-from handctl.core.types import IoEvent, Mode, TickEvent, TickIn, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import IoEvent, Mode, TickEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.sensors.sensor_node import SensorNode
 from handctl.hand.description import Hand
 from handctl.programs.program import Program
 from tests.drives.motor import ScriptedMotor

@@ -3,10 +3,10 @@
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import Bench, bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}

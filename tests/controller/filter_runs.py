@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core import stages
+from handctl.controller.controller_state import State
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, TendonRegime, X
-from handctl.core.estimation.prediction import predict_filter_states
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from tests.controller.synthetic import (
     Estimate,
     Readings,
@@ -146,10 +146,10 @@ def tick(
     if friction_state is not None:
         run.view("friction_state")[...] = friction_state
     run.set_whole(s.MISSED_TICKS, missed)
-    stages.correct_estimate(run.block, run.layout.places, *constants(model))
+    tick_stages.correct_estimate(run.block, run.layout.places, *constants(model))
     if run.started:
         predict_filter_states(model, run.layout, run.block, missed)
-    stages.conclude_estimate(run.block, run.layout.places, *constants(model))
+    tick_stages.conclude_estimate(run.block, run.layout.places, *constants(model))
     return filter_state_of(run), estimate_of(run)
 
 
@@ -201,7 +201,7 @@ def start(
     run.mode = Mode.SILENT
     run.view("position")[...] = travel / model.space.spool
     run.view("group_frames")[...] = cells
-    stages.observe_tick(run.block, run.layout.places, *constants(model))
+    tick_stages.observe_tick(run.block, run.layout.places, *constants(model))
     return filter_state_of(run)
 
 
@@ -212,7 +212,7 @@ def corrected_state(model: HandModel, state: FilterState, measured: Readings) ->
     """
     run = state_of(model, state)
     read(run, measured)
-    stages.correct_estimate(run.block, run.layout.places, *constants(model))
+    tick_stages.correct_estimate(run.block, run.layout.places, *constants(model))
     return run
 
 

@@ -6,17 +6,17 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.compiled import kernel
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.block import state_tables
+from handctl.controller.controller_state import State
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import constant_tables
-from handctl.core.law import computed_torque, reference
-from handctl.core.law.goal import DigitGoal
-from handctl.core.law.goals import write_goals
-from handctl.core.law.loads import allocate_bounded_tensions
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
+from handctl.core.control_law import computed_torque, digit_reference
+from handctl.core.control_law.digit_goal import DigitGoal
+from handctl.core.control_law.goal_writer import write_goals
+from handctl.core.control_law.required_tensions import allocate_bounded_tensions
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
 from handctl.safety.action import Action
 from tests.controller.synthetic import (
     Estimate,
@@ -158,8 +158,8 @@ def _required(
     block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlaces, way: np.ndarray
 ) -> int:
     x, c = state_tables(block, at), constant_tables(of, of_at)
-    reference.write_required_torque(x, c, way)
-    return reference.write_required_tensions(x, c)
+    digit_reference.write_required_torque(x, c, way)
+    return digit_reference.write_required_tensions(x, c)
 
 
 def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> np.ndarray:
@@ -177,4 +177,4 @@ def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarr
     """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
     run_control_law(model, state, goals, t, Action.PASS)
-    return stages.joint_motion(state.block, state.layout.places, *constants(model))
+    return tick_stages.joint_motion(state.block, state.layout.places, *constants(model))

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickEvent
-from handctl.hand.load import load_hand
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickEvent
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
 from handctl.session.simulate import SimulatorSettings, homed_controller
 

@@ -12,19 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handctl.compiled import kernel
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
 from handctl.controller.tick import Controller
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.block import state_tables
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.estimation.statics import winding_efficiency
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
-from handctl.core.types import Mode
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.core.tick_types import Mode
+from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import controller
 
 SLACK = 2
@@ -47,7 +47,7 @@ class Readings(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Estimate of the present state of a hand, under the names of ``handctl.core.estimate.Estimate``."""
+    """Estimate of the present state of a hand, under the names of ``handctl.core.hand_estimate.Estimate``."""
 
     tension: np.ndarray
     sigma: np.ndarray
@@ -274,7 +274,7 @@ def detect_contacts(model: HandModel, state: State, estimate: Estimate) -> Estim
     state.view("stretch_offset")[...] = (
         estimate.travel - estimate.excursion - borne / model.space.stiffness
     )
-    stages.conclude_estimate(state.block, state.layout.places, *constants(model))
+    tick_stages.conclude_estimate(state.block, state.layout.places, *constants(model))
     seen = state.estimate
     return estimate._replace(
         contact_force=seen.contact_force.copy(),

@@ -6,9 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from handctl.core.law.allocation import REGULARISATION, solve_bounded, tensions_for_torque
+from handctl.core.control_law.tension_allocation import (
+    REGULARISATION,
+    solve_bounded,
+    tensions_for_torque,
+)
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 DIGITS = {
     f"{name} {digit}": (load_hand(name), digit)

@@ -10,19 +10,19 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handctl.controller.setup import make_controller
-from handctl.core import block as s
+from handctl.controller.run_setup import make_controller
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickEvent
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickEvent
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content, load_hand
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.programs.calibration import Calibration
 from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
 
 RATE_HZ = 250.0

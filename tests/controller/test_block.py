@@ -13,29 +13,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.monitor import thresholds
+from handctl.controller.controller_state import ClientLease, Decisions, State, layout_of_state
+from handctl.controller.monitor import safety_thresholds
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.state import ClientLease, Decisions, State, layout_of_state
-from handctl.core import block as state_block
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.core import constants, hand_constants
-from handctl.core.block import STATE, state_tables
+from handctl.core import state_block as state_block
+from handctl.core.block_schema import INTEGER_TABLE_SUFFIX, BlockField, BlockSchema
 from handctl.core.constants import ELEMENTS, HAND, KINDS, constant_tables
-from handctl.core.gains.bounds import with_values
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk
+from handctl.core.gains.gain_bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk
-from handctl.core.model import HandModel
-from handctl.core.schema import INTEGER_TABLE_SUFFIX, BlockField, BlockSchema
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import STATE, state_tables
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.readback import ReadbackCursor
-from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.programs.grip import GripState
 from handctl.programs.program import ProgramProgress
-from handctl.programs.streams import StreamPlan
-from handctl.safety.judge import CountedFault, LatchedFault
+from handctl.programs.stream_plans import StreamPlan
+from handctl.safety.tick_verdict import CountedFault, LatchedFault
 from handctl.session.tasks import find_task
 from tests.conftest import NIGHTLY
 from tests.controller.bench import Bench
@@ -274,11 +274,11 @@ def packed_constants(
         values.update(more)
         return HandConstants(model, more)
 
-    monkeypatch.setattr(thresholds, "HandConstants", recorded)
+    monkeypatch.setattr(safety_thresholds, "HandConstants", recorded)
     drives, sensors = make_drives(model.hand), make_sensors(model.hand)
-    limits = thresholds.safety_limits(model, drives, sensors)
+    limits = safety_thresholds.safety_limits(model, drives, sensors)
     tare, zero = np.random.default_rng(2).normal(size=(2, model.tendon_count))
-    return thresholds.compiled_constants(model, drives, sensors, limits, tare, zero), values
+    return safety_thresholds.compiled_constants(model, drives, sensors, limits, tare, zero), values
 
 
 @pytest.mark.parametrize("hand", [*packaged_hands(), *SEEDS])

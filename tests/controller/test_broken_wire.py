@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
+from handctl.programs.live_session import LiveProgram
 from handctl.safety.faults.tendon import RELAXED_S
 from tests.controller.bench import Bench, bench
 

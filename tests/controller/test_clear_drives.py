@@ -6,10 +6,10 @@ Only a request of the operator enables the drives again.
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import Bench, bench
 
 COMMUNICATION_LOST = 0xD

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.snapshot import snapshot_bytes
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.controller.state_snapshot import snapshot_bytes
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.programs.requests import AliveRequest, alive_text, is_routine, parse_request
 from tests.controller.test_stream import Client, check_ticks_repeat, live
 

@@ -7,13 +7,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.gains.gains import Gains
-from handctl.core.law.goal import GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
-from handctl.hand.load import hand_from_content, load_hand
+from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.commission import (
     MAX_CROSSTALK_FRACTION,

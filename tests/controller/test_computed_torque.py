@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from handctl.core.control_law.computed_torque import INTEGRAL_LIMIT_N, UNWIND_FRACTION
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.gains.gains import Gains, MotionGains
-from handctl.core.law.computed_torque import INTEGRAL_LIMIT_N, UNWIND_FRACTION
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk
-from handctl.core.model import HandModel, _torque_limit
-from handctl.hand.load import load_hand
+from handctl.core.hand_model import HandModel, _torque_limit
+from handctl.hand.hand_loading import load_hand
 from handctl.safety.action import Action
 from tests.controller.goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_control_law, step

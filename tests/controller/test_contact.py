@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
 from handctl.core import constants as h
-from handctl.core.estimation.contact import DRIFT_S, MEAN_S
-from handctl.core.model import HandModel
-from handctl.programs.grasp import TaskProgram
+from handctl.core.estimation.contact_force import DRIFT_S, MEAN_S
+from handctl.core.hand_model import HandModel
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from tests.controller.plant_run import model_of, run_on_plant
 from tests.controller.synthetic import (
     active_state,

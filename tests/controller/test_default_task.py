@@ -7,7 +7,7 @@ import pytest
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_content, hand_from_content, load_hand, packaged_hands
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, packaged_hands
 from handctl.hand.readiness import coordinate_range_deg
 from handctl.programs.default_task import default_scene, default_task, grasp_warnings
 from handctl.programs.task import ClosePhase, HoldPhase, load_task

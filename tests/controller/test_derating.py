@@ -11,12 +11,12 @@ import pytest
 
 from handctl.campaign.scenarios import GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.law.computed_torque import HOLD_MARGIN_N
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.controller.controller_state import State
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.control_law.computed_torque import HOLD_MARGIN_N
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.safety.action import Action
 from tests.controller.goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, limit_of, step
@@ -127,7 +127,9 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         after = before.copy()
         after.mode = mode
         after.view("tension")[...] = tension
-        stages.evaluate_goals(after.block, after.layout.places, *controller._constants, int(action))
+        tick_stages.evaluate_goals(
+            after.block, after.layout.places, *controller._constants, int(action)
+        )
         return after
 
     held = restrained(state, Action.HOLD, tension)

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from handctl.core import stages
+from handctl.core import tick_stages
 from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
 from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from tests.controller.filter_runs import (
     FilterState,
     all_in_regime,
@@ -270,7 +270,7 @@ def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
     state.mode = Mode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joints)
     state.view("joint_angle")[...] = joints
-    stages.observe_tick(state.block, state.layout.places, *constants(model))
+    tick_stages.observe_tick(state.block, state.layout.places, *constants(model))
     return state.view("measured_excursion")
 
 

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from handctl.core.block import state_tables
 from handctl.core.constants import constant_tables
 from handctl.core.estimation.filter_stack import (
     MEASUREMENT_COUNT,
@@ -22,8 +21,9 @@ from handctl.core.estimation.filter_stack import (
 )
 from handctl.core.estimation.kalman import _is_measurement_missing
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.hand.load import hand_content, hand_from_content
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.hand.hand_loading import hand_content, hand_from_content
 from tests.controller.filter_runs import (
     all_in_regime,
     corrected_state,

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from handctl.core.estimation.consistency import consistency_events
+from handctl.core.estimation.consistency_events import consistency_events
 from handctl.core.estimation.filter_stack import STATE_COUNT, E, S, TendonRegime, V, X
 from handctl.core.estimation.kalman import MEAN_NIS_S, SLACK_LENGTH_M
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
 from tests.controller.filter_runs import FilterState, parts, state_of, tick
 from tests.controller.synthetic import Estimate, empty_readings
 

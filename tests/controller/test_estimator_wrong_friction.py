@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block import state_tables
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATE_COUNT, TendonRegime
@@ -17,12 +17,12 @@ from handctl.core.estimation.kalman import (
     NOISE_NIS_S,
 )
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
 from handctl.document import validate_content
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from tests.controller.filter_runs import (
     all_in_regime,
     no_contact,

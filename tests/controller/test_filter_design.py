@@ -19,8 +19,8 @@ from handctl.core.estimation.filter_stack import (
 )
 from handctl.core.gains.filter_design import design_filter
 from handctl.core.gains.gains import FilterGains, Gains
-from handctl.core.model import HandModel, _joint_period
-from handctl.hand.load import load_hand
+from handctl.core.hand_model import HandModel, _joint_period
+from handctl.hand.hand_loading import load_hand
 from tests.controller.oracle import (
     SCALE,
     assumed_measurements,

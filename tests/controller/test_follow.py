@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.law.trajectory import CurveTrajectory
+from handctl.core.control_law.trajectory import CurveTrajectory
 from handctl.errors import ConfigError
 from handctl.programs.task import FollowPhase, load_trajectory
 

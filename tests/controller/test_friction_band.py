@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.law.friction_band import MIN_SLIDING_SPEED, tension_after_period
-from handctl.core.model import HandModel
+from handctl.core.control_law.friction_band import MIN_SLIDING_SPEED, tension_after_period
+from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from tests.controller.goals import moving_goals
 from tests.controller.law_runs import LawState, step
 from tests.controller.plant_run import RATE_HZ, run_on_plant

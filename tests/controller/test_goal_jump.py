@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from handctl.controller.state import State
-from handctl.core import stages
-from handctl.core.model import HandModel
-from handctl.core.types import Vector
+from handctl.controller.controller_state import State
+from handctl.core import tick_stages
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Vector
 from tests.controller.synthetic import active_state, constants
 
 
@@ -35,7 +35,7 @@ def targets_after_command(
     state = before.copy()
     state.view("q_goal")[...] = angle
     state.view("excursion")[...] = at_goal
-    stages.store_commands(state.block, state.layout.places, *constants(model))
+    tick_stages.store_commands(state.block, state.layout.places, *constants(model))
     return state
 
 

@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from handctl.core import constants as h
-from handctl.core.estimation.contact import SMOOTH_S
+from handctl.core.control_law.digit_goal import GoalKind
+from handctl.core.estimation.contact_force import SMOOTH_S
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, X
-from handctl.core.estimation.tip import joint_lever, tip_force
-from handctl.core.law.goal import GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent
+from handctl.core.estimation.tip_force import joint_lever, tip_force
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
 from handctl.hand.dynamics import static_torque
-from handctl.programs.grasp import (
+from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
+from handctl.programs.task import Task
+from handctl.programs.task_program import (
     RELEASE_TIMEOUT_S,
     RELEASED_WITHIN_N,
     SETTLE_AFTER_CLOSE_S,
     TaskProgram,
 )
-from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
-from handctl.programs.task import Task
 from tests.controller.synthetic import (
     Estimate,
     active_state,

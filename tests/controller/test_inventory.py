@@ -7,14 +7,14 @@ import math
 
 import pytest
 
-from handctl.controller.modes import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.controller.controller_state import State
+from handctl.controller.hand_modes import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
+from handctl.core import state_block as s
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
-from handctl.programs.live import LiveProgram
+from handctl.programs.live_session import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
 

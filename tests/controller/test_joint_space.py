@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.core.law.trajectory import CurveTrajectory
+from handctl.core.control_law.trajectory import CurveTrajectory
 from handctl.document import validate_content
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task, trajectory_from
 from handctl.programs.task_checks import check_task_for_hand
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.plant_run import model_of
 

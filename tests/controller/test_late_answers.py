@@ -6,11 +6,11 @@ They are no sign of a second node.
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 from tests.controller.bench import Bench, bench
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.control_law.computed_torque import MOTOR_FRICTION_SPEED
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from tests.controller.goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, command_of, law_state_of, step
 from tests.controller.synthetic import (
@@ -103,7 +103,9 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     state.set_whole(s.TRIMMED, 1)
     state.set_whole(s.HOLDING, 1)
     state.mode = Mode.READY
-    stages.compute_motor_torques(state.block, state.layout.places, *constants(model), 0.0, 0, 1)
+    tick_stages.compute_motor_torques(
+        state.block, state.layout.places, *constants(model), 0.0, 0, 1
+    )
     law, command = law_state_of(state), command_of(state)
     np.testing.assert_array_equal(law.setpoint, tension)
     for part in law[1:5]:

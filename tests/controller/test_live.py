@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core.law.goal import GoalKind
-from handctl.core.model import HandModel
-from handctl.programs.live import JogProgram, LiveProgram, apply_goal
+from handctl.core.control_law.digit_goal import GoalKind
+from handctl.core.hand_model import HandModel
+from handctl.programs.live_session import JogProgram, LiveProgram, apply_goal
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, ProgramProgress
 from handctl.programs.requests import HoldTension, MoveDigits, parse_request
 from tests.controller.synthetic import Estimate, empty_readings, estimate_under_tension, slack

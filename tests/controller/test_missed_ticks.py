@@ -5,9 +5,9 @@ Motions continue meanwhile. test_estimator_gate tests the effect on the filter.
 
 import pytest
 
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
+from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import bench
 
 FAST_RAD_S = 28.0

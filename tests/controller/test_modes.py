@@ -6,7 +6,7 @@ The motors of the hand are scripted.
 import numpy as np
 import pytest
 
-from handctl.controller.modes import (
+from handctl.controller.hand_modes import (
     ARMING_TIMEOUT_S,
     CUT_S,
     DISARM_TIMEOUT_S,
@@ -16,11 +16,11 @@ from handctl.controller.modes import (
 )
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import IoEvent, Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import IoEvent, Mode
 from handctl.drives.frame import Frame
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
 

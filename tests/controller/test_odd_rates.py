@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode, TickEvent
+from handctl.core.tick_types import Mode, TickEvent
 from handctl.document import validate_content
-from handctl.hand.load import load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings
 from tests.conftest import NIGHTLY
 

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
 from handctl.programs.task_checks import check_speed
 

@@ -18,20 +18,20 @@ import pytest
 from firmware_sim.nodes.mit.codec import FrameRanges, decode_command
 from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.controller.monitor.thresholds import servo_steps
-from handctl.controller.setup import make_controller, make_drives
-from handctl.core import block as s
+from handctl.controller.monitor.safety_thresholds import servo_steps
+from handctl.controller.run_setup import make_controller, make_drives
+from handctl.core import state_block as s
+from handctl.core.control_law.servo_commands import LIMIT_MARGIN_N
+from handctl.core.cyclic_frames import WireTables
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_constants import servo_constants
-from handctl.core.law.servo import LIMIT_MARGIN_N
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.core.wire import WireTables
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content, load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 from tests.faults.test_relaxing import check_relaxing

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.controller.state import State
-from handctl.core import block as s
+from handctl.controller.controller_state import State
 from handctl.core import constants as h
-from handctl.core.block import state_tables
+from handctl.core import state_block as s
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import constant_tables
 from handctl.core.estimation import posture
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
-from handctl.core.types import Mode
-from handctl.hand.load import PACKAGED_HANDS_FOLDER, load_hand
-from handctl.programs.grasp import TaskProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from handctl.session.tasks import find_task
 from tests.controller.synthetic import (

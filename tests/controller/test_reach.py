@@ -9,7 +9,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand, packaged_hands
+from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.task import Task
 from handctl.programs.task_checks import check_joint_range, check_tip_force
 

@@ -2,10 +2,10 @@
 
 import pytest
 
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickOut
 from handctl.drives.frame import Frame
-from handctl.programs.live import LiveProgram
+from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import Bench, bench
 
 UNASKED = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))

@@ -9,20 +9,20 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
+from handctl.controller.controller_state import State
+from handctl.controller.gain_change import CACHE_SIZE, DesignCache
 from handctl.controller.pending_gains import PendingGains
-from handctl.controller.retune import CACHE_SIZE, DesignCache
-from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.core import block as s
-from handctl.core.gains.bounds import checked_bound, gain_bounds, values_by_key, with_values
+from handctl.core import state_block as s
+from handctl.core.gains.gain_bounds import checked_bound, gain_bounds, values_by_key, with_values
 from handctl.core.gains.gains import Gains, TensionGains
 from handctl.core.gains.motion_design import design_motion, design_piece_count
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.errors import ConfigError
-from handctl.hand.load import hand_path
+from handctl.hand.hand_loading import hand_path
 from handctl.programs.commission import CommissionProgram
-from handctl.programs.live import LiveProgram
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.clocks.lockstep import load_peer
 from handctl.safety.action import Action
@@ -43,7 +43,7 @@ def noiseless_hand(model: HandModel) -> Bench:
     Its tendons are taut, and it waits for requests.
     """
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
-    peer = load_peer("firmware_sim.rig:LockstepHand", **options)
+    peer = load_peer("firmware_sim.lockstep_hand:LockstepHand", **options)
     desk = Bench(controller(model, LiveProgram()), peer)
     desk.until(Mode.ACTIVE)
     while desk.state.progress.phase != "live":
@@ -99,7 +99,7 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     """A change of gains is refused while a hand is commissioned, because the next run would not have the new gains."""
     desk = Bench(
         controller(jamia, CommissionProgram()),
-        load_peer("firmware_sim.rig:LockstepHand", hand_path=str(hand_path("jamia"))),
+        load_peer("firmware_sim.lockstep_hand:LockstepHand", hand_path=str(hand_path("jamia"))),
     )
     desk.until(Mode.ACTIVE)
     out = desk.tick(change({"motion.force_N": 20.0}))

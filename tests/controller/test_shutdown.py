@@ -6,9 +6,9 @@ import pytest
 
 from handctl.campaign.stage import homed_run
 from handctl.controller.shutdown import shutdown_step
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.drives.frame import Frame
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import OPTIONS, hand_file
 
 PERIOD_NS = 2_000_000

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core import block as s
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent
+from handctl.core import state_block as s
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
 from handctl.programs import grip
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.grip import SLIP_EXCURSION_M, GripPlan, GripState, advance_grip
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from tests.controller.plant_run import run_on_plant
 from tests.controller.synthetic import (
     Estimate,

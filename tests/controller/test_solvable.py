@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.gains.bounds import gain_bounds, with_values
+from handctl.core.gains.gain_bounds import gain_bounds, with_values
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 ODD = {
     "motion.force_N": 1e-9,

@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.setup import make_controller
-from handctl.core import block as s
-from handctl.core.estimate import Estimate, TickMeasurements
+from handctl.controller.run_setup import make_controller
+from handctl.core import state_block as s
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.tendon_redundancy import tendon_directions
 from handctl.core.estimation.spool_pair import net_tension_at_joint, net_tension_at_spool
 from handctl.core.gains.gains import Gains
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.redundancy import tendon_directions
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_content, hand_from_content, load_hand, validate_content
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, validate_content
 from handctl.hand.readiness import reasons_not_ready
 from handctl.log.header import RunHeader
 from handctl.log.topics.message_streams import TopicRegistry
@@ -31,9 +31,9 @@ from handctl.log.topics.topic_set import TopicSet
 from handctl.programs.calibration import Calibration
 from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
 from handctl.programs.default_task import default_task
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents
 from handctl.programs.task import ClosePhase, HoldPhase, Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.calibration import homed_calibration
 from handctl.session.simulate import SimulatedHand, SimulatedRun, SimulatorSettings
 from tests.controller.synthetic import interpreted

@@ -9,26 +9,26 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.snapshot import restore_state, snapshot_bytes
-from handctl.controller.state import layout_of_state
-from handctl.controller.streams import stream_status
-from handctl.core import block as s
-from handctl.core.law.goal import GoalKind
-from handctl.core.law.stream import begin_segments
-from handctl.core.law.trajectory import StreamedTrajectory
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickOut
+from handctl.controller.controller_state import layout_of_state
+from handctl.controller.state_snapshot import restore_state, snapshot_bytes
+from handctl.controller.target_streams import stream_status
+from handctl.core import state_block as s
+from handctl.core.control_law.digit_goal import GoalKind
+from handctl.core.control_law.streamed_motion import begin_segments
+from handctl.core.control_law.trajectory import StreamedTrajectory
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickOut
 from handctl.hand.dynamics import static_torque
-from handctl.programs.grasp import TaskProgram
-from handctl.programs.live import LiveProgram
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import is_target, parse_target, target_text
-from handctl.programs.streams import (
+from handctl.programs.stream_plans import (
     continued_move,
     horizon_s,
     mapping_of_stream,
     nearest_holdable_posture,
 )
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 100.0

@@ -15,10 +15,10 @@ import pytest
 from numpy.typing import NDArray
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand, packaged_hands
-from handctl.programs.live import LiveProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import load_hand, packaged_hands
+from handctl.programs.live_session import LiveProgram
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.controller.test_stream import Client

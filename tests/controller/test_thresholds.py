@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from handctl.controller.monitor.thresholds import max_frames_per_tick
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.hand.load import load_hand
+from handctl.controller.monitor.safety_thresholds import max_frames_per_tick
+from handctl.controller.run_setup import make_drives, make_sensors
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import OPTIONS, hand_file
 
 FEEDBACK = "torque_feedback = true\n"

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.load import hand_content, hand_from_content, load_hand
-from handctl.programs.live import LiveProgram
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
 

@@ -5,8 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core.law.trajectory import PEAK_SPEED, CurveTrajectory, MinimumJerk, duration_for
-from handctl.core.plain import plain_bytes
+from handctl.core.control_law.trajectory import (
+    PEAK_SPEED,
+    CurveTrajectory,
+    MinimumJerk,
+    duration_for,
+)
+from handctl.core.plain_values import plain_bytes
 
 angles = st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2).map(np.array)
 durations = st.floats(0.01, 100.0)

@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.core.block import state_tables
+from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import constant_tables
-from handctl.core.estimation import structure
+from handctl.core.estimation import varying_moment_arms
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants, _joint_compliance
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, TablePlaces
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.state_block import state_tables
+from handctl.core.tick_types import Mode
 from handctl.hand.description import Hand
-from handctl.hand.load import packaged_hands
+from handctl.hand.hand_loading import packaged_hands
 from handctl.hand.tendons import excursions
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.conftest import NIGHTLY
 from tests.controller.synthetic import active_state
@@ -33,7 +33,9 @@ SEEDS = range(20) if NIGHTLY else range(2)
 def _update(
     block: BlockArray, at: TablePlaces, constants: BlockArray, constants_at: TablePlaces
 ) -> None:
-    structure.update_structure(state_tables(block, at), constant_tables(constants, constants_at))
+    varying_moment_arms.update_structure(
+        state_tables(block, at), constant_tables(constants, constants_at)
+    )
 
 
 @kernel("block", "layout", "constants", "layout", "count", "count", "real")
@@ -48,7 +50,9 @@ def _arm(
 ) -> np.ndarray:
     c = constant_tables(constants, constants_at)
     return np.array([
-        structure.joint_excursion(c, n, j, q), structure.moment_arm(c, n, j, q), structure.arm_slope(c, n, j, q),
+        varying_moment_arms.joint_excursion(c, n, j, q),
+        varying_moment_arms.moment_arm(c, n, j, q),
+        varying_moment_arms.arm_slope(c, n, j, q),
     ])  # fmt: skip
 
 

@@ -8,14 +8,14 @@ from handctl.controller.relaxing import (
     RELAX_RATE_N_PER_S,
     SETPOINT_MARGIN_N,
 )
+from handctl.core.control_law.computed_torque import RELAX_FLOOR_N
 from handctl.core.gains.gains import Gains
-from handctl.core.law.computed_torque import RELAX_FLOOR_N
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.drives.frame import Frame
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.commission import CommissionProgram
-from handctl.programs.live import LiveProgram
+from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import Bench, bench
 
 STOP, CUT = '{"do": "stop"}', '{"do": "cut"}'

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
-from handctl.core.model import BLIND_SIGMAS, HandModel
-from handctl.core.types import Mode, TickEvent
+from handctl.core.hand_model import BLIND_SIGMAS, HandModel
+from handctl.core.tick_types import Mode, TickEvent
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content
+from handctl.hand.hand_loading import hand_content, hand_from_content
 from handctl.programs.commission import CommissionProgram, calibration_of_result
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
 RATE_HZ = 500.0

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.rig import LockstepHand
+from firmware_sim.lockstep_hand import LockstepHand
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import PROTOCOL_TRAITS
-from handctl.drives.registry import make_drive
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.protocol_registry import make_drive
+from handctl.drives.sensors.sensor_node import SensorNode
 from handctl.hand.file.sections import Motor
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 PERIOD_NS = 2_000_000
 FIRST_NODE = 0x10

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from firmware_sim.rig import LockstepHand
+from firmware_sim.lockstep_hand import LockstepHand
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
-from handctl.drives.registry import make_drive
-from handctl.drives.sensors.node import SensorNode
-from handctl.hand.load import load_hand
+from handctl.drives.protocol_registry import make_drive
+from handctl.drives.sensors.sensor_node import SensorNode
+from handctl.hand.hand_loading import load_hand
 from tests.drives.wired import Wired
 
 PERIOD_NS = 2_000_000

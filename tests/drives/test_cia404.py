@@ -10,17 +10,17 @@ import cantools
 import pytest
 
 from firmware_sim.bus.frame import Frame as WireFrame
-from firmware_sim.rig import LockstepHand
+from firmware_sim.lockstep_hand import LockstepHand
 from handctl.campaign.stage import GRASP_STAGE, advance_to, homed_run
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.core.types import Mode
+from handctl.controller.run_setup import make_drives, make_sensors
+from handctl.core.tick_types import Mode
 from handctl.drives.cia404.load_cells import Cia404LoadCells
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.dbc import dbc_of_bus
+from handctl.drives.dbc_export import dbc_of_bus
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content, load_hand
+from handctl.hand.hand_loading import hand_from_content, load_hand
 from handctl.runtime.diagnostics.scan import scan_bus
 from handctl.session.simulate import SimulatedRun
 from tests.drives.wired import Wired

@@ -18,8 +18,8 @@ from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import NO_STEADY_STATUS, Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, ERROR, FDF, REMOTE, Frame
 from handctl.drives.odrive.drive import OdriveDrive
-from handctl.drives.registry import PROTOCOL_ENTRIES
-from handctl.drives.sensors.node import SensorNode
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
+from handctl.drives.sensors.sensor_node import SensorNode
 from tests.drives.protocol_bench import PERIOD_NS, Bench, hand_file
 from tests.drives.wired import Wired
 

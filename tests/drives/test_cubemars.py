@@ -12,11 +12,11 @@ import pytest
 from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, FeedbackError
 from firmware_sim.programs.drive import SimulatedDriveBench as DriveBench
 from firmware_sim.programs.drive_types import drive_spec
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.mit.cubemars import MOTOR_MODEL_RANGES, CubemarsDrive
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, servo_torques

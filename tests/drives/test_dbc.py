@@ -10,13 +10,13 @@ import pytest
 from cantools.database import Database
 
 from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
-from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.dbc import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
+from handctl.drives.dbc_export import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
 from handctl.drives.frame import Frame
 from handctl.drives.signals import Message, Quantity
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
 from tests.drives.wired import Wired
 

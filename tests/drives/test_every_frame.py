@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import BRS, EXTENDED, FDF, Frame
-from handctl.drives.registry import PROTOCOL_ENTRIES
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import Bench, hand_file
 from tests.drives.virtual_bench import VirtualBench, rig_on

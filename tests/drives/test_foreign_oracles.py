@@ -9,7 +9,7 @@ import odrive_can
 import pytest
 
 from firmware_sim.bus.frame import REMOTE, Frame
-from firmware_sim.nodes.cia402.dictionary import EDS_PATH, ObjectDictionary
+from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH, ObjectDictionary
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.cia402 import settings as setup

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from handctl.campaign.stage import homed_run
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import load_hand
 from handctl.session.simulate import SimulatedRun
 from tests.drives.protocol_bench import OPTIONS, hand_file
 

@@ -12,8 +12,8 @@ from handctl.drives.frame import FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import MitProgress
+from handctl.drives.protocol_registry import make_drive
 from handctl.drives.readback import ReadbackCursor
-from handctl.drives.registry import make_drive
 from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError
 from tests.drives.conftest import Section, drive_of

@@ -6,15 +6,15 @@ from pathlib import Path
 import pytest
 
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.setup import make_sensors
+from handctl.controller.run_setup import make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame_time import bus_time_s
-from handctl.drives.identifiers import check_identifiers
+from handctl.drives.identifier_checks import check_identifiers
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.drives.odrive.discovery import FREE_NUMBERS
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, on_two_buses
 
 

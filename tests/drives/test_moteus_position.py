@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from firmware_sim.nodes.moteus.node import MoteusNode
-from firmware_sim.nodes.moteus.text import FACTORY_CONFIGURATION
+from firmware_sim.nodes.moteus.text_channel import FACTORY_CONFIGURATION
 from handctl.campaign.scenarios import FREE_STAGE
 from handctl.campaign.stage import advance_to, homed_run
-from handctl.core import block as s
-from handctl.core import wire
-from handctl.core.types import Mode
+from handctl.core import cyclic_frames
+from handctl.core import state_block as s
+from handctl.core.tick_types import Mode
 from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.frame_records import WORDS_PER_RECORD, Frames
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.drive import MoteusDrive
 from handctl.drives.moteus.settings import (
@@ -24,7 +25,6 @@ from handctl.drives.moteus.settings import (
     rounded_to_float32,
     write_request,
 )
-from handctl.drives.records import WORDS_PER_RECORD, Frames
 from handctl.drives.signals import Quantity, SignalTable
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.controller.test_position_loop import loop_hand, moteus_command, moving
@@ -187,7 +187,7 @@ def test_a_number_that_cannot_be_encoded_becomes_a_torque_command(row: int, valu
 def sent_frames(block, layout, tables, torque) -> list[bytes]:
     """Return the payloads of the commands of a block."""
     out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
-    first, count = wire.encode_commands(
+    first, count = cyclic_frames.encode_commands(
         block, layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals, tables.templates, torque,
         tables.servos, tables.servo_templates, tables.servo_wholes, tables.servo_reals, 0, 0,
     )  # fmt: skip

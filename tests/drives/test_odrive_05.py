@@ -13,7 +13,7 @@ import pytest
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.odrive import firmware_05 as odrive_05
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.diagnostics.conformance import CheckVerdict, DeviceUnderTest, run_checks
 from handctl.runtime.diagnostics.scan import scan_bus

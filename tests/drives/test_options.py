@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from handctl.core.tendon_space import tendon_space
-from handctl.drives.registry import make_drive
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import hand_file, motor_on_bench
 
 CIA402 = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}

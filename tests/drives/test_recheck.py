@@ -10,10 +10,10 @@ import pytest
 
 from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive

@@ -8,11 +8,11 @@ import pytest
 from firmware_sim.bus.frame import Frame as SimFrame
 from firmware_sim.nodes.robstride import node as simulated
 from firmware_sim.nodes.robstride.mit_mode import RobstrideMitNode
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
-from handctl.drives.registry import make_drive
-from handctl.drives.robstride.mit import READ_FAULTS, RobstrideMitDrive
+from handctl.drives.protocol_registry import make_drive
+from handctl.drives.robstride.mit_mode import READ_FAULTS, RobstrideMitDrive
 from handctl.errors import ConfigError
 from tests.drives.protocol_bench import Bench, hand_file, motor_on_bench, servo_torques
 from tests.drives.virtual_bench import VirtualBench, rig_on

@@ -14,7 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
-from handctl.drives.sensors.node import TENSION_MAX_N, TENSION_ZERO_N, SensorNode, sync_counters
+from handctl.drives.sensors.sensor_node import (
+    TENSION_MAX_N,
+    TENSION_ZERO_N,
+    SensorNode,
+    sync_counters,
+)
 from tests.drives.wired import Wired
 
 RAW = st.integers(0, 4095)
@@ -263,7 +268,7 @@ def test_a_saturated_load_cell_is_beyond_the_rail_after_any_tare(node: SensorNod
 
 
 def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
-    from firmware_sim.nodes.sensors import joint_code, pack, tension_code
+    from firmware_sim.nodes.sensor_node import joint_code, pack, tension_code
 
     forces, angles = [7.3 * i for i in range(5)], [0.4 * i - 0.8 for i in range(5)]
     frames = [

@@ -11,15 +11,15 @@ import pytest
 
 from handctl.campaign.stage import hand_with_protocol
 from handctl.controller.bus_load import bus_loads, with_more_buses
-from handctl.controller.setup import make_drives
+from handctl.controller.run_setup import make_drives
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_content, hand_from_content, load_hand
-from handctl.programs.live import LiveProgram
+from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 from tests.drives.protocol_bench import hand_file, on_two_buses
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from handctl.campaign.stage import hand_with_protocol
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
-from handctl.programs.grasp import TaskProgram
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
 SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1)

@@ -8,7 +8,7 @@ import pytest
 from handctl.controller.bus_load import bus_loads
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import ERROR
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
 from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
 

@@ -6,15 +6,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.state import drive_values
-from handctl.core import block as s
+from handctl.controller.controller_state import drive_values
 from handctl.core import constants as h
-from handctl.core import stages, wire
-from handctl.core.block import STATE
+from handctl.core import cyclic_frames, tick_stages
+from handctl.core import state_block as s
 from handctl.core.constants import ELEMENTS, HAND, KINDS
+from handctl.core.state_block import STATE
 from handctl.drives.contract import Drive, DriveState, DriveTarget
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import WORDS_PER_RECORD, Frames, frames_as_records
+from handctl.drives.frame_records import WORDS_PER_RECORD, Frames, frames_as_records
 from handctl.drives.sensors.contract import SensorInterface
 
 
@@ -39,7 +39,7 @@ class Wired:
         self.layout = STATE.layout(
             {**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1}
         )
-        self.tables = wire.WireTables(drives, sensors)
+        self.tables = cyclic_frames.WireTables(drives, sensors)
         self.block = self.layout.initial.copy()
         self.owners = {
             (drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids
@@ -61,7 +61,7 @@ class Wired:
     def begin(self) -> None:
         """Begin a tick without changing the tick's number and time."""
         numbers = [self.number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
-        wire.begin_tick(self.block, self.layout.places, *numbers)
+        cyclic_frames.begin_tick(self.block, self.layout.places, *numbers)
 
     def sync(self, k: int) -> Frame:
         """Return the request to the sensors as the end of a tick sends it, and begin the next tick."""
@@ -78,7 +78,7 @@ class Wired:
         frames, known, at = frames_as_records(frames), self.tables, 0
         self.seen, self.foreign = [], []
         while True:
-            at = wire.receive_frames(
+            at = cyclic_frames.receive_frames(
                 self.block, self.layout.places, *self._constants, frames.rows, known.keys, known.entries, known.wholes,
                 known.reals, at, self.sensors.earliest_answer_ns(self.number("t_ns")),
             )  # fmt: skip
@@ -100,7 +100,7 @@ class Wired:
         while True:
             if target == DriveTarget.ENABLE:
                 out = np.zeros((len(tables.templates), WORDS_PER_RECORD), np.uint64)
-                first, count = wire.encode_commands(
+                first, count = cyclic_frames.encode_commands(
                     self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
                     tables.templates, np.asarray(torque, dtype=np.float64), tables.servos, tables.servo_templates,
                     tables.servo_wholes, tables.servo_reals, first, 0,
@@ -156,7 +156,7 @@ class Wired:
 
     def observe(self) -> "Wired":
         """Convert received values to measurements, and start the filter once every sensor has been read."""
-        stages.observe_tick(self.block, self.layout.places, *self._constants)
+        tick_stages.observe_tick(self.block, self.layout.places, *self._constants)
         return self
 
     @cached_property

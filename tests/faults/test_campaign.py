@@ -34,8 +34,8 @@ from handctl.campaign.stage import (
     homed_run,
     run_in_branches,
 )
-from handctl.core.types import Mode, TickEvent
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands
+from handctl.core.tick_types import Mode, TickEvent
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 from handctl.safety.action import Action
 from handctl.safety.faults.tendon import RELAXED_S
 from handctl.session.plan import default_rate

@@ -15,8 +15,8 @@ from benchmarks import hidden
 from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
 from handctl.campaign.stage import CAMPAIGN_TASK, advance_to, hand_with_protocol, homed_run
 from handctl.controller.relaxing import SETPOINT_MARGIN_N
-from handctl.core import block as s
-from handctl.core.types import Mode
+from handctl.core import state_block as s
+from handctl.core.tick_types import Mode
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.session.simulate import SimulatedRun

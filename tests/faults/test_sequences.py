@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from firmware_sim.description import load_hand
-from firmware_sim.faults.text import parse_fault
+from firmware_sim.faults.fault_text import parse_fault
+from firmware_sim.hand_description import load_hand
 from handctl.campaign import sequences
 from handctl.campaign.scenarios import ALL_PROTOCOLS, ARMING_STAGE, HOST_PREFIX
 from handctl.campaign.sequences import (
@@ -31,8 +31,8 @@ from handctl.campaign.stage import (
     homed_run,
     run_in_branches,
 )
-from handctl.core.types import Mode
-from handctl.safety.judge import LatchedFault
+from handctl.core.tick_types import Mode
+from handctl.safety.tick_verdict import LatchedFault
 from handctl.session.plan import default_rate
 
 NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, result: None}

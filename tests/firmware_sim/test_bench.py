@@ -8,10 +8,10 @@ import pytest
 
 from firmware_sim.__main__ import main
 from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.description import SimulatorError
 from firmware_sim.faults.faulty_drive import DRIVE_FAULTS
+from firmware_sim.hand_description import SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, cubemars
-from firmware_sim.nodes.cia402.dictionary import EDS_PATH, ObjectDictionary
+from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH, ObjectDictionary
 from firmware_sim.nodes.mit import bench as mit_bench
 from firmware_sim.nodes.odrive import bench as odrive_bench
 from firmware_sim.programs.drive import SimulatedDriveBench

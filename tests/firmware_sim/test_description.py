@@ -20,10 +20,10 @@ from firmware_sim.bus.frame import (
     pack_record,
     unpack_record,
 )
-from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.plant.perturb import PERTURBATION_KEYS, perturbed_hand
-from firmware_sim.rig import LockstepHand
-from handctl.hand.load import load_hand as described
+from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.lockstep_hand import LockstepHand
+from firmware_sim.plant.plant_perturbation import PERTURBATION_KEYS, perturbed_hand
+from handctl.hand.hand_loading import load_hand as described
 
 
 def write_edited_jamia(tmp_path: Path, old: str, new: str) -> str:

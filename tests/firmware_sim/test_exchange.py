@@ -14,11 +14,11 @@ import pytest
 
 from firmware_sim import compiled
 from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.bus.records import FRAME_DTYPE, to_frames, to_records
-from firmware_sim.nodes import cyclic
-from firmware_sim.rig import LockstepHand
-from firmware_sim.truth import read_truth
-from handctl.hand.load import load_hand as described
+from firmware_sim.bus.frame_records import FRAME_DTYPE, to_frames, to_records
+from firmware_sim.lockstep_hand import LockstepHand
+from firmware_sim.nodes import cyclic_kernels
+from firmware_sim.truth_file import read_truth
+from handctl.hand.hand_loading import load_hand as described
 
 TICK_NS = 2_000_000
 FIRST_NODE = 0x10
@@ -275,7 +275,7 @@ def test_a_kernel_is_compiled_again_if_an_imported_module_changes(
 ) -> None:
     from firmware_sim.nodes.mit import codec
 
-    modules = set(compiled._imported_kernels(cyclic).values())
+    modules = set(compiled._imported_kernels(cyclic_kernels).values())
     assert codec in modules
     before = compiled._source_digest(modules)
     changed = tmp_path / "codec.py"

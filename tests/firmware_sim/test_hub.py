@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.bus.hub import Hub
-from firmware_sim.description import SimulatorError
-from firmware_sim.paths import bus_path, run_dir, truth_path
+from firmware_sim.hand_description import SimulatorError
+from firmware_sim.socket_paths import bus_path, run_dir, truth_path
 
 SIZE = 72
 CLASSICAL, FD = 0, 4

@@ -8,10 +8,10 @@ import struct
 import pytest
 
 from firmware_sim.bus.frame import BRS, EXTENDED, FDF, Frame
-from firmware_sim.description import load_hand
+from firmware_sim.hand_description import load_hand
+from firmware_sim.lockstep_hand import LockstepHand
 from firmware_sim.nodes.mit.node import FeedbackState, MitNode
 from firmware_sim.plant.motor import Motor
-from firmware_sim.rig import LockstepHand
 
 MS = 1_000_000
 SPEC = load_hand("jamia").motors[1]

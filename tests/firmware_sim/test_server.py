@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from firmware_sim.bus.bus_ports import assign_buses, open_port
 from firmware_sim.bus.frame import FDF, Frame, pack_record
-from firmware_sim.bus.local import HubPort, JoinedPort
-from firmware_sim.bus.ports import assign_buses, open_port
-from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.pace import PaceCounter, rounded_down
-from firmware_sim.priority import ORDINARY_PRIORITY_S, RealTimePriority
+from firmware_sim.bus.local_ports import HubPort, JoinedPort
+from firmware_sim.bus_server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_NS, BusServer
+from firmware_sim.hand_description import SimulatorError, load_hand
+from firmware_sim.realtime_priority import ORDINARY_PRIORITY_S, RealTimePriority
 from firmware_sim.scene.scene import load_scene
-from firmware_sim.server import MAX_CATCH_UP_NS, MAX_DELAY_NS, OVERRUN_NS, BusServer
 from firmware_sim.shared_clock import SharedClock
-from firmware_sim.world import SimulatedWorld
+from firmware_sim.simulated_world import SimulatedWorld
+from firmware_sim.simulation_pace import PaceCounter, rounded_down
 from tests.firmware_sim.manual_clock import ManualClock
 
 MS = 1_000_000

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.wire.adapter import ADAPTER_CLASSES, AdapterLatency
-from firmware_sim.wire.bits import FD_LENGTHS, BitRates, arbitration_number
-from firmware_sim.wire.controller import CanController, ErrorState
-from firmware_sim.wire.medium import NEVER_NS, SimulatedWire, WireOptions
+from firmware_sim.wire.can_adapter import ADAPTER_CLASSES, AdapterLatency
+from firmware_sim.wire.can_controller import CanController, ErrorState
+from firmware_sim.wire.frame_bits import FD_LENGTHS, BitRates, arbitration_number
+from firmware_sim.wire.simulated_wire import NEVER_NS, SimulatedWire, WireOptions
 from handctl.drives.frame_time import frame_time_s
 
 NOMINAL, DATA = 1_000_000, 5_000_000

@@ -9,7 +9,7 @@ import pytest
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 
 SPATIAL = ("orca_like",)
 """Packaged hands whose digits are spatial chains on a wrist.

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
+from handctl.hand.formats.link_meshes import PALM_LINK, meshes_of_hand
 from handctl.hand.formats.mesh_file import mesh_triangles
-from handctl.hand.formats.meshes import PALM_LINK, meshes_of_hand
+from handctl.hand.hand_loading import hand_from_content, load_hand
+from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import joint_positions, link_rotations
-from handctl.hand.load import hand_from_content, load_hand
-from handctl.hand.tree import HandTree
 from tools.meshes.solids import stl
 
 CORNERS = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.02]])

@@ -5,19 +5,19 @@ import numpy as np
 import pinocchio
 import pytest
 
-from firmware_sim.description import load_hand as simulated_hand
+from firmware_sim.hand_description import load_hand as simulated_hand
 from firmware_sim.plant.mjcf import model_text
 from firmware_sim.scene.scene import load_scene
-from handctl.core.estimation.tip import joint_lever
+from handctl.core.estimation.tip_force import joint_lever
 from handctl.hand import dynamics, rigid_body
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.hand_loading import load_hand
+from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import forward_kinematics, joint_points, point_jacobian, tip_jacobian
 from handctl.hand.link_frames import link_transforms
-from handctl.hand.load import load_hand
-from handctl.hand.tree import HandTree
 from handctl.log.topics.transforms import link_frames, link_quaternions, multiply_quaternions
 from tests.hand.chains import SEEDS, random_hand, random_tree
 from tests.hand.test_dynamics import TOLERANCE, agree, pinocchio_by_hand, states, whole_hand

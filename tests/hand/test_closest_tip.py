@@ -7,9 +7,9 @@ import pytest
 from scipy.optimize import least_squares
 
 from handctl.hand.digit import DigitModel
+from handctl.hand.hand_loading import load_hand
 from handctl.hand.inverse_kinematics import closest_tip, inverse_kinematics_coupled
 from handctl.hand.kinematics import joint_points
-from handctl.hand.load import load_hand
 from tests.hand.chains import random_hand
 
 HANDS = ("jamia", "jamia11", "t42", "n_plus_1")

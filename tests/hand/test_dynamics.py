@@ -9,7 +9,7 @@ from handctl.hand import dynamics, rigid_body
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 
 SAMPLES = 1000
 GRAVITIES = [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (9.81, 0.0, 0.0), (3.1, -7.7, 5.2)]

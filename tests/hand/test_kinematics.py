@@ -9,6 +9,7 @@ import pytest
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf_text
+from handctl.hand.hand_loading import load_hand
 from handctl.hand.inverse_kinematics import (
     coordinate_limits,
     inverse_kinematics,
@@ -24,7 +25,6 @@ from handctl.hand.kinematics import (
 )
 from handctl.hand.link_bodies import rotation_of_rpy
 from handctl.hand.link_frames import link_transforms, quaternion_of_rotation
-from handctl.hand.load import load_hand
 from tests.hand.chains import random_hand
 
 

@@ -6,13 +6,13 @@ The excursion is the integral of the arms R, and mistakes in a hand file are rep
 import numpy as np
 import pytest
 
-from firmware_sim.description import load_hand as load_simulated
+from firmware_sim.hand_description import load_hand as load_simulated
 from firmware_sim.plant.drivetrain import _arm_at, _taken_up
 from firmware_sim.plant.tendon import TendonRouting
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands, parse_toml
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands, parse_toml
 from handctl.hand.moment_arms import polynomial_of_arm, table_residual
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings

@@ -10,7 +10,7 @@ from _pytest.mark.structures import ParameterSet
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import hand_content, hand_from_content, packaged_hands
+from handctl.hand.hand_loading import hand_content, hand_from_content, packaged_hands
 from tests.conftest import NIGHTLY
 
 CONTENT = {name: hand_content(name) for name in packaged_hands()}

@@ -8,8 +8,13 @@ import pytest
 from handctl.cli.main import main
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands
-from handctl.hand.strength import STRENGTH_MARGIN, largest_force, runaway_tension, strength_warnings
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
+from handctl.hand.tendon_strength import (
+    STRENGTH_MARGIN,
+    largest_force,
+    runaway_tension,
+    strength_warnings,
+)
 
 
 def with_ratings(

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.hand.tendons import (
     TendonElasticity,
     effective_moment_arms,

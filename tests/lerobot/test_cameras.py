@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.errors import LogError
 from handctl.log.export.camera_video import make_cameras, write_episode_video
 from handctl.log.export.lerobot import export_lerobot

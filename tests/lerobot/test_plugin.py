@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.log.read.reader import RunLog
 from tests.lerobot.conftest import SCALE
 from tests.runtime.processes import BUS, HOMED

@@ -6,7 +6,15 @@ from dataclasses import replace
 import numpy as np
 import synthetic
 
-from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, Telemetry, TickEvent, TickIn, TickOut
+from handctl.core.tick_types import (
+    TELEMETRY_AXES,
+    IoEvent,
+    Mode,
+    Telemetry,
+    TickEvent,
+    TickIn,
+    TickOut,
+)
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.header import RunHeader

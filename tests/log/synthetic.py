@@ -13,11 +13,19 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, Telemetry, TickEvent, TickIn, TickOut
+from handctl.core.tick_types import (
+    TELEMETRY_AXES,
+    IoEvent,
+    Mode,
+    Telemetry,
+    TickEvent,
+    TickIn,
+    TickOut,
+)
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import pack_tick_record
 from handctl.log.topics.state_topics import moment_arms

@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from handctl.core import types
-from handctl.core.types import TELEMETRY_FIELDS
+from handctl.core import tick_types
+from handctl.core.tick_types import TELEMETRY_FIELDS
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import (
@@ -69,7 +69,7 @@ def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
 
 def test_units_are_those_that_the_telemetry_declares() -> None:
     """The docstring of each field of `Telemetry` ends with its unit in brackets, unless the field has no unit."""
-    source = ast.parse(inspect.getsource(types))
+    source = ast.parse(inspect.getsource(tick_types))
     (telemetry,) = (
         node for node in source.body if isinstance(node, ast.ClassDef) and node.name == "Telemetry"
     )

@@ -11,7 +11,7 @@ from rerun.chunk import RrdReader
 from rerun.experimental import LeRobotReader
 
 from handctl.cli.main import main
-from handctl.core.types import TELEMETRY_FIELDS, Mode
+from handctl.core.tick_types import TELEMETRY_FIELDS, Mode
 from handctl.errors import ConfigError, LogError
 from handctl.log.export.camera_video import histogram_statistics
 from handctl.log.export.lerobot import export_lerobot

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.types import (
+from handctl.core.tick_types import (
     TELEMETRY_AXES,
     IoEvent,
     Mode,
@@ -19,7 +19,7 @@ from handctl.core.types import (
     TickOut,
 )
 from handctl.drives.frame import FDF, Frame
-from handctl.drives.records import frames_as_records
+from handctl.drives.frame_records import frames_as_records
 from handctl.log.record import (
     RECORD_FRAMING_STRUCT,
     message_layout,

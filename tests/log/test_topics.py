@@ -18,8 +18,8 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from handctl.hand.digit import DigitModel
+from handctl.hand.hand_loading import load_hand
 from handctl.hand.link_frames import link_transforms
-from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import RECORD_FRAMING_STRUCT, pack_tick_record
 from handctl.log.topics.transforms import link_frames

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from handctl.controller.setup import make_controller
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import IoEvent, TickIn, TickOut
+from handctl.core.tick_types import IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.log.record import pack_tick_record
 from handctl.log.write.recorder import Recorder
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.program import Program
 from handctl.programs.task import load_task
+from handctl.programs.task_program import TaskProgram
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, LockstepPeer, load_peer
 from handctl.runtime.loop import ControlLoop
 from handctl.session.header import run_header
@@ -134,7 +134,9 @@ def run(
             "homed": True,
         }
         options["truth_path"] = str(truth) if truth else None
-        peer = load_peer("firmware_sim.rig:LockstepHand", **options, period_ns=plan.period_ns)
+        peer = load_peer(
+            "firmware_sim.lockstep_hand:LockstepHand", **options, period_ns=plan.period_ns
+        )
     clock = LockstepClock(spoil(peer), plan.period_ns)
     controller = make_controller(described, plan.gains, rate_hz, program, None, arm_at_once=True)
     header = run_header(plan, controller, None, lockstep=True)

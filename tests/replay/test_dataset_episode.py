@@ -13,10 +13,10 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.errors import ConfigError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import PlaybackProgram

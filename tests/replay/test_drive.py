@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.errors import IncomparableError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.playback import RecordedGoals
 from handctl.replay.compare import check_same_hand, compare_signals, resampled_field, signal_delay

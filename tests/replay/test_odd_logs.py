@@ -12,7 +12,7 @@ import pytest
 import runs
 
 from handctl.cli.main import main
-from handctl.core.types import TickEvent, TickIn, TickOut
+from handctl.core.tick_types import TickEvent, TickIn, TickOut
 from handctl.drives.frame import EXTENDED
 from handctl.errors import LogError
 from handctl.log.header import RunHeader

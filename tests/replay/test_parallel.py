@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from handctl.campaign.stage import hand_with_protocol, homed_run
-from handctl.controller.snapshot import restore_state, snapshot_bytes
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
+from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.controller.tick import Controller
-from handctl.core.plain import plain_bytes
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.plain_values import plain_bytes
+from handctl.core.tick_types import Mode, TickIn, TickOut
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog

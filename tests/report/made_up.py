@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from handctl.core.types import TELEMETRY_AXES, Mode
+from handctl.core.tick_types import TELEMETRY_AXES, Mode
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.timeline import PhaseChange
 from handctl.report.truth import TruthRecord
 

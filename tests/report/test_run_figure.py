@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import load_hand
 from handctl.report.run_figure import draw_run
 from handctl.report.truth import TruthRecord
 from tests.report.made_up import MadeUpLog, truth_of

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.report.summary import (
     hold_windows,
     mean_angles,

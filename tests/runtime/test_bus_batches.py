@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
-from handctl.drives.records import WORDS_PER_RECORD, Frames, frames_as_records, join_frames
+from handctl.drives.frame_records import WORDS_PER_RECORD, Frames, frames_as_records, join_frames
 from handctl.runtime.buses import canfd
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus

@@ -6,7 +6,7 @@ import time
 import pytest
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import Frames, RecordArray, frames_as_records
+from handctl.drives.frame_records import Frames, RecordArray, frames_as_records
 from handctl.errors import ConfigError
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock, load_peer
 from handctl.runtime.clocks.priority import GrantedPriority

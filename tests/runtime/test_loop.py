@@ -14,9 +14,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from handctl.core.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.tick_types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_as_records
+from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.errors import PowerError
 from handctl.runtime import loop
 from handctl.runtime.loop import ControlLoop

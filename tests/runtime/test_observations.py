@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.types import (
+from handctl.core.tick_types import (
     TELEMETRY_AXES,
     TELEMETRY_FIELDS,
     Mode,
@@ -21,7 +21,7 @@ from handctl.core.types import (
 )
 from handctl.errors import BusError
 from handctl.programs.requests import parse_target
-from handctl.programs.streams import StreamStatus
+from handctl.programs.stream_plans import StreamStatus
 from handctl.runtime.mailbox import Mailbox
 from handctl.runtime.observations import RING_RECORDS, ObservationReader, ObservationWriter
 from handctl.runtime.paths import observations_path, targets_path

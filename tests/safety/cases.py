@@ -15,11 +15,11 @@ from handctl.core.detectors.residuals import (
     SLIP,
     TENSION,
 )
-from handctl.core.types import Mode
-from handctl.drives.causes import DriveFaultCause
+from handctl.core.tick_types import Mode
 from handctl.drives.contract import DrivePhase
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.safety.action import Action
-from handctl.safety.judge import EventReport, filter_error_frames, second_controller_reports
+from handctl.safety.tick_verdict import EventReport, filter_error_frames, second_controller_reports
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, T, synthetic_limits
 
 COUNT = 8

@@ -8,14 +8,14 @@ import numpy as np
 
 from handctl.compiled import compile_kernels
 from handctl.controller.apply_requests import clear_latched_faults
-from handctl.controller.state import Decisions, State
-from handctl.core import block as s
-from handctl.core import stages
-from handctl.core.block import STATE, Tables, state_tables
+from handctl.controller.controller_state import Decisions, State
+from handctl.core import state_block as s
+from handctl.core import tick_stages
 from handctl.core.constants import AXES, ELEMENTS, HAND, KINDS, ConstantTables, constant_tables
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.hand_constants import low_pass_fractions
-from handctl.core.types import Mode
+from handctl.core.state_block import STATE, Tables, state_tables
+from handctl.core.tick_types import Mode
 from handctl.safety.faults.fault import (
     JOINT_INSTANCE,
     MOTOR_INSTANCE,
@@ -23,7 +23,8 @@ from handctl.safety.faults.fault import (
     TENDON_INSTANCE,
 )
 from handctl.safety.faults.table import DETECTOR_ROWS
-from handctl.safety.judge import (
+from handctl.safety.safety_limits import LOAD_CELLS, SafetyLimits
+from handctl.safety.tick_verdict import (
     CountedFault,
     EventReport,
     LatchedFault,
@@ -31,7 +32,6 @@ from handctl.safety.judge import (
     faults_counting_since_now,
     judge_tick,
 )
-from handctl.safety.limits import LOAD_CELLS, SafetyLimits
 
 T, N = 0.002, np.nan
 SPOOL_M = 0.005
@@ -62,7 +62,7 @@ class Monitor:
         limits: names of the hand's parts, and thresholds of its faults.
         layout, block: layout and block of the state. hand, constants: layout and block of the constants. Tests may
             change them.
-        latched, reported_faults: latched and reported faults, as ``safety.judge`` keeps them.
+        latched, reported_faults: latched and reported faults, as ``safety.tick_verdict`` keeps them.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class Monitor:
         Return the value of each finding by fault and instance.
         """
         self.set({**(rows or {}), **more})
-        self.demanded, self.found = stages.find_faults(
+        self.demanded, self.found = tick_stages.find_faults(
             self.block, self.layout.places, self._read_only(), self.hand.places, self.layout.initial
         )
         reported: dict[str, dict[str, float]] = {}
@@ -169,12 +169,16 @@ class Monitor:
     def observe(self, rows: Rows | None = None) -> None:
         """Convert received values to measurements and screen positions, as a tick does before the detectors run."""
         self.set(rows or {})
-        stages.observe_tick(self.block, self.layout.places, self._read_only(), self.hand.places)
+        tick_stages.observe_tick(
+            self.block, self.layout.places, self._read_only(), self.hand.places
+        )
 
     def remember(self, rows: Rows | None = None) -> None:
         """Store the commands of this tick, as the end of a tick does."""
         self.set(rows or {})
-        stages.store_commands(self.block, self.layout.places, self._read_only(), self.hand.places)
+        tick_stages.store_commands(
+            self.block, self.layout.places, self._read_only(), self.hand.places
+        )
 
     def judge(self, rows: Rows | None = None, reports: Iterable[EventReport] = ()) -> TickVerdict:
         """Judge one tick with its findings, the latched faults, and the reports of buses and host."""

@@ -2,9 +2,9 @@
 
 import pytest
 
-from handctl.core.detectors.node import PHASE_FAULT, ROW_OF_CAUSE
-from handctl.drives.causes import DriveFaultCause
+from handctl.core.detectors.node_faults import PHASE_FAULT, ROW_OF_CAUSE
 from handctl.drives.contract import DrivePhase
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.motor_description import GUARDED_PROTOCOLS, PROTOCOL_TRAITS
 from handctl.safety.action import Action
 from handctl.safety.faults.fault import CatalogueRow, Fault

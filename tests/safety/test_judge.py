@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.safety.action import Action
 from handctl.safety.faults.table import FAULT_TABLE
-from handctl.safety.judge import LatchedFault
+from handctl.safety.tick_verdict import LatchedFault
 from tests.safety.cases import (
     CASES,
     REST,

@@ -11,8 +11,8 @@ import pytest
 
 from handctl.campaign.scenarios import GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.core.detectors import replays
-from handctl.core.types import Mode
+from handctl.core.detectors import replayed_readings
+from handctl.core.tick_types import Mode
 from handctl.safety.faults.node import SWING_S
 from handctl.session.plan import default_rate
 from tests.safety.monitor import Monitor, synthetic_limits
@@ -42,7 +42,7 @@ def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
     return -1, []
 
 
-@pytest.mark.parametrize("age", [16, 32, 50, replays.MAX_AGE_TICKS])
+@pytest.mark.parametrize("age", [16, 32, 50, replayed_readings.MAX_AGE_TICKS])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_repeated_content_is_found_within_sixteen_ticks(seed: int, age: int) -> None:
     rows = readings(seed, 300, 0.5)

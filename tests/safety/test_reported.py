@@ -1,6 +1,6 @@
 """Test which faults follow from reports of the buses, the host and the recorder."""
 
-from handctl.safety.judge import EventReport, filter_error_frames, locate_reports
+from handctl.safety.tick_verdict import EventReport, filter_error_frames, locate_reports
 
 
 def found(*reports: EventReport) -> list[tuple[str, str, float]]:

@@ -19,7 +19,7 @@ from handctl.core.detectors.residuals import (
     TENSION,
     TIME_CONSTANTS_S,
 )
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.safety.faults.node import NOT_OBEYED_N
 from handctl.safety.faults.tendon import FRICTION_WARN_N, RESIDUAL_WARN_N
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, call_interpreted, synthetic_limits

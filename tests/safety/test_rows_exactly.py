@@ -5,7 +5,7 @@ import math
 import pytest
 
 from handctl.safety.action import Action
-from handctl.safety.judge import LatchedFault, locate_reports, second_controller_reports
+from handctl.safety.tick_verdict import LatchedFault, locate_reports, second_controller_reports
 from tests.safety.cases import (
     LIMITS,
     RELAXED,

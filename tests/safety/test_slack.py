@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handctl.core.detectors.residuals import TENSION
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.safety.faults.node import STILL_PULLING_N
 from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
 from tests.safety.monitor import Monitor, T, synthetic_limits

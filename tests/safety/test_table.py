@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from handctl.core.detectors import judge as compiled_judge
-from handctl.safety import judge as judgement
+from handctl.core.detectors import fault_detection as compiled_judge
+from handctl.safety import tick_verdict as judgement
 from handctl.safety.action import Action, RelaxMethod
 from handctl.safety.faults.fault import ENDED_BY_ITSELF, ENDED_BY_OPERATOR, Fault
 from handctl.safety.faults.table import (
@@ -20,8 +20,8 @@ from handctl.safety.faults.table import (
     FAULT_TABLE,
     FAULTS_BY_EVENT_KIND,
 )
-from handctl.safety.judge import TickVerdict
-from handctl.safety.limits import SafetyLimits, ticks_for
+from handctl.safety.safety_limits import SafetyLimits, ticks_for
+from handctl.safety.tick_verdict import TickVerdict
 from tests.safety.cases import (
     CASES,
     LIMITS,

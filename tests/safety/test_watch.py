@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.monitor import thresholds
-from handctl.core import block as s
-from handctl.core.block import STATE
+from handctl.controller.monitor import safety_thresholds
+from handctl.core import state_block as s
 from handctl.core.detectors import residuals
 from handctl.core.detectors.residuals import (
     BALANCE,
@@ -21,7 +20,8 @@ from handctl.core.detectors.residuals import (
     TENSION,
     TIME_CONSTANTS_S,
 )
-from handctl.core.types import Mode
+from handctl.core.state_block import STATE
+from handctl.core.tick_types import Mode
 from tests.safety.monitor import (
     NOW_NS,
     PERIOD_NS,
@@ -533,7 +533,7 @@ def test_refused_goals_are_reported_in_their_tick():
 
 
 def test_thresholds_follow_from_the_hand():
-    assert thresholds.JUMP_MARGIN == 1.5
+    assert safety_thresholds.JUMP_MARGIN == 1.5
     assert residuals.GAIN_FRACTION == 0.1
     assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 

@@ -3,8 +3,8 @@
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.hand.load import load_hand
+from handctl.core.hand_model import HandModel
+from handctl.hand.hand_loading import load_hand
 
 
 @pytest.fixture(scope="session")

@@ -8,9 +8,9 @@ from scipy.signal import cont2discrete
 
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains, packaged_gains
-from handctl.core.identified import IdentifiedParameters
-from handctl.core.model import HandModel
-from handctl.hand.load import load_hand, packaged_hands
+from handctl.core.hand_model import HandModel
+from handctl.core.identified_parameters import IdentifiedParameters
+from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.session.plan import control_rate
 from handctl.tune.loops.design import (
     design_gains,

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.identify import TOLERANCES, measure_digit, summary
 from handctl.cli.tuning.tune_files import load_tuned_hand
-from handctl.core.identified import (
+from handctl.core.identified_parameters import (
     PARAMETER_UNITS,
     IdentifiedParameters,
     identified_hand,
@@ -17,7 +17,7 @@ from handctl.core.identified import (
 )
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.session.calibration import write_calibration
 from handctl.tune.identify.excitation import excitation_steps, lift_off_tension

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from benchmarks.identify import TOLERANCES, measure_digit, summary
-from handctl.core.identified import IdentifiedParameters, identified_hand
-from handctl.core.types import Mode
+from handctl.core.identified_parameters import IdentifiedParameters, identified_hand
+from handctl.core.tick_types import Mode
 from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.runtime.hold_limit import HoldLimit
 from handctl.safety.action import Action
 from handctl.tune.identify.excitation import excitation_steps

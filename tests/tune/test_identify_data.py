@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.tune.identify.data import STOP_DISTANCE_DEG, TRANSIENT_S, tendon_data
 

@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.tuning import PLANT, detuned_gains
 from handctl.core.gains.gains import packaged_gains
-from handctl.core.model import HandModel
-from handctl.hand.load import load_hand
+from handctl.core.hand_model import HandModel
+from handctl.hand.hand_loading import load_hand
 from handctl.tune.scoring import evaluate_job, score_exercise
 from handctl.tune.search.ensemble import draw_ensemble
 

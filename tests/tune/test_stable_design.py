@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.hand.load import hand_from_content, load_hand, packaged_hands
+from handctl.core.hand_model import HandModel
+from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands
 from handctl.tune.loops.design import GainDesign, design_gains, distinct_tendons, linear_factors
 from handctl.tune.loops.linear import (
     LinearSystem,

@@ -9,7 +9,7 @@ import pytest
 from rerun.chunk import RrdReader
 from rrd_entities import Entity, entities, of_file, run_info_of
 
-from handctl.core.types import TELEMETRY_FIELDS
+from handctl.core.tick_types import TELEMETRY_FIELDS
 from handctl.drives.frame_time import frame_time_s
 from handctl.errors import ConfigError, LogError
 from handctl.hand.digit import DigitModel

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from handctl.controller.bus_load import bus_loads
-from handctl.core.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.tick_types import Mode
+from handctl.hand.hand_loading import load_hand
 from tools.figures import runs
 from tools.figures.style import (
     BLOCK_COLOURS,

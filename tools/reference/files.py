@@ -6,7 +6,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from handctl.core.gains.bounds import (
+from handctl.core.gains.gain_bounds import (
     GAIN_SECTIONS,
     SHARED_KEYS,
     TENDON_SECTION,
@@ -15,7 +15,7 @@ from handctl.core.gains.bounds import (
 )
 from handctl.core.gains.gains import Gains, TendonForces
 from handctl.hand.description import Hand
-from handctl.hand.file.descriptions import key_description
+from handctl.hand.file.key_descriptions import key_description
 from handctl.programs.requests import CommandBase, Request
 from tools.reference.markdown import code, prose, table
 

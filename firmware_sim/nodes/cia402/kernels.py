@@ -11,14 +11,14 @@ import ctypes
 from typing import Any
 
 from firmware_sim.compiled import kernel_helper
-from firmware_sim.nodes.cia402.power import ENABLED_STATE, PowerStruct, status
+from firmware_sim.nodes.cia402.power_stage import ENABLED_STATE, PowerStruct, status
 
 OPERATIONAL_STATE = 0x05
 """NMT state: operational."""
 CYCLIC_TORQUE_MODE = 10
 """Number of the mode cyclic synchronous torque (0x6060).
 
-The module ``motion`` has the other modes.
+The module ``motion_modes`` has the other modes.
 """
 THERMAL_PERIOD_NS = 100_000_000
 """Period of the update of the drive's temperatures [ns]."""

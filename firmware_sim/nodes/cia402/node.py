@@ -1,7 +1,7 @@
 """A motor with the firmware of a CiA 402 drive. Source: fact sheet cia402.
 
 The mode cyclic synchronous torque is in this module and in ``kernels``. All other modes are in
-``motion``.
+``motion_modes``.
 
 Frames (COB-ID, payload little-endian):
 
@@ -29,16 +29,7 @@ Choices where the fact sheet is not definite:
 """
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.cia402.dictionary import (
-    CLIENT_ABORTS,
-    UNKNOWN_COMMAND,
-    WRONG_STATE,
-    ObjectDictionary,
-    ObjectKey,
-    SdoAbort,
-    sdo_reply,
-)
+from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.cia402.kernels import (
     CYCLIC_TORQUE_MODE,
     OPERATIONAL_STATE,
@@ -51,16 +42,25 @@ from firmware_sim.nodes.cia402.kernels import (
     schedule,
     watchdog_expired,
 )
-from firmware_sim.nodes.cia402.motion import MOTION_MODES, MotionModes, check_write
+from firmware_sim.nodes.cia402.motion_modes import MOTION_MODES, MotionModes, check_write
+from firmware_sim.nodes.cia402.object_dictionary import (
+    CLIENT_ABORTS,
+    UNKNOWN_COMMAND,
+    WRONG_STATE,
+    ObjectDictionary,
+    ObjectKey,
+    SdoAbort,
+    sdo_reply,
+)
 from firmware_sim.nodes.cia402.pdo import NodePdos
-from firmware_sim.nodes.cia402.power import (
+from firmware_sim.nodes.cia402.power_stage import (
     ENABLED_STATE,
     FAULT_STATE,
     OFF_STATE,
     PowerStage,
     PowerStruct,
 )
-from firmware_sim.nodes.thermal import DriveTemperatures
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 PRE_OPERATIONAL = 0x7F
@@ -106,7 +106,7 @@ class Cia402Node:
         values: values of the object dictionary.
         frame_pending: True if a frame of the drive waits to be sent.
         motion: the position, velocity and homing modes of the drive.
-        motion_due_ns: time of the next update of ``motion`` [ns], 0 in torque mode.
+        motion_due_ns: time of the next update of ``motion_modes`` [ns], 0 in torque mode.
         mode_bits: bits that the motion mode sets in the status word, -1 in torque mode.
     """
 

@@ -13,7 +13,12 @@ Objects of PDO i:
 from collections.abc import Iterator
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.cia402.dictionary import OUT_OF_RANGE, ObjectDictionary, ObjectKey, SdoAbort
+from firmware_sim.nodes.cia402.object_dictionary import (
+    OUT_OF_RANGE,
+    ObjectDictionary,
+    ObjectKey,
+    SdoAbort,
+)
 
 PDO_OFF_BIT = 1 << 31
 """Bit in the identifier object of a PDO: the PDO is off."""

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
-from firmware_sim.description import SensorSpec
-from firmware_sim.nodes.cia402.dictionary import (
+from firmware_sim.hand_description import SensorSpec
+from firmware_sim.nodes.cia402.object_dictionary import (
     CLIENT_ABORTS,
     UNKNOWN_COMMAND,
     WRONG_STATE,

@@ -19,7 +19,7 @@ from 1.
 import math
 import struct
 
-from firmware_sim.nodes.cia402.dictionary import (
+from firmware_sim.nodes.cia402.object_dictionary import (
     NO_OBJECT,
     NO_SUB,
     OUT_OF_RANGE,

@@ -28,7 +28,7 @@ import struct
 from typing import Any, NamedTuple
 
 from firmware_sim.compiled import compiled, kernel_helper
-from firmware_sim.nodes.thermal import ThermalStruct
+from firmware_sim.nodes.drive_temperatures import ThermalStruct
 
 PAYLOAD_WORD_STRUCT = struct.Struct(">q")
 """Conversion between the eight bytes of a payload and a 64-bit integer."""

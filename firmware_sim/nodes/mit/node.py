@@ -9,7 +9,7 @@ Choices where the fact sheet has only an assumption:
   ``WATCHDOG_BEHAVIOURS``.
 - The special command FE (set zero) acts only while the motor is disabled.
 - A command for another mode than that in CTRL_MODE is answered, but has no effect.
-- Position and velocity modes use cascaded controllers with fixed gains, see ``motion``.
+- Position and velocity modes use cascaded controllers with fixed gains, see ``motion_modes``.
 - Positions beyond PMAX are saturated in the feedback.
 - Requests for unknown registers are not answered.
 
@@ -29,7 +29,8 @@ import math
 import struct
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures, ThermalStruct
 from firmware_sim.nodes.mit import registers as reg
 from firmware_sim.nodes.mit.codec import (
     PAYLOAD_WORD_STRUCT,
@@ -39,8 +40,7 @@ from firmware_sim.nodes.mit.codec import (
     feedback_word,
     schedule,
 )
-from firmware_sim.nodes.mit.motion import MotionModes
-from firmware_sim.nodes.thermal import DriveTemperatures, ThermalStruct
+from firmware_sim.nodes.mit.motion_modes import MotionModes
 from firmware_sim.plant.motor import Motor
 
 REGISTER_ID = 0x7FF

@@ -10,7 +10,7 @@ command. A command without a position keeps the present target.
 Choices where the fact sheet has only an assumption:
 
 - The preparation of the power stage (modes 2, 3 and 4) takes 10 ms.
-- The drive is calibrated and has the gains of ``text.FACTORY_CONFIGURATION``. Its integrator is not
+- The drive is calibrated and has the gains of ``text_channel.FACTORY_CONFIGURATION``. Its integrator is not
   simulated.
 - Limits of velocity, acceleration and slip have no effect. The target moves as if they were nan.
 - Stop position, fixed current and the voltage modes are not simulated. A command with one of these
@@ -23,11 +23,11 @@ import math
 import struct
 
 from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.moteus import multiplex as mp
 from firmware_sim.nodes.moteus import registers as reg
-from firmware_sim.nodes.moteus.text import TextChannel
-from firmware_sim.nodes.thermal import DriveTemperatures
+from firmware_sim.nodes.moteus.text_channel import TextChannel
 from firmware_sim.plant.motor import Motor
 
 STOPPED, FAULT, ENABLING, CALIBRATING, CALIBRATED = range(5)

@@ -79,7 +79,7 @@ def set_torque(node: Any, servo: Any, torque: float, t_ns: int) -> None:
     """
     node.watchdog_fed_ns = t_ns
     node.setpoint = torque
-    # Every other mode follows the setpoint at the next update of the mode, see ``motion``.
+    # Every other mode follows the setpoint at the next update of the mode, see ``motion_modes``.
     if (
         node.state != CLOSED_LOOP
         or node.control_mode != TORQUE_CONTROL

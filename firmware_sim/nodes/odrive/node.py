@@ -39,7 +39,7 @@ Choices where the fact sheet has only an assumption:
 - Endpoints have the numbers that the hand file gives.
 - A calibration takes ``CALIBRATION_NS`` and moves nothing. With the option ``uncalibrated``, the
   axis refuses closed loop before a calibration.
-- The module ``motion`` has position control, velocity control and their input modes.
+- The module ``motion_modes`` has position control, velocity control and their input modes.
 """
 
 import math
@@ -47,7 +47,8 @@ import struct
 from typing import Any
 
 from firmware_sim.bus.frame import FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.odrive.kernels import (
     CLOSED_LOOP,
     IDLE_STATE,
@@ -62,13 +63,12 @@ from firmware_sim.nodes.odrive.kernels import (
     turns_per_s,
     watchdog_expired,
 )
-from firmware_sim.nodes.odrive.motion import (
+from firmware_sim.nodes.odrive.motion_modes import (
     MOTION_ENDPOINTS,
     POSITION_CONTROL,
     MotionModes,
     MotionSettings,
 )
-from firmware_sim.nodes.thermal import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 MISSING_INPUT = 1 << 6
@@ -138,7 +138,7 @@ class OdriveNode:
         input_mode: input mode, which selects how setpoints follow the inputs.
         setpoint: torque setpoint, or feedforward torque in other control modes [N m].
         motion: position control, velocity control and input modes of the axis.
-        motion_due_ns: time of the next update of ``motion`` [ns], 0 in torque control without a
+        motion_due_ns: time of the next update of ``motion_modes`` [ns], 0 in torque control without a
             ramp.
         torque_min: lower torque limit, from its endpoint [N m].
         torque_max: upper torque limit, from its endpoint [N m].

@@ -30,7 +30,7 @@ Choices where the fact sheet has only an assumption:
 import struct
 
 from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
+from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, FrameRanges, decode_command, to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
 from firmware_sim.nodes.robstride import bench

@@ -29,8 +29,8 @@ import math
 import struct
 
 from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
-from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.thermal import DriveTemperatures
+from firmware_sim.hand_description import MotorSpec
+from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.plant.motor import Motor
 
 FULL_SCALE = {

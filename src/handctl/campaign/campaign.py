@@ -8,7 +8,7 @@ from typing import Any
 from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.campaign.scenarios import FaultScenario, fault_pairs, scenarios_of_hand
 from handctl.campaign.stage import hand_with_protocol, homed_run, run_experiments
-from handctl.core.types import Mode, TickEvent
+from handctl.core.tick_types import Mode, TickEvent
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
 from handctl.session.simulate import SimulatedRun

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from handctl.campaign.scenarios import GRASP_STAGE, HOST_PREFIX, FaultScenario, MatrixRow
-from handctl.core.model import HandModel
-from handctl.core.types import IoEvent, Mode, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import IoEvent, Mode, TickOut
 from handctl.errors import REMOVE_POWER
 from handctl.runtime.mailbox import CUT_REQUEST
 from handctl.safety.action import Action

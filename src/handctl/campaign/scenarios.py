@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.drives.sensors.node import TENSION_RAIL_N
+from handctl.drives.sensors.sensor_node import TENSION_RAIL_N
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
 

@@ -25,8 +25,8 @@ import numpy as np
 from handctl.campaign.scenario_run import RUNAWAY_FAULT, HostFault, ScenarioResult, runaway_tension
 from handctl.campaign.scenarios import FAULT_MATRIX, HOST_PREFIX, texts_of_fault
 from handctl.campaign.stage import RUN_STAGES, run_experiments
-from handctl.controller.state import State
-from handctl.core.types import Mode
+from handctl.controller.controller_state import State
+from handctl.core.tick_types import Mode
 from handctl.errors import REMOVE_POWER
 from handctl.hand.description import Hand
 from handctl.runtime.mailbox import CLEAR_REQUEST, STOP_REQUEST

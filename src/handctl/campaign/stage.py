@@ -14,17 +14,17 @@ from typing import Any, Protocol, TypeVar, cast
 from handctl.campaign.scenario_run import ScenarioResult
 from handctl.campaign.scenarios import ARMING_STAGE, FREE_STAGE, GRASP_STAGE, MIT
 from handctl.controller.bus_load import with_more_buses
-from handctl.controller.setup import make_controller
+from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import packaged_gains
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.document import validate_content
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.processes import run_in_copy
-from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from handctl.programs.task_program import TaskProgram
 from handctl.session.plan import default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings
 

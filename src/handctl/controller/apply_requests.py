@@ -4,22 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from handctl.controller import retune
+from handctl.controller import gain_change
 from handctl.controller.client_lease import begin_lease, renew_lease
-from handctl.controller.modes import OperatorRequests
-from handctl.controller.state import State
-from handctl.controller.streams import (
+from handctl.controller.controller_state import State
+from handctl.controller.hand_modes import OperatorRequests
+from handctl.controller.target_streams import (
     apply_target,
     bring_to_rest,
     close_stream,
     open_stream,
     reference_of,
 )
-from handctl.core import block as s
-from handctl.core.model import HandModel
-from handctl.core.types import SHUTTING_DOWN, Mode, TickEvent
+from handctl.core import state_block as s
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import SHUTTING_DOWN, Mode, TickEvent
 from handctl.programs.commission import CommissionProgram
-from handctl.programs.live import LiveProgram, apply_goal, begin_task, end_task, release_task
+from handctl.programs.live_session import (
+    LiveProgram,
+    apply_goal,
+    begin_task,
+    end_task,
+    release_task,
+)
 from handctl.programs.program import Program
 from handctl.programs.requests import (
     AliveRequest,
@@ -43,7 +49,7 @@ from handctl.programs.requests import (
     parse_request,
     parse_target,
 )
-from handctl.programs.streams import digits_of
+from handctl.programs.stream_plans import digits_of
 from handctl.safety.faults.table import DEBOUNCE_TICKS, FAULT_BY_ID
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
@@ -112,7 +118,9 @@ def _set_gains(
     if isinstance(program, CommissionProgram):
         return (TickEvent("warn", "request", "", "refused: the hand is being commissioned"),)
     pending = state.decisions.pending
-    designed, refused = retune.begin_design(pending.gains if pending else model.gains, request.set)
+    designed, refused = gain_change.begin_design(
+        pending.gains if pending else model.gains, request.set
+    )
     state.decide(pending=designed or pending)
     return refused
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.cia402.codec import SYNC
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive

@@ -7,11 +7,11 @@ targets enter the tick as requests, so that a log is re-executed with the same l
 
 from dataclasses import replace
 
-from handctl.controller.state import ClientLease, State
-from handctl.controller.streams import bring_to_rest, close_stream
-from handctl.core import block as s
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickEvent
+from handctl.controller.controller_state import ClientLease, State
+from handctl.controller.target_streams import bring_to_rest, close_stream
+from handctl.core import state_block as s
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickEvent
 from handctl.programs.requests import CommandBase, LeaveRequest
 
 RELAX_FACTOR = 2

@@ -18,11 +18,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from handctl.controller.state import State
-from handctl.core import block as s
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import Vector
+from handctl.controller.controller_state import State
+from handctl.core import state_block as s
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Vector
 from handctl.safety.action import RelaxMethod
 from handctl.safety.faults.table import FAULT_BY_ID
 

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
 from handctl.controller.tick import Controller
-from handctl.core import block as s
+from handctl.core import state_block as s
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame import Frame
 

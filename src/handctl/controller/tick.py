@@ -13,7 +13,7 @@ decide    requests, safety, mode, program -> goals
 command   goals -> tension -> motor torque
 encode    motor torque -> frames
 
-Compiled stages (``core.stages``) compute the numbers in the state block. ``tick`` makes the
+Compiled stages (``core.tick_stages``) compute the numbers in the state block. ``tick`` makes the
 decisions and calls the stages in order. A tick works on a copy of the state.
 """
 
@@ -22,29 +22,29 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from handctl.compiled import compile_kernels
-from handctl.controller import modes, retune
+from handctl.controller import gain_change, hand_modes
 from handctl.controller.apply_requests import apply_requests
 from handctl.controller.client_lease import expire_lease
-from handctl.controller.monitor.replies import detect_unsolicited_replies
-from handctl.controller.monitor.thresholds import compiled_constants, safety_limits
+from handctl.controller.controller_state import Decisions, State, layout_of_state
+from handctl.controller.monitor.safety_thresholds import compiled_constants, safety_limits
+from handctl.controller.monitor.unsolicited_replies import detect_unsolicited_replies
 from handctl.controller.relaxing import is_open_loop, present_relax_rate
-from handctl.controller.state import Decisions, State, layout_of_state
 from handctl.controller.telemetry import TelemetryGatherer
-from handctl.core import block as s
-from handctl.core import stages, wire
-from handctl.core.estimation.consistency import consistency_events
-from handctl.core.estimation.prediction import predict_filter_states
+from handctl.core import cyclic_frames, tick_stages
+from handctl.core import state_block as s
+from handctl.core.block_schema import BlockLayout, TablePlaces
+from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
+from handctl.core.control_law.required_tensions import write_tension_goals
+from handctl.core.cyclic_frames import WireTables
+from handctl.core.estimation.consistency_events import consistency_events
+from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.goals import sample_trajectories, write_goals
-from handctl.core.law.loads import write_tension_goals
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockLayout, TablePlaces
-from handctl.core.types import Mode, TickEvent, TickIn, TickOut, Vector
-from handctl.core.wire import WireTables
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickEvent, TickIn, TickOut, Vector
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import (
+from handctl.drives.frame_records import (
     NO_FRAMES,
     PAYLOAD_WORD,
     WORDS_PER_RECORD,
@@ -57,16 +57,19 @@ from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
 from handctl.programs.requests import REFUSED_PREFIX
 from handctl.safety.action import Action
-from handctl.safety.judge import (
+from handctl.safety.safety_limits import SafetyLimits
+from handctl.safety.tick_verdict import (
     FaultFinding,
     faults_counting_since_now,
     filter_error_frames,
     judge_tick,
     second_controller_reports,
 )
-from handctl.safety.limits import SafetyLimits
 
-NO_REQUESTS: tuple[modes.OperatorRequests, tuple[TickEvent, ...]] = modes.OperatorRequests(), ()
+NO_REQUESTS: tuple[hand_modes.OperatorRequests, tuple[TickEvent, ...]] = (
+    hand_modes.OperatorRequests(),
+    (),
+)
 ACTIVE = Mode.ACTIVE
 CUT = Mode.CUT
 DONE = Mode.DONE
@@ -110,8 +113,8 @@ class Controller:
     arm_at_once: bool = True
     identities: tuple[str, ...] = ()
     other_limits: SafetyLimits | None = None
-    designs: retune.DesignCache = field(
-        default_factory=retune.DesignCache, compare=False, repr=False
+    designs: gain_change.DesignCache = field(
+        default_factory=gain_change.DesignCache, compare=False, repr=False
     )
     limits: SafetyLimits = field(init=False)
     layout: BlockLayout = field(init=False, compare=False, repr=False)
@@ -234,7 +237,7 @@ class Controller:
             events += expire_lease(self.model, state)
         action, findings = self._judge(before, state, entry, step.signs)
         t = entry.t_ns / 1e9
-        mode_events = modes.next_mode(
+        mode_events = hand_modes.next_mode(
             self.model, self.drives, state, action, operator, step.signs, t, self.identities
         )
         program_events = self._advance_program(state, action)
@@ -252,7 +255,7 @@ class Controller:
             step.events += self._retune(
                 step.unchanged, state, step.action, step.entry.k - step.before.k
             )
-        stages.store_commands(state.block, self.layout.places, *self._constants)
+        tick_stages.store_commands(state.block, self.layout.places, *self._constants)
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         out = TickOut(
@@ -278,13 +281,15 @@ class Controller:
         block = state.block
         places = self.layout.places
         missed = entry.k - before.k - 1
-        wire.begin_tick(block, places, entry.k, entry.t_ns, entry.late_ns, missed, len(frames))
+        cyclic_frames.begin_tick(
+            block, places, entry.k, entry.t_ns, entry.late_ns, missed, len(frames)
+        )
         signs = self._receive(state, frames, self.sensors.earliest_answer_ns(before.whole(s.T_NS)))
-        stages.observe_tick(block, places, *self._constants)
-        stages.correct_estimate(block, places, *self._constants)
+        tick_stages.observe_tick(block, places, *self._constants)
+        tick_stages.correct_estimate(block, places, *self._constants)
         if state.started:
             predict_filter_states(self.model, self.layout, block, missed)
-        if stages.conclude_estimate(block, places, *self._constants):
+        if tick_stages.conclude_estimate(block, places, *self._constants):
             signs += detect_unsolicited_replies(
                 self.drives, self.sensors, before, state, entry.frames
             )
@@ -309,7 +314,7 @@ class Controller:
         if state.decisions.amplifiers:
             entries = tables.entries_without(self._groups_not_ready(state.decisions.amplifiers))
         while True:
-            at = wire.receive_frames(
+            at = cyclic_frames.receive_frames(
                 state.block, self.layout.places, *self._constants, rows, tables.keys, entries, tables.wholes,
                 tables.reals, at, fresh_ns,
             )  # fmt: skip
@@ -363,7 +368,7 @@ class Controller:
         """Store the state of a drive in the state block and in the decisions, after its state machine has run."""
         before = state.decisions.drives[n]
         drive = self.drives[n]
-        wire.store_drive(
+        cyclic_frames.store_drive(
             state.block, self.layout.places, n, *drive_state[1:7], int(drive_state.phase), drive_state.error,
             int(drive.cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
@@ -399,7 +404,7 @@ class Controller:
         state.set_whole(
             s.TARED, state.progress.phase != TARE_PHASE
         )  # before its tare, a load cell may read any value
-        demanded, found = stages.find_faults(
+        demanded, found = tick_stages.find_faults(
             state.block, self.layout.places, *self._constants, self.layout.initial
         )
         new_findings = (
@@ -487,7 +492,7 @@ class Controller:
         rate, opened = (
             (present_relax_rate(state), is_open_loop(state)) if relaxing else (0.0, False)
         )
-        stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
+        tick_stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
 
     def _retune(
         self, unchanged: State, state: State, action: Action, ticks: int
@@ -514,7 +519,7 @@ class Controller:
             state.tendon[s.TRIM] += step
             state.set_whole(s.TRIMMED, 1)
         state.decide(gains=pending.gains, pending=None)
-        return retune.gain_change_events(self.model.gains, pending.gains)
+        return gain_change.gain_change_events(self.model.gains, pending.gains)
 
     # encode
 
@@ -522,7 +527,7 @@ class Controller:
         """Return the frames of the tick: cut frames first, then SYNC, then the command of each drive."""
         mode = state.mode
         if mode in (SILENT, DONE):
-            return frames_as_records(modes.shutdown_frames(self.drives, state))
+            return frames_as_records(hand_modes.shutdown_frames(self.drives, state))
         out = np.empty((1 + len(self.wire.templates), WORDS_PER_RECORD), dtype=np.uint64)
         # A hand without sensors has no SYNC, so row 0 is not sent.
         start = 0 if self.sends_sync else 1
@@ -539,7 +544,7 @@ class Controller:
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
-        target = modes.drive_target(mode)
+        target = hand_modes.drive_target(mode)
         sent = self._send(state, out, start, target, torque, t_ns)
         if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
             sent = join_frames([sent, frames_as_records(setup)])
@@ -579,7 +584,7 @@ class Controller:
         n = len(self.drives)
         while True:
             if target == DriveTarget.ENABLE:
-                first, count = wire.encode_commands(
+                first, count = cyclic_frames.encode_commands(
                     state.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
                     tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_wholes,
                     tables.servo_reals, first, count,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.compiled import borrowed_array, kernel_helper
-from handctl.core.schema import BlockArray, BlockSchema, TablePlaces
+from handctl.core.block_schema import BlockArray, BlockSchema, TablePlaces
 from handctl.hand import rigid_body
 from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
 

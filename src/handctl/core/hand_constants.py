@@ -8,18 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core import constants as h
+from handctl.core.block_schema import BlockArray, BlockLayout
 from handctl.core.constants import ELEMENTS, HAND, KINDS
+from handctl.core.control_law.computed_torque import (
+    MOTOR_FRICTION_SPEED,
+    TRIM_TIME_S,
+    UNWIND_FRACTION,
+)
+from handctl.core.control_law.servo_commands import MAX_PHASE_RAD
 from handctl.core.deferred_imports import deferred_imports
 from handctl.core.detectors.residuals import TIME_CONSTANTS_S
-from handctl.core.estimation import contact, posture, touch
+from handctl.core.estimation import blocked_digits, contact_force, posture
 from handctl.core.estimation.filter_stack import FilterBlock
-from handctl.core.estimation.structure import MIN_SPRING_STIFFNESS
-from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED, TRIM_TIME_S, UNWIND_FRACTION
-from handctl.core.law.servo import MAX_PHASE_RAD
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, BlockLayout
-from handctl.core.types import Vector
-from handctl.drives.sensors.node import JOINT_STEP_RAD
+from handctl.core.estimation.varying_moment_arms import MIN_SPRING_STIFFNESS
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Vector
+from handctl.drives.sensors.sensor_node import JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
 
 with deferred_imports():
@@ -108,12 +112,12 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "absolute": ~model.redundancy.sprung & ~model.hand.tendons_with_encoders,
         "period": model.period,
         "period_ns": round(model.period * 1e9),
-        "touch_kept": math.exp(-model.period / touch.SMOOTH_S),
-        "felt_fraction": -math.expm1(-model.period / contact.SMOOTH_S),
-        "usual_fraction": -math.expm1(-model.period / contact.MEAN_S),
-        "drift_fraction": -math.expm1(-model.period / contact.DRIFT_S),
-        "fast_fraction": -math.expm1(-model.period / contact.FAST_GRIP_S),
-        "slow_fraction": -math.expm1(-model.period / contact.SLOW_GRIP_S),
+        "touch_kept": math.exp(-model.period / blocked_digits.SMOOTH_S),
+        "felt_fraction": -math.expm1(-model.period / contact_force.SMOOTH_S),
+        "usual_fraction": -math.expm1(-model.period / contact_force.MEAN_S),
+        "drift_fraction": -math.expm1(-model.period / contact_force.DRIFT_S),
+        "fast_fraction": -math.expm1(-model.period / contact_force.FAST_GRIP_S),
+        "slow_fraction": -math.expm1(-model.period / contact_force.SLOW_GRIP_S),
         "arms_sum": np.abs(model.hand.own_arms).sum(axis=1),
     }
 
@@ -154,7 +158,7 @@ def servo_constants(model: HandModel) -> dict[str, Vector]:
 
     If the hand file gives no values, these loops have the gains of the motion loop. If the hand
     file gives only the stiffness, the loops have the damping ratio of the motion loop. At low
-    control rates, the stiffness is smaller than in the hand file, see ``servo.MAX_PHASE_RAD``.
+    control rates, the stiffness is smaller than in the hand file, see ``servo_commands.MAX_PHASE_RAD``.
     """
     space = model.space
     motors = [model.hand.motor_of(name) for name in model.hand.tendon_names]
@@ -219,7 +223,7 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
         "hand_varying": bool(model.hand.has_varying_arm.any()),
         "arm_polynomial": np.moveaxis(model.hand.arm_polynomials, 2, 0),
         "mean_balance": model.redundancy.balance,
-        # The two offsets are zero for constant moment arms. ``estimation.structure`` writes them in
+        # The two offsets are zero for constant moment arms. ``estimation.varying_moment_arms`` writes them in
         # each tick for varying moment arms.
         "angle_offset": 0.0,
         "explained_offset": 0.0,

@@ -10,12 +10,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from handctl.core.types import Vector
-from handctl.drives.registry import make_drive
+from handctl.core.tick_types import Vector
+from handctl.drives.protocol_registry import make_drive
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
 from handctl.hand.file.sections import Motor
-from handctl.hand.tree import HandTree
+from handctl.hand.hand_tree import HandTree
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ Each protocol is one class. Each object of the class is the immutable descriptio
 one bus. All changing values are in an immutable ``DriveState``. In each tick the controller calls
 ``receive`` of each drive for every received frame. It then calls ``advance`` of each drive once
 with the requested drive state. While a drive is enabled and its state machine has nothing to do,
-compiled code in ``core.wire`` does this work, from the tables of ``cyclic``. The controller calls
+compiled code in ``core.cyclic_frames`` does this work, from the tables of ``cyclic``. The controller calls
 ``advance`` again if the status of the feedback is not ``steady_status``, or when the time
 ``due_ns`` comes. No function here reads a clock or a socket.
 """
@@ -13,7 +13,7 @@ import enum
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from handctl.drives.causes import DriveFaultCause
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 
 if TYPE_CHECKING:  # imported for types only: signals imports numba, which programs that only read a log do not need

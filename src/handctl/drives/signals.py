@@ -1,7 +1,7 @@
 """Signal tables of cyclic frames. A table has the position, the coding, and the scale of each value in a frame.
 
 One compiled packer and one compiled unpacker serve all protocols. From the same tables,
-``drives.dbc`` writes a DBC file for other tools. Bit positions are those of a DBC: bit 0 is the
+``drives.dbc_export`` writes a DBC file for other tools. Bit positions are those of a DBC: bit 0 is the
 lowest bit of the first byte. The start of a little-endian signal is its lowest bit. The start of a
 big-endian signal is its highest bit.
 

@@ -18,11 +18,11 @@ import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
 
-from handctl.controller.streams import stream_status
+from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import packaged_gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickOut, Vector
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickOut, Vector
 from handctl.errors import ConfigError
 from handctl.gym.observed import (
     FIELD_OF_NAME,
@@ -31,10 +31,10 @@ from handctl.gym.observed import (
     ObservationPart,
     telemetry_part,
 )
-from handctl.hand.load import load_hand
-from handctl.programs.live import LiveProgram
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import REFUSED_PREFIX, target_text
-from handctl.programs.streams import horizon_s
+from handctl.programs.stream_plans import horizon_s
 from handctl.session.plan import check_hand_ready, default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 

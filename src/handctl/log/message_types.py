@@ -7,7 +7,7 @@ can_msgs, ros2_socketcan_msgs and pal_statistics_msgs. The types of `handctl_msg
 alone.
 """
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.safety.action import Action
 
 PHASE_NUMBERS = {

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import (
+from handctl.core.tick_types import (
     TELEMETRY_AXES,
     TELEMETRY_FIELDS,
     IoEvent,
@@ -41,7 +41,7 @@ from handctl.core.types import (
     TickIn,
     TickOut,
 )
-from handctl.drives.records import (
+from handctl.drives.frame_records import (
     FRAME_RECORD_DTYPE,
     NO_FRAMES,
     SHORT_RECORD_BYTES,

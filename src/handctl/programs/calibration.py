@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from pydantic import Field, field_validator
 
-from handctl.core.identified import IdentifiedParameters, check_identified
-from handctl.core.types import Vector
+from handctl.core.identified_parameters import IdentifiedParameters, check_identified
+from handctl.core.tick_types import Vector
 from handctl.document import Document, validate_content
-from handctl.drives.sensors.node import TARE_MAX_N, TARE_MIN_N
+from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import read_toml
+from handctl.hand.hand_loading import read_toml
 
 
 class TendonCalibration(Document):

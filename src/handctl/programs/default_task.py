@@ -5,17 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.estimation.tip import reduced_tip_lever
+from handctl.core.estimation.tip_force import reduced_tip_lever
 from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.file.error_text import shortened_list
 from handctl.hand.file.new_file import CLEARANCE_MM, OBJECT_DIAMETER_RATIO, SMALLEST_OBJECT_MM
 from handctl.hand.file.toml_text import toml_text
+from handctl.hand.hand_loading import parse_toml
+from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import link_rotations
-from handctl.hand.load import parse_toml
 from handctl.hand.readiness import coordinate_range_deg
-from handctl.hand.tree import HandTree
 from handctl.programs.task import Task
 
 CLOSED_FRACTION = 0.85

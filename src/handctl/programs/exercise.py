@@ -3,11 +3,11 @@
 import math
 from dataclasses import dataclass, replace
 
-from handctl.core.estimate import Estimate, TickMeasurements
-from handctl.core.law.goal import DigitGoal
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent
-from handctl.programs.live import LiveProgram
+from handctl.core.control_law.digit_goal import DigitGoal
+from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.program import (
     ProgramProgress,
     ProgressAndEvents,

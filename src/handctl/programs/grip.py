@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.core.estimate import Estimate
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent, Vector
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.hand_estimate import Estimate
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
 
 SLIP_EXCURSION_M = 20e-6
 """Excursion difference that counts as slip [m].

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, TickMeasurements
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk, SampledTrajectory
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent, Vector
-from handctl.programs.live import LiveProgram
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk, SampledTrajectory
+from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
+from handctl.programs.live_session import LiveProgram
 from handctl.programs.program import ProgramProgress, ProgressAndEvents, coordinates_by_excursion
 
 APPROACH_S = 2.0

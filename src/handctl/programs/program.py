@@ -5,12 +5,12 @@ from typing import Protocol
 
 import numpy as np
 
-from handctl.core.estimate import Estimate, TickMeasurements
-from handctl.core.estimation.tip import joint_lever
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.trajectory import MinimumJerk
-from handctl.core.model import HandModel
-from handctl.core.types import TickEvent, Vector
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.trajectory import MinimumJerk
+from handctl.core.estimation.tip_force import joint_lever
+from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import TickEvent, Vector
 from handctl.hand.dynamics import DigitModel
 from handctl.programs.grip import GripState
 from handctl.programs.task import Task

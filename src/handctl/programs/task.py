@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 import numpy as np
 from pydantic import Field, model_validator
 
-from handctl.core.law.trajectory import CurveTrajectory
-from handctl.core.types import Vector
+from handctl.core.control_law.trajectory import CurveTrajectory
+from handctl.core.tick_types import Vector
 from handctl.document import Document, load_document, validate_content
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import read_toml
+from handctl.hand.hand_loading import read_toml
 
 if (
     TYPE_CHECKING

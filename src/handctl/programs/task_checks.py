@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from handctl.core.law.trajectory import duration_for
-from handctl.core.types import Vector
+from handctl.core.control_law.trajectory import duration_for
+from handctl.core.tick_types import Vector
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel

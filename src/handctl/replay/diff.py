@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.errors import IncomparableError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order

@@ -10,11 +10,11 @@ from itertools import islice
 
 import numpy as np
 
-from handctl.controller.snapshot import restore_state
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
+from handctl.controller.state_snapshot import restore_state
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.core.types import TickIn, TickOut
+from handctl.core.tick_types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord

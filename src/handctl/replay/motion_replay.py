@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import check_order

@@ -13,7 +13,7 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from handctl.controller.tick import Controller
-from handctl.core.types import TickEvent
+from handctl.core.tick_types import TickEvent
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
@@ -22,7 +22,12 @@ from handctl.replay.log_runner import TICKS_PER_PROGRESS_REPORT, refusal_error
 from handctl.replay.rebuild import rebuild_controller
 from handctl.safety.action import Action
 from handctl.safety.faults.table import FAULT_BY_ID
-from handctl.safety.limits import MIN_SILENT_TICKS, MIN_STALLED_TICKS, SafetyLimits, ticks_for
+from handctl.safety.safety_limits import (
+    MIN_SILENT_TICKS,
+    MIN_STALLED_TICKS,
+    SafetyLimits,
+    ticks_for,
+)
 
 TensionLimit = Annotated[float, Field(gt=0, le=1000)]
 

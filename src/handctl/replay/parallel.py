@@ -19,8 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.snapshot import restore_state, snapshot_bytes
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
+from handctl.controller.state_snapshot import restore_state, snapshot_bytes
 from handctl.errors import LogError
 from handctl.processes import run_in_copy
 from handctl.replay.log_runner import DifferenceTally, LogRunner

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.state import Decisions, State
-from handctl.core.plain import plain_bytes
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent, TickOut
+from handctl.controller.controller_state import Decisions, State
+from handctl.core.plain_values import plain_bytes
+from handctl.core.tick_types import TELEMETRY_AXES, TELEMETRY_FIELDS, TickEvent, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import frames_as_records
+from handctl.drives.frame_records import frames_as_records
 from handctl.log.header import RunHeader
 from handctl.log.record import TickRecord
 

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from handctl.controller.setup import make_sensors
+from handctl.controller.run_setup import make_sensors
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 

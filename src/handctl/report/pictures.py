@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.drives.frame import EXTENDED, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
+from handctl.hand.hand_tree import HandTree
 from handctl.hand.kinematics import link_rotations
-from handctl.hand.tree import HandTree
 from handctl.log.attached_meshes import attached_meshes
 from handctl.log.read.reader import RunLog
 from handctl.report.run_figure import DIGIT_COLOURS, PASSIVE_PHASES, digit_colours

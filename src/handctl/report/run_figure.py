@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.digit_colours import colour_numbers
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.law.redundancy import tendon_directions
-from handctl.core.types import Mode
+from handctl.core.control_law.tendon_redundancy import tendon_directions
+from handctl.core.tick_types import Mode
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel

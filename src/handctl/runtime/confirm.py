@@ -13,7 +13,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import events_for_request
 from handctl.runtime.mailbox import RETRY_S, WATCH_REQUEST, StatusWatcher

@@ -7,7 +7,7 @@ be forever.
 
 from dataclasses import dataclass, field
 
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.tick_types import Mode, TickIn, TickOut
 from handctl.errors import DriveError
 from handctl.runtime.mailbox import STOP_REQUEST
 from handctl.safety.action import Action

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Generic, Protocol, TypeVar
 
-from handctl.core.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.tick_types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_as_records, join_frames
+from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import REMOVE_POWER, PowerError
 from handctl.handlers import installed_handler
 from handctl.runtime.clocks.real import TickClock

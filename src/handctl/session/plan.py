@@ -10,11 +10,11 @@ from typing import Protocol
 
 from handctl.controller.bus_load import BusLoad, bus_loads
 from handctl.core.gains.gains import Gains
-from handctl.core.types import TickIn, TickOut
+from handctl.core.tick_types import TickIn, TickOut
 from handctl.drives.frame_time import MAX_BUS_LOAD, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.log.attached_meshes import mesh_attachments
 from handctl.runtime.buses.open import check_bus_spec, real_buses
@@ -246,7 +246,7 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
     Raises:
         ConfigError: the design of the controller or of the filter fails.
     """
-    from handctl.core.model import HandModel
+    from handctl.core.hand_model import HandModel
 
     HandModel.of(hand, gains, rate_hz or default_rate(hand))
 

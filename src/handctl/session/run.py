@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Protocol
 
 from handctl.compiled import compile_kernels
-from handctl.controller import setup
+from handctl.controller import run_setup
+from handctl.controller.controller_state import State
 from handctl.controller.shutdown import shutdown_step
-from handctl.controller.snapshot import snapshot_bytes
-from handctl.controller.state import State
-from handctl.controller.streams import stream_status
+from handctl.controller.state_snapshot import snapshot_bytes
+from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
-from handctl.core.types import IoEvent, TickIn, TickOut
+from handctl.core.tick_types import IoEvent, TickIn, TickOut
 from handctl.errors import BusError, DriveError, PowerError
 from handctl.hand.description import Hand
 from handctl.log.header import TRUTH_OFFSET_KEY
@@ -23,7 +23,7 @@ from handctl.log.record import pack_snapshot, pack_tick_record
 from handctl.log.topics.snapshots import SNAPSHOT_PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.calibration import Calibration
-from handctl.programs.live import LiveProgram, preload_spline
+from handctl.programs.live_session import LiveProgram, preload_spline
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
@@ -117,7 +117,7 @@ def make_controller(
         compile_kernels(report_progress)
     if isinstance(program, LiveProgram):
         preload_spline()
-    return setup.make_controller(
+    return run_setup.make_controller(
         plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once
     )
 
@@ -154,7 +154,7 @@ def run_live(
         BusError: a bus cannot be opened, or another controller runs on it.
         LogError: the log cannot be written.
     """
-    for text in setup.unverified_protections(controller.drives):
+    for text in run_setup.unverified_protections(controller.drives):
         plan.tell(f"handctl: caution: {text}")
     with ExitStack() as stack:
         clock = _open_clock(plan, stack)

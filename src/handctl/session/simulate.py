@@ -17,13 +17,13 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.state import State
+from handctl.controller.controller_state import State
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.controller.tick import Controller
-from handctl.core.model import HandModel
-from handctl.core.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import IoEvent, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_path
+from handctl.hand.hand_loading import hand_path
 from handctl.programs.program import Program
 from handctl.runtime.clocks.lockstep import (
     SIMULATED_HAND_ENTRY,

@@ -5,8 +5,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from handctl.controller.setup import make_sensors
-from handctl.core.block import STALE_FRAMES
+from handctl.controller.run_setup import make_sensors
+from handctl.core.state_block import STALE_FRAMES
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import HoldPhase, Task
 from handctl.report.frame_counts import frame_counts

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode, TickIn, TickOut
 from handctl.document import validate_content
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_from_content
+from handctl.hand.hand_loading import hand_from_content
 from handctl.programs.exercise import ExerciseProgram
 from handctl.programs.program import Program
 from handctl.report.summary import mean_angles, root_mean_square

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import t as student
 
-from handctl.core.gains.bounds import LIVE_SECTIONS, different_values, values_by_key
+from handctl.core.gains.gain_bounds import LIVE_SECTIONS, different_values, values_by_key
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.tick_types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.log.read.timeline import phase_of_each

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.truth import TruthFile, read_truth
+from firmware_sim.truth_file import TruthFile, read_truth
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
-from handctl.core.types import Mode, TickIn, TickOut
+from handctl.core.tick_types import Mode, TickIn, TickOut
 from handctl.errors import LogError
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.programs.live import JogProgram
+from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import RunPlan

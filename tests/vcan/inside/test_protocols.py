@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 
 from firmware_sim.__main__ import main as firmware_sim
-from firmware_sim.truth import TruthFile, read_truth
+from firmware_sim.truth_file import TruthFile, read_truth
 from handctl.compiled import compile_kernels
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.core.gains.gains import Gains
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.registry import PROTOCOL_ENTRIES
-from handctl.hand.load import load_hand
-from handctl.programs.live import JogProgram
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
+from handctl.hand.hand_loading import load_hand
+from handctl.programs.live_session import JogProgram
 from handctl.programs.requests import HoldTension
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clocks.real import RealClock

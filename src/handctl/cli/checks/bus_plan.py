@@ -13,7 +13,7 @@ from handctl.controller.bus_load import BusLoad, FrameRow, bus_loads, split_moto
 from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import load_hand
+from handctl.hand.hand_loading import load_hand
 from handctl.report.load_table import TABLE_RATES_HZ, TABLE_ROWS
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import bus_specs, highest_rate_of_buses

@@ -10,11 +10,11 @@ from handctl.cli.checks.rate_margin import rate_warnings
 from handctl.cli.console.options import print_escaped, print_json
 from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.setup import make_drives, make_sensors, unverified_protections
-from handctl.core.gains.bounds import values_by_key
-from handctl.core.identified import PARAMETER_UNITS
-from handctl.drives.dbc import dbc_of_bus
-from handctl.drives.registry import make_drive
+from handctl.controller.run_setup import make_drives, make_sensors, unverified_protections
+from handctl.core.gains.gain_bounds import values_by_key
+from handctl.core.identified_parameters import PARAMETER_UNITS
+from handctl.drives.dbc_export import dbc_of_bus
+from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.error_text import (
@@ -25,10 +25,10 @@ from handctl.hand.file.error_text import (
 )
 from handctl.hand.file.json_schema import hand_schema_text
 from handctl.hand.file.templates import RESOLVED_SCHEMA
-from handctl.hand.formats.meshes import exported_meshes, mesh_mistakes
+from handctl.hand.formats.link_meshes import exported_meshes, mesh_mistakes
 from handctl.hand.formats.mjcf import mjcf_text
 from handctl.hand.formats.urdf import urdf_text
-from handctl.hand.load import (
+from handctl.hand.hand_loading import (
     hand_from_content,
     hand_path,
     inspect_content,
@@ -38,11 +38,11 @@ from handctl.hand.load import (
     read_toml,
 )
 from handctl.hand.readiness import table_fits
-from handctl.hand.strength import strength_warnings
+from handctl.hand.tendon_strength import strength_warnings
 from handctl.output import FIGURE_SUFFIXES, check_output, path_with_suffix, write_text_atomically
 from handctl.programs.default_task import grasp_warnings
 from handctl.programs.task import load_task
-from handctl.safety.sensing import sensing_warnings
+from handctl.safety.missing_sensors import sensing_warnings
 from handctl.session.exit_codes import ExitCode
 from handctl.session.gains import LayeredGains
 from handctl.session.plan import check_gain_margins, control_rate, highest_rate_of_buses
@@ -337,7 +337,9 @@ def _write_schema(args: argparse.Namespace) -> int:
 
 def _convert_file(args: argparse.Namespace) -> int:
     """Convert a hand file of schema 1 to schema 2, and write the new hand file."""
-    from handctl.hand.file.convert import convert_to_schema_2  # only this verb needs tomlkit
+    from handctl.hand.file.schema_conversion import (
+        convert_to_schema_2,  # only this verb needs tomlkit
+    )
 
     hand = load_hand(args.old)
     text = hand_path(args.old).read_text("utf-8")

@@ -30,9 +30,9 @@ from handctl.hand.file.imported_file import (
 )
 from handctl.hand.file.new_file import check_name, options_line
 from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED_PLACEHOLDER
-from handctl.hand.formats.meshes import path_from, read_triangles
+from handctl.hand.formats.link_meshes import path_from, read_triangles
 from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of_links
-from handctl.hand.load import inspect_content, parse_toml
+from handctl.hand.hand_loading import inspect_content, parse_toml
 from handctl.session.model_file import read_model_file
 
 OPTIONS_WITHOUT_DESCRIPTION = ("fingers", "opposed", "links_mm", "width_mm", "palm_mm")

@@ -6,7 +6,7 @@ Values that the drives report are filled in. Values that the user must measure a
 from collections.abc import Mapping, Sequence
 
 from handctl.drives.discovery import DiscoveredNode
-from handctl.drives.registry import PROTOCOL_ENTRIES
+from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.hand.file.sections import CIA404
 
 FragmentEntry = tuple[str, object, str]

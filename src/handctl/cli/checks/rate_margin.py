@@ -2,7 +2,7 @@
 
 from handctl.controller.bus_load import split_motors_over_buses
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.hand.description import Hand
 
 SAFE_HZ = 250.0

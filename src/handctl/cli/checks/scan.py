@@ -11,7 +11,7 @@ from handctl.cli.console.verbosity import print_note
 from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import DiscoveredNode
 from handctl.drives.frame import REMOTE, Frame
-from handctl.drives.registry import PROTOCOLS_WITHOUT_DISCOVERY
+from handctl.drives.protocol_registry import PROTOCOLS_WITHOUT_DISCOVERY
 from handctl.hand.file.sections import CIA404
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.scan import BusScan, requests_without_answers, scan_bus

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from handctl.cli.console.screen import rich_console
-from handctl.core.types import GAIN_EVENT, Mode, TickEvent, TickIn, TickOut
+from handctl.core.tick_types import GAIN_EVENT, Mode, TickEvent, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.printing import escaped_streams
 from handctl.safety.faults.table import remedy_for

@@ -18,7 +18,7 @@ from handctl.cli.tuning.tune_files import (
     write_gains,
 )
 from handctl.controller.bus_load import bus_loads
-from handctl.core.model import HandModel
+from handctl.core.hand_model import HandModel
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import ExitCode
 from handctl.session.plan import control_rate

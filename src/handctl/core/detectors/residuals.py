@@ -12,16 +12,16 @@ import math
 import numpy as np
 
 from handctl.compiled import kernel_helper, square
-from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables
+from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation.measure import monitored_tension
+from handctl.core.estimation.measurements import monitored_tension
+from handctl.core.state_block import Tables
 
 BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCESS_FRICTION = range(
     8
 )
-"""Rows of ``block.RESIDUAL``."""
+"""Rows of ``state_block.RESIDUAL``."""
 TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 """Time constant of the low-pass filter of each row [s]."""
 GAIN_FRACTION = 0.1

@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.compiled import kernel_helper
-from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables
+from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.estimation import covariance
+from handctl.core.estimation import filter_covariance
 from handctl.core.estimation.statics import (
     subtract_passing_torque,
     value_from_other_tendons,
@@ -26,7 +25,6 @@ from handctl.core.estimation.statics import (
     write_tensions_at_joints,
     write_tensions_for_torque,
 )
-from handctl.core.estimation.structure import motor_speed
 from handctl.core.estimation.take_up import (
     is_nearly_taut,
     is_regime_over,
@@ -34,6 +32,8 @@ from handctl.core.estimation.take_up import (
     regime_evidence_without_cell,
     set_offset_of_newly_taut,
 )
+from handctl.core.estimation.varying_moment_arms import motor_speed
+from handctl.core.state_block import Tables
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
@@ -132,7 +132,7 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
         _write_steady_gain(c, n, kind, gain[n], information[n])
         cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_AT]
         if full:
-            cell_sigma[n] = covariance.correct_covariance(
+            cell_sigma[n] = filter_covariance.correct_covariance(
                 x, c, n, z[n], gain[n], after[n], information[n]
             )
     _gate_and_correct(x, c, innovation, gain, cell_sigma)
@@ -142,7 +142,7 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
     _choose_filter_kinds(x)
     _write_external_tension(x, c, force)
     if full:
-        covariance.predict_covariances(x, c, after, missed)
+        filter_covariance.predict_covariances(x, c, after, missed)
 
 
 @kernel_helper
@@ -360,7 +360,7 @@ def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) ->
     """Write the angles or rates (J,) that all joints have if their digits are free, q = B R_r^+ s.
 
     B is the coupling of the joints. R_r are the reduced moment arms, and s the excursions or their
-    rates. With varying moment arms, the angles also have an offset, see ``structure``.
+    rates. With varying moment arms, the angles also have an offset, see ``varying_moment_arms``.
 
     Args:
         x: state tables.
@@ -539,6 +539,6 @@ def derive_estimate(x: Tables, c: ConstantTables) -> None:
             c.design[n, x.tendon_int[s.FILTER_KIND, n], h.TENSION_VARIANCE_AT]
         )
         if x.run_int[s.COVARIANCE_PROPAGATED]:
-            x.tendon[s.TENSION_SIGMA, n] = covariance.predicted_tension_sigma(x, c, n)
+            x.tendon[s.TENSION_SIGMA, n] = filter_covariance.predicted_tension_sigma(x, c, n)
     write_free_angles(x, c, s.EXCURSION, x.joint[s.Q])
     write_free_angles(x, c, s.EXCURSION_RATE, x.joint[s.DQ])

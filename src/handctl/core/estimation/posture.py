@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.compiled import kernel_helper, square
-from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables
+from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import (
     first_wrap,
@@ -33,7 +32,8 @@ from handctl.core.estimation.statics import (
     write_static_torque,
     write_tip_levers,
 )
-from handctl.core.estimation.structure import keep_excursion
+from handctl.core.estimation.varying_moment_arms import keep_excursion
+from handctl.core.state_block import Tables
 from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_turned_levers
 
 Vector = NDArray[np.float64]

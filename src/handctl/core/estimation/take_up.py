@@ -3,10 +3,10 @@
 import math
 
 from handctl.compiled import kernel_helper
-from handctl.core import block as s
 from handctl.core import constants as h
-from handctl.core.block import Tables
+from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
+from handctl.core.state_block import Tables
 
 SLACK_REGIME = 2
 SLACK_BELOW_N = 1.0

@@ -38,7 +38,7 @@ from handctl.core.estimation.filter_stack import (
 )
 from handctl.core.gains.gains import FilterGains
 from handctl.core.gains.riccati import solve_covariance
-from handctl.core.gains.solvable import finite_or_error, solver_failures_as_errors
+from handctl.core.gains.solver_errors import finite_or_error, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
 
 with deferred_imports():

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.deferred_imports import deferred_imports
-from handctl.core.gains.bounds import check_tendon_names
+from handctl.core.gains.gain_bounds import check_tendon_names
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.riccati import solve_lqr
-from handctl.core.gains.solvable import finite_or_error, solver_failures_as_errors
+from handctl.core.gains.solver_errors import finite_or_error, solver_failures_as_errors
 from handctl.core.tendon_space import TendonSpace
-from handctl.core.types import Vector
+from handctl.core.tick_types import Vector
 
 with deferred_imports():
     from scipy.linalg import expm

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.cia402.progress import (
@@ -31,6 +30,7 @@ from handctl.drives.cia402.progress import (
     state_after_timeout,
 )
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (

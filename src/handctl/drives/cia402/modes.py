@@ -16,8 +16,8 @@ from handctl.drives.cia402 import codec
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import DriveState
+from handctl.drives.drive_modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.frame import Frame
-from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.signals import SignalTable
 from handctl.errors import ConfigError

@@ -2,9 +2,9 @@
 
 from typing import NamedTuple, cast
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.cia402 import codec
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
 

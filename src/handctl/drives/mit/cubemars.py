@@ -19,7 +19,6 @@ import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import (
     END_OF_TIME_NS,
     NO_STEADY_STATUS,
@@ -27,6 +26,7 @@ from handctl.drives.contract import (
     DriveState,
     DriveTarget,
 )
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.motor_description import MotorDescription

@@ -10,10 +10,10 @@ the torque in the other modes. In force-position mode each command contains a cu
 
 from dataclasses import dataclass
 
+from handctl.drives.drive_modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
-from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import checked_positive
 from handctl.drives.signals import Message, SignalTable

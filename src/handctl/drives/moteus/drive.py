@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.moteus import codec
 from handctl.drives.moteus import settings as items

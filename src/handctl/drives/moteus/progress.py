@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.settings import DiagnosticChannel
 from handctl.drives.readback import ReadbackCursor, RecheckCursor

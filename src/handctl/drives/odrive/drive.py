@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import (
     END_OF_TIME_NS,
     NO_STEADY_STATUS,
@@ -19,6 +18,7 @@ from handctl.drives.contract import (
     DriveState,
     DriveTarget,
 )
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec

@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 
 from handctl.drives.contract import DriveState
+from handctl.drives.drive_modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.frame import Frame
-from handctl.drives.modes import DriveMode, MotionLimits, init_fields
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
 from handctl.drives.odrive.drive import OdriveDrive

@@ -5,8 +5,8 @@ Only they report the state of the drive.
 
 from typing import NamedTuple, cast
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05

@@ -10,8 +10,8 @@ disabled motor, because such a motor answers no other request with feedback.
 from dataclasses import dataclass, field
 
 from handctl.drives import readback
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.frame import EXTENDED, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (

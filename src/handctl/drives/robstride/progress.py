@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from handctl.drives.causes import DriveFaultCause
 from handctl.drives.contract import DrivePhase, DriveState
+from handctl.drives.fault_causes import DriveFaultCause
 from handctl.drives.readback import ReadbackCursor, RecheckCursor
 from handctl.drives.robstride import codec
 

@@ -2,7 +2,7 @@
 
 SYNC does not move a motor that handctl has set up. Other CANopen drives apply pending PDOs at SYNC.
 A scan therefore sends no SYNC on a bus with a CANopen drive, or with an ODrive with node number 4.
-Their ``command_ids`` include the identifier of SYNC. Source: ``node``.
+Their ``command_ids`` include the identifier of SYNC. Source: ``sensor_node``.
 """
 
 from handctl.drives.discovery import DiscoveredNode, ProtocolDiscovery, ReceivedFrames

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from handctl.hand.file.descriptions import key_description
 from handctl.hand.file.error_text import FileMistake, first_sentence
+from handctl.hand.file.key_descriptions import key_description
 from handctl.hand.file.sections import (
     CIA404,
     CIA404_KEYS,

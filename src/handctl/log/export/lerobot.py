@@ -25,9 +25,9 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.errors import ConfigError, LogError
-from handctl.hand.load import parse_toml
+from handctl.hand.hand_loading import parse_toml
 from handctl.log.export.camera_video import (
     VIDEO_PATH_PATTERN,
     Camera,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES, Mode
+from handctl.core.tick_types import TELEMETRY_AXES, Mode
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action

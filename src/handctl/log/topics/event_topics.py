@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import GAIN_EVENT, Mode
+from handctl.core.tick_types import GAIN_EVENT, Mode
 from handctl.log.batch import TickBatch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import MessageBlock

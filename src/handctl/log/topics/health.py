@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.types import Mode
+from handctl.core.tick_types import Mode
 from handctl.drives.contract import DrivePhase
 from handctl.log.batch import TickBatch, columns_of_fields
 from handctl.log.cdr import CdrWriter, MessageTemplate, TemplateWriter

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handctl.core.law.trajectory import MinimumJerk
+from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.hand import dynamics
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.tendons import reflected_inertia

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.drives.frame import ERROR, FDF, Frame
-from handctl.drives.records import FRAME_RECORD_DTYPE, Frames, RecordArray
+from handctl.drives.frame_records import FRAME_RECORD_DTYPE, Frames, RecordArray
 from handctl.runtime.buses.contract import check_size
 
 CANFD_FRAME_DTYPE = np.dtype(

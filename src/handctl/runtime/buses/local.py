@@ -15,7 +15,7 @@ import time
 from collections.abc import Sequence
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import NO_FRAMES, Frames, join_frames
+from handctl.drives.frame_records import NO_FRAMES, Frames, join_frames
 from handctl.errors import BusError
 from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs, without_errors
 from handctl.runtime.buses.contract import TimeConversion, check_size

@@ -12,7 +12,7 @@ from typing import Any
 import can
 
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
-from handctl.drives.records import Frames, frames_as_records
+from handctl.drives.frame_records import Frames, frames_as_records
 from handctl.errors import BusError
 from handctl.runtime.buses.contract import TimeConversion, check_size
 from handctl.runtime.buses.events import BusEvent, BusEvents

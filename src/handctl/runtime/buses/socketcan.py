@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from handctl.drives.frame import ERROR, FDF, Frame
-from handctl.drives.records import Frames, frames_as_records, join_frames
+from handctl.drives.frame_records import Frames, frames_as_records, join_frames
 from handctl.errors import BusError
 from handctl.runtime.buses import mmsg
 from handctl.runtime.buses.canfd import CANFD_FRAME_BYTES, FrameStructs

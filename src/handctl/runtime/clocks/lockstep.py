@@ -14,13 +14,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import Frames, RecordArray, frames_as_records, join_frames
+from handctl.drives.frame_records import Frames, RecordArray, frames_as_records, join_frames
 from handctl.errors import ConfigError
 from handctl.extras import missing_extra
 from handctl.runtime.buses.canfd import without_errors
 from handctl.runtime.buses.events import BusEvents
 
-SIMULATED_HAND_ENTRY = "firmware_sim.rig:LockstepHand"
+SIMULATED_HAND_ENTRY = "firmware_sim.lockstep_hand:LockstepHand"
 """Entry ``module:Class`` of the simulator in the handctl repository."""
 
 

@@ -14,7 +14,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
-from handctl.safety.limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
+from handctl.safety.safety_limits import LOAD_CELLS, MIN_SILENT_TICKS, SILENT_S
 
 LOSS_WINDOW_TICKS = 100
 MALFORMED_WINDOW_TICKS = 20

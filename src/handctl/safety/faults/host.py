@@ -13,7 +13,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
-from handctl.safety.limits import MIN_STALLED_TICKS, STALLED_S
+from handctl.safety.safety_limits import MIN_STALLED_TICKS, STALLED_S
 
 LATE_FRACTION = 0.25
 """Delay of a tick's start above which the tick counts as late, as a fraction of the control period."""

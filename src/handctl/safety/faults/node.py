@@ -20,7 +20,7 @@ from handctl.safety.faults.fault import (
     declare_fault,
     declare_row,
 )
-from handctl.safety.limits import MIN_SILENT_TICKS, SILENT_S
+from handctl.safety.safety_limits import MIN_SILENT_TICKS, SILENT_S
 
 STUCK_S = 0.1
 STUCK_GOAL_M = 0.5e-3

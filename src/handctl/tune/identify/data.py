@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.setup import SETUP_ATTACHMENT
-from handctl.core.types import Mode
+from handctl.controller.run_setup import SETUP_ATTACHMENT
+from handctl.core.tick_types import Mode
 from handctl.hand.description import Hand
 from handctl.log.read.logfile import LogErrorContext
 from handctl.log.read.reader import RunLog

@@ -8,7 +8,7 @@ import math
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.programs.excite import ExciteStep
+from handctl.programs.excitation import ExciteStep
 from handctl.tune.identify.excitation_antagonists import antagonist_steps
 
 SWEEP_MARGIN_DEG = 6.0

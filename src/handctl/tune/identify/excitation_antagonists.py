@@ -9,11 +9,11 @@ import math
 
 import numpy as np
 
-from handctl.core.law.redundancy import redundancy_of_hand
+from handctl.core.control_law.tendon_redundancy import redundancy_of_hand
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
-from handctl.hand.tree import HandTree
-from handctl.programs.excite import ExciteStep
+from handctl.hand.hand_tree import HandTree
+from handctl.programs.excitation import ExciteStep
 
 LOWEST_DEG = 0.0
 """Smallest joint angle of the sweeps [deg]. At smaller angles, a thumb may touch the palm."""

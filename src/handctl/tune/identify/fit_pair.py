@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
+from handctl.hand.hand_tree import HandTree
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
-from handctl.hand.tree import HandTree
 from handctl.tune.identify.data import TendonData
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,

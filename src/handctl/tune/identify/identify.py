@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.identified import DIGIT_KEYS, PARAMETER_UNITS, IdentifiedParameters
+from handctl.core.identified_parameters import DIGIT_KEYS, PARAMETER_UNITS, IdentifiedParameters
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel

@@ -24,19 +24,19 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 from scipy.optimize import linprog
 
-from handctl.controller.state import layout_of_state
-from handctl.core import block as s
-from handctl.core import stages
+from handctl.controller.controller_state import layout_of_state
+from handctl.core import state_block as s
+from handctl.core import tick_stages
+from handctl.core.block_schema import BlockArray, BlockLayout
+from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
+from handctl.core.control_law.goal_writer import sample_trajectories, write_goals
+from handctl.core.control_law.required_tensions import write_tension_goals
+from handctl.core.control_law.trajectory import SampledTrajectory
+from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.estimation.filter_stack import TendonRegime
-from handctl.core.estimation.prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.goal import DigitGoal, GoalKind
-from handctl.core.law.goals import sample_trajectories, write_goals
-from handctl.core.law.loads import write_tension_goals
-from handctl.core.law.trajectory import SampledTrajectory
-from handctl.core.model import HandModel
-from handctl.core.schema import BlockArray, BlockLayout
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.hand.digit import DigitModel
 
 Matrix = NDArray[np.float64]
@@ -325,15 +325,17 @@ class _LinearizationBench:
         No contact is detected, because no torque acts yet.
         """
         self.layout.view(block, "mode")[...] = Mode.ARMING
-        stages.correct_estimate(block, self.layout.places, *self._constant_args)
+        tick_stages.correct_estimate(block, self.layout.places, *self._constant_args)
         predict_filter_states(self.model, self.layout, block)
-        stages.conclude_estimate(block, self.layout.places, *self._constant_args)
+        tick_stages.conclude_estimate(block, self.layout.places, *self._constant_args)
 
     def act(self, block: BlockArray) -> None:
         """Calculate the torque commands from the goals and the estimates."""
         self.layout.view(block, "mode")[...] = Mode.ACTIVE
         write_tension_goals(self.model, self.layout, self._constants, block)
-        stages.compute_motor_torques(block, self.layout.places, *self._constant_args, 0.0, 0, 1)
+        tick_stages.compute_motor_torques(
+            block, self.layout.places, *self._constant_args, 0.0, 0, 1
+        )
 
 
 def _operating_point(

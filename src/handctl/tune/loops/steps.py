@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handctl.core.gains.gains import Gains
-from handctl.core.model import HandModel
-from handctl.core.types import Mode
+from handctl.core.hand_model import HandModel
+from handctl.core.tick_types import Mode
 from handctl.hand.description import Hand
 from handctl.programs.exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
 from handctl.report.truth import TruthRecord
