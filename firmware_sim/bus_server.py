@@ -185,9 +185,9 @@ class BusServer:
         if self._priority:
             self._priority.note_host_frames()
 
-    def _receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+    def _receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive the frames of all ports."""
-        return [frame for port in self._ports for frame in port.receive(ready)]
+        return [frame for port in self._ports for frame in port.receive(ready_sockets)]
 
     def _wait(self) -> list[socket.socket]:
         """Wait until a socket is ready or the plant must advance.

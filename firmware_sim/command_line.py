@@ -35,11 +35,11 @@ def check_time_scale(value: float) -> None:
         raise SimulatorError(f"--time-scale {value:g}: expected 0.001 to 100")
 
 
-def until_signal(stop: Callable[[], None]) -> None:
-    """Install ``stop`` as the handler of the signals SIGTERM and SIGINT."""
+def until_signal(stop_program: Callable[[], None]) -> None:
+    """Install ``stop_program`` as the handler of the signals SIGTERM and SIGINT."""
 
     def handle(number: int, frame: FrameType | None) -> None:
-        stop()
+        stop_program()
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, handle)

@@ -371,21 +371,21 @@ def load_hand(name_or_path: str) -> Hand:
         ) from error
 
 
-def _resolved_file(raw: dict[str, Any]) -> dict[str, Any]:
+def _resolved_file(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a hand file of schema 2, in which values replace the defaults and templates."""
-    if raw.get("schema") != 2:
-        return raw
+    if content.get("schema") != 2:
+        return content
     sections: dict[str, list[dict[str, Any]]] = {"digit": [], "tendon": [], "motor": []}
-    for given in raw["digit"]:
-        digit = _with_template(raw, "digit", given)
+    for given in content["digit"]:
+        digit = _with_template(content, "digit", given)
         name, links = digit["name"], len(digit["link_length_m"])
         motors = digit.pop("motor", {})
         for short, motor in motors.items():
             sections["motor"].append(
-                _with_template(raw, "motor", motor) | {"name": f"{name}_{short}"}
+                _with_template(content, "motor", motor) | {"name": f"{name}_{short}"}
             )
         for short, entry in digit.pop("tendon", {}).items():
-            tendon = _with_template(raw, "tendon", entry) | {"name": f"{name}_{short}"}
+            tendon = _with_template(content, "tendon", entry) | {"name": f"{name}_{short}"}
             if tendon["motor"] in motors:
                 tendon["motor"] = f"{name}_{tendon['motor']}"
             arms = tendon["moment_arm_m"].items()
@@ -400,8 +400,8 @@ def _resolved_file(raw: dict[str, Any]) -> dict[str, Any]:
         }
         sections["digit"].append(digit | listed)
     for kind in ("tendon", "motor"):
-        sections[kind] += [_with_template(raw, kind, entry) for entry in raw.get(kind, [])]
-    node = dict(raw["sensor_node"]) if "sensor_node" in raw else {}
+        sections[kind] += [_with_template(content, kind, entry) for entry in content.get(kind, [])]
+    node = dict(content["sensor_node"]) if "sensor_node" in content else {}
     if node.get("tendons") == "all":
         node["tendons"] = [tendon["name"] for tendon in sections["tendon"]]
     if node.get("joints") == "all":
@@ -409,51 +409,51 @@ def _resolved_file(raw: dict[str, Any]) -> dict[str, Any]:
         node["joints"] = [
             f"{one['name']}_j{i + 1}" for one in digits for i in range(len(one["link_length_m"]))
         ]
-    return raw | sections | {"sensor_node": node}
+    return content | sections | {"sensor_node": node}
 
 
-def _with_template(raw: dict[str, Any], kind: str, entry: dict[str, Any]) -> dict[str, Any]:
+def _with_template(content: dict[str, Any], kind: str, section: dict[str, Any]) -> dict[str, Any]:
     """Return an entry with missing keys filled from the template, then from the defaults of the entry's kind."""
-    default = raw.get("default", {}).get(kind, {})
-    template = raw[f"{kind}_template"][entry["template"]] if "template" in entry else {}
-    return _merged_tables(_merged_tables(default, template), entry)
+    default = content.get("default", {}).get(kind, {})
+    template = content[f"{kind}_template"][section["template"]] if "template" in section else {}
+    return _merged_tables(_merged_tables(default, template), section)
 
 
-def _merged_tables(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Return two tables merged key by key. Where both have a value, ``above`` decides."""
-    tables = {key: _merged_tables(below[key], value) for key, value in above.items()
-              if isinstance(value, dict) and isinstance(below.get(key), dict)}  # fmt: skip
-    return below | above | tables
+def _merged_tables(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
+    """Return two tables merged key by key. Where both have a value, ``override`` decides."""
+    tables = {key: _merged_tables(base[key], value) for key, value in override.items()
+              if isinstance(value, dict) and isinstance(base.get(key), dict)}  # fmt: skip
+    return base | override | tables
 
 
-def _hand(raw: dict[str, Any], folder: Path) -> Hand:
-    sensors = raw.get("sensor_node")
+def _hand(content: dict[str, Any], folder: Path) -> Hand:
+    sensors = content.get("sensor_node")
     return Hand(
-        name=raw["name"],
-        gravity=tuple(raw["mount"]["gravity_m_s2"]),
-        buses=[bus["name"] for bus in raw["bus"]],
-        bitrates=[(bus["bitrate"], bus.get("data_bitrate") or 0) for bus in raw["bus"]],
-        digits=[_digit(digit) for digit in raw["digit"]],
-        tendons=[_tendon(tendon, _joint_ranges(raw)) for tendon in raw["tendon"]],
-        motors=[_motor(motor) for motor in raw["motor"]],
+        name=content["name"],
+        gravity=tuple(content["mount"]["gravity_m_s2"]),
+        buses=[bus["name"] for bus in content["bus"]],
+        bitrates=[(bus["bitrate"], bus.get("data_bitrate") or 0) for bus in content["bus"]],
+        digits=[_digit(digit) for digit in content["digit"]],
+        tendons=[_tendon(tendon, _joint_ranges(content)) for tendon in content["tendon"]],
+        motors=[_motor(motor) for motor in content["motor"]],
         sensors=_sensors(sensors)
         if sensors and (sensors["tendons"] or sensors.get("joints"))
         else None,
-        meshes=tuple(_meshes(raw, folder)),
+        meshes=tuple(_meshes(content, folder)),
     )
 
 
-def _meshes(raw: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
+def _meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
     """Yield the meshes of a hand.
 
     Relative paths of mesh files start at the folder of the hand file.
     """
-    mount = raw["mount"]
+    mount = content["mount"]
     pose_keys = ("scale", "position_m", "rpy_deg")
     if mount.get("palm_mesh"):
         pose = [mount.get(f"palm_mesh_{key}") for key in pose_keys]
         yield _mesh("palm", folder / mount["palm_mesh"], *pose)
-    for digit in raw["digit"]:
+    for digit in content["digit"]:
         count = len(digit["link_length_m"])
         poses = [digit.get(f"link_mesh_{key}") or [None] * count for key in pose_keys]
         for i, file in enumerate(digit.get("link_mesh") or ()):
@@ -474,72 +474,74 @@ def _mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> Lin
     )
 
 
-def _digit(raw: dict[str, Any]) -> Digit:
-    count = len(raw["link_length_m"])
+def _digit(section: dict[str, Any]) -> Digit:
+    count = len(section["link_length_m"])
     no_springs = [0.0] * count
     for key in (*PER_LINK_KEYS, "joint_axis", "joint_rpy_deg"):
-        if key in raw and len(raw[key]) != count:
-            what = f"digit {raw['name']}: {key} has {len(raw[key])} values"
+        if key in section and len(section[key]) != count:
+            what = f"digit {section['name']}: {key} has {len(section[key])} values"
             raise SimulatorError(f"{what}; expected {count}, one per link")
     return Digit(
-        name=raw["name"],
-        carrier=raw.get("mount_on", ""),
-        position=tuple(raw["mount_position_m"]),
-        rpy_deg=tuple(raw["mount_rpy_deg"]),
-        length=tuple(raw["link_length_m"]),
-        axis=tuple(map(tuple, raw.get("joint_axis", [(0.0, 0.0, 1.0)] * count))),
-        joint_rpy_deg=tuple(map(tuple, raw.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * count))),
+        name=section["name"],
+        carrier=section.get("mount_on", ""),
+        position=tuple(section["mount_position_m"]),
+        rpy_deg=tuple(section["mount_rpy_deg"]),
+        length=tuple(section["link_length_m"]),
+        axis=tuple(map(tuple, section.get("joint_axis", [(0.0, 0.0, 1.0)] * count))),
+        joint_rpy_deg=tuple(map(tuple, section.get("joint_rpy_deg", [(0.0, 0.0, 0.0)] * count))),
         com=tuple(
             (com, 0.0, 0.0) if isinstance(com, int | float) else tuple(com)
-            for com in raw["link_com_m"]
+            for com in section["link_com_m"]
         ),
-        mass=tuple(raw["link_mass_kg"]),
-        inertia=tuple(_inertia(raw, i) for i in range(count)),
-        radius=raw["link_radius_m"],
-        joint_min_deg=tuple(raw["joint_min_deg"]),
-        joint_max_deg=tuple(raw["joint_max_deg"]),
-        damping=tuple(raw["joint_damping_N_m_s_per_rad"]),
-        armature=tuple(raw["joint_armature_kg_m2"]),
-        spring=tuple(raw.get("spring_stiffness_N_m_per_rad", no_springs)),
-        preload=tuple(raw.get("spring_preload_rad", no_springs)),
+        mass=tuple(section["link_mass_kg"]),
+        inertia=tuple(_inertia(section, i) for i in range(count)),
+        radius=section["link_radius_m"],
+        joint_min_deg=tuple(section["joint_min_deg"]),
+        joint_max_deg=tuple(section["joint_max_deg"]),
+        damping=tuple(section["joint_damping_N_m_s_per_rad"]),
+        armature=tuple(section["joint_armature_kg_m2"]),
+        spring=tuple(section.get("spring_stiffness_N_m_per_rad", no_springs)),
+        preload=tuple(section.get("spring_preload_rad", no_springs)),
     )
 
 
-def _inertia(raw: dict[str, Any], i: int) -> tuple[float, ...]:
+def _inertia(section: dict[str, Any], i: int) -> tuple[float, ...]:
     """Return the six inertia values of link ``i`` of a digit.
 
     If the file has a single number, it is the moment of inertia of a round bar about y and z.
     """
-    value = raw["link_inertia_kg_m2"][i]
+    value = section["link_inertia_kg_m2"][i]
     if isinstance(value, int | float):
         # No principal moment of inertia of a body exceeds the sum of the other two.
-        along = min(raw["link_mass_kg"][i] * raw["link_radius_m"] ** 2 / 2, 2 * value)
+        along = min(section["link_mass_kg"][i] * section["link_radius_m"] ** 2 / 2, 2 * value)
         return (along, value, value, 0.0, 0.0, 0.0)
     return tuple(value) if len(value) == 6 else (*value, 0.0, 0.0, 0.0)
 
 
-def _joint_ranges(raw: dict[str, Any]) -> dict[str, tuple[float, float]]:
+def _joint_ranges(section: dict[str, Any]) -> dict[str, tuple[float, float]]:
     """Return the lower and upper limit of each joint by joint name [rad]."""
     return {
         f"{digit['name']}_j{i + 1}": (math.radians(low), math.radians(high))
-        for digit in raw["digit"]
+        for digit in section["digit"]
         for i, low in enumerate(digit["joint_min_deg"])
         for high in digit["joint_max_deg"][i : i + 1]
     }
 
 
-def _curve(raw: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
+def _curve(section: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
     """Return a moment arm that depends on the joint angle.
 
     A table of arms is replaced by a least-squares polynomial.
 
     Args:
-        raw: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
+        section: entry of the hand file with ``polynomial_m``, or with ``angle_deg`` and ``arm_m``.
         limits: limits of the joint [rad].
     """
-    powers = raw.get("polynomial_m")
+    powers = section.get("polynomial_m")
     if powers is None:
-        powers = _fit_polynomial([math.radians(angle) for angle in raw["angle_deg"]], raw["arm_m"])
+        powers = _fit_polynomial(
+            [math.radians(angle) for angle in section["angle_deg"]], section["arm_m"]
+        )
     return ArmCurve(*limits, (*powers, *(0.0,) * (POWER_COUNT - len(powers))))
 
 
@@ -563,62 +565,62 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
     return [row[count] for row in rows]
 
 
-def _tendon(raw: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
-    given = raw["moment_arm_m"]
+def _tendon(section: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
+    given = section["moment_arm_m"]
     curves = {
         joint: _curve(arm, ranges.get(joint, (0.0, 1.0)))
         for joint, arm in given.items()
         if isinstance(arm, dict)
     }
     return TendonSpec(
-        name=raw["name"],
-        motor=raw["motor"],
+        name=section["name"],
+        motor=section["motor"],
         arms=given | {joint: curve.mean for joint, curve in curves.items()},
         curves=curves,
-        stiffness=raw["stiffness_N_per_m"],
-        damping=raw["damping_N_s_per_m"],
-        knee=raw["knee_N"],
-        after_knee_ratio=raw["stiffness_beyond_ratio"],
-        knee_width=raw["knee_width_m"],
-        friction=raw["friction_coefficient"],
-        wrap=raw["wrap_angle_rad"],
-        pretension=raw.get("pretension_N", 0.0),
+        stiffness=section["stiffness_N_per_m"],
+        damping=section["damping_N_s_per_m"],
+        knee=section["knee_N"],
+        after_knee_ratio=section["stiffness_beyond_ratio"],
+        knee_width=section["knee_width_m"],
+        friction=section["friction_coefficient"],
+        wrap=section["wrap_angle_rad"],
+        pretension=section.get("pretension_N", 0.0),
     )
 
 
-def _motor(raw: dict[str, Any]) -> MotorSpec:
+def _motor(section: dict[str, Any]) -> MotorSpec:
     return MotorSpec(
-        name=raw["name"],
-        protocol=raw["protocol"],
-        bus=raw["bus"],
-        node_id=raw["node_id"],
-        spool_radius=raw["spool_radius_m"],
-        inertia=raw["inertia_kg_m2"],
-        viscous=raw["viscous_N_m_s_per_rad"],
-        coulomb=raw["coulomb_N_m"],
-        torque_constant=raw["torque_constant_N_m_per_A"],
-        torque_max=raw["torque_max_N_m"],
-        torque_peak=raw["torque_peak_N_m"],
-        position_range=raw["position_range_rad"],
-        velocity_range=raw["velocity_range_rad_s"],
-        direction=raw["direction"],
-        zero=raw["zero_rad"],
-        options=dict(raw.get("options", {})),
+        name=section["name"],
+        protocol=section["protocol"],
+        bus=section["bus"],
+        node_id=section["node_id"],
+        spool_radius=section["spool_radius_m"],
+        inertia=section["inertia_kg_m2"],
+        viscous=section["viscous_N_m_s_per_rad"],
+        coulomb=section["coulomb_N_m"],
+        torque_constant=section["torque_constant_N_m_per_A"],
+        torque_max=section["torque_max_N_m"],
+        torque_peak=section["torque_peak_N_m"],
+        position_range=section["position_range_rad"],
+        velocity_range=section["velocity_range_rad_s"],
+        direction=section["direction"],
+        zero=section["zero_rad"],
+        options=dict(section.get("options", {})),
     )
 
 
-def _sensors(raw: dict[str, Any]) -> SensorSpec:
+def _sensors(section: dict[str, Any]) -> SensorSpec:
     return SensorSpec(
-        bus=raw["bus"],
-        sync_id=raw.get("sync_id", 0x080),
-        base_id=raw.get("base_id", 0x1A0),
-        tendons=list(raw["tendons"]),
-        joints=list(raw.get("joints", ())),
-        joint_decimation=raw.get("joint_decimation", 1),
-        tension_noise=raw["tension_noise_N"],
-        bias_drift=raw["tension_bias_drift_N"],
-        joint_noise=raw.get("joint_noise_rad", 1e-3),
-        node_ids=tuple(raw["node_ids"]) if raw.get("protocol") == "cia404" else (),
-        channels_per_node=raw.get("channels_per_node", 1),
-        full_range=raw["range_N"] if raw.get("protocol") == "cia404" else 0.0,
+        bus=section["bus"],
+        sync_id=section.get("sync_id", 0x080),
+        base_id=section.get("base_id", 0x1A0),
+        tendons=list(section["tendons"]),
+        joints=list(section.get("joints", ())),
+        joint_decimation=section.get("joint_decimation", 1),
+        tension_noise=section["tension_noise_N"],
+        bias_drift=section["tension_bias_drift_N"],
+        joint_noise=section.get("joint_noise_rad", 1e-3),
+        node_ids=tuple(section["node_ids"]) if section.get("protocol") == "cia404" else (),
+        channels_per_node=section.get("channels_per_node", 1),
+        full_range=section["range_N"] if section.get("protocol") == "cia404" else 0.0,
     )

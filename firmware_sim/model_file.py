@@ -35,7 +35,7 @@ BOX_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for 
 """Corners of a box around the origin with edges of length 2, (8, 3)."""
 
 
-def read_model_file(path: str, kind: str) -> dict[str, Any]:
+def read_model_file(path: str, file_format: str) -> dict[str, Any]:
     """Read the tree of links of a hand from a URDF or MJCF file.
 
     All returned poses are those with all joints at angle zero, as in the file. Bodies fixed to each
@@ -43,7 +43,7 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
 
     Args:
         path: path of the URDF or MJCF file.
-        kind: ``urdf`` or ``mjcf``.
+        file_format: ``urdf`` or ``mjcf``.
 
     Returns:
         Plain values in a table:
@@ -64,18 +64,18 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
         SimulatorError: the file is not readable, or does not describe a tree of links with inertia
             and hinges.
     """
-    root = _root(path, kind)
-    if kind == "urdf":
+    root = _root(path, file_format)
+    if file_format == "urdf":
         _check_joint_types(root, path)
     notes: list[str] = []
-    spec, model = _compiled(path, kind, root, notes)
+    spec, model = _compiled(path, file_format, root, notes)
     _check_structure(model, path)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     roots = [body for body in range(1, model.nbody) if model.body_jntnum[body]]
     folder = Path(path).absolute().parent
-    urdf = kind == "urdf"
+    urdf = file_format == "urdf"
     shown = urdf_meshes(root, folder, model) if urdf else mjcf_meshes(spec, model, folder, notes)
     meshes = list(shown)
     links = [_link(model, data, roots, body, path) for body in roots]
@@ -85,7 +85,7 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
         link["meshes"] = _meshes(meshes, model, data, body, origin, axes)
     return {
         "name": root.get("name") or root.get("model") or Path(path).stem,
-        "gravity": model.opt.gravity.tolist() if kind == "mjcf" else None,
+        "gravity": model.opt.gravity.tolist() if file_format == "mjcf" else None,
         "palm": _frames(model, data, 0, np.zeros(3), np.eye(3)),
         "palm_meshes": _meshes(meshes, model, data, 0, np.zeros(3), np.eye(3)),
         "links": links,
@@ -94,7 +94,7 @@ def read_model_file(path: str, kind: str) -> dict[str, Any]:
     }
 
 
-def _root(path: str, kind: str) -> ET.Element:
+def _root(path: str, file_format: str) -> ET.Element:
     """Parse the XML of a model file, check its first element and return the element."""
     try:
         root = ET.parse(path).getroot()
@@ -103,21 +103,23 @@ def _root(path: str, kind: str) -> ET.Element:
             f"{path}: cannot be read: {error.strerror}; expected a readable file"
         ) from None
     except (ET.ParseError, UnicodeError, ValueError) as error:
-        raise SimulatorError(f"{path}: not XML: {error}; expected {_form_text(kind)}") from None
+        raise SimulatorError(
+            f"{path}: not XML: {error}; expected {_form_text(file_format)}"
+        ) from None
     if any("xacro" in str(part.tag) for part in root.iter()):
         raise SimulatorError(f"{path}: xacro; expected the URDF that the command xacro makes of it")
-    if root.tag != ROOT_TAGS[kind]:
+    if root.tag != ROOT_TAGS[file_format]:
         other = next(
             (f": give it with --{name}" for name, tag in ROOT_TAGS.items() if tag == root.tag), ""
         )
         raise SimulatorError(
-            f"{path}: its first element is <{root.tag}>; expected {_form_text(kind)}{other}"
+            f"{path}: its first element is <{root.tag}>; expected {_form_text(file_format)}{other}"
         )
     return root
 
 
-def _form_text(kind: str) -> str:
-    return f"{kind.upper()}, with the first element <{ROOT_TAGS[kind]}>"
+def _form_text(file_format: str) -> str:
+    return f"{file_format.upper()}, with the first element <{ROOT_TAGS[file_format]}>"
 
 
 def _check_joint_types(root: ET.Element, path: str) -> None:
@@ -136,7 +138,7 @@ def _check_joint_types(root: ET.Element, path: str) -> None:
             raise SimulatorError(f"{path}: {what}; expected {right}")
 
 
-def _compiled(path: str, kind: str, root: ET.Element, notes: list[str]) -> tuple[Any, Any]:
+def _compiled(path: str, file_format: str, root: ET.Element, notes: list[str]) -> tuple[Any, Any]:
     """Compile the model file without merging fixed bodies.
 
     If a mesh is unreadable, shapes of meshes are left out.
@@ -145,7 +147,7 @@ def _compiled(path: str, kind: str, root: ET.Element, notes: list[str]) -> tuple
         spec = _parsed(path)
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
-        if kind == "urdf":
+        if file_format == "urdf":
             # In a URDF, elements of their own give the inertia, not the shapes.
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, root, Path(path).absolute().parent)
@@ -209,9 +211,9 @@ def _remove_meshes(spec: Any) -> bool:
     return bool(parts)
 
 
-def _first_line(error: Exception) -> str:
+def _first_line(mujoco_error: Exception) -> str:
     """Return the message of a MuJoCo error in one line."""
-    text = " ".join(str(error).split()).removeprefix("Error: ")
+    text = " ".join(str(mujoco_error).split()).removeprefix("Error: ")
     if "moving bodies" in text:
         text += "; expected a mass and an inertia for each link that moves"
     return one_line(text)
@@ -304,7 +306,7 @@ def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict
 
 
 def _meshes(
-    meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, turn: Any
+    meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, link_rotation: Any
 ) -> list[dict[str, Any]]:
     """Return the meshes of a link as plain values, placed in the link's frame."""
     found = []
@@ -316,14 +318,14 @@ def _meshes(
             found.append({
                 "file": str(mesh.file),
                 "scale": mesh.scale.tolist(),
-                "position": (turn.T @ place).tolist(),
-                "rotation": (turn.T @ axes @ mesh.rotation).tolist(),
+                "position": (link_rotation.T @ place).tolist(),
+                "rotation": (link_rotation.T @ axes @ mesh.rotation).tolist(),
             })  # fmt: skip
     return found
 
 
 def _inertia(
-    model: Any, data: Any, members: list[int], origin: Any, turn: Any
+    model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[float, list[float], list[list[float]]]:
     """Return mass, centre of mass and central inertia of bodies fixed to each other, in a link's frame."""
     masses = model.body_mass[members]
@@ -338,10 +340,16 @@ def _inertia(
         # Steiner's theorem moves the inertia of each body to the common centre of mass.
         total += axes @ np.diag(model.body_inertia[body]) @ axes.T
         total += model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
-    return mass, (turn.T @ (centre - origin)).tolist(), (turn.T @ total @ turn).tolist()
+    return (
+        mass,
+        (link_rotation.T @ (centre - origin)).tolist(),
+        (link_rotation.T @ total @ link_rotation).tolist(),
+    )
 
 
-def _frames(model: Any, data: Any, root: int, origin: Any, turn: Any) -> dict[str, list[float]]:
+def _frames(
+    model: Any, data: Any, root: int, origin: Any, link_rotation: Any
+) -> dict[str, list[float]]:
     """Return the origins (3,) of the named bodies and sites fixed to a link, by name, in the link's frame [m]."""
     members = _members(model, root)
     places = {model.body(body).name: data.xpos[body] for body in members if body != root}
@@ -352,11 +360,15 @@ def _frames(model: Any, data: Any, root: int, origin: Any, turn: Any) -> dict[st
             places[model.site(site).name] = (
                 data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.site_pos[site]
             )
-    return {name: (turn.T @ (place - origin)).tolist() for name, place in places.items() if name}
+    return {
+        name: (link_rotation.T @ (place - origin)).tolist()
+        for name, place in places.items()
+        if name
+    }
 
 
 def _shapes(
-    model: Any, data: Any, members: list[int], origin: Any, turn: Any
+    model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[list[list[float]], float | None]:
     """Return the corners (n, 3) of the boxes around a link's shapes [m], and the link's half width [m] or None."""
     corners: list[Any] = []
@@ -372,7 +384,7 @@ def _shapes(
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         axes = data.xmat[body].reshape(3, 3) @ rotation_of(model.geom_quat[geom])
         place = data.xpos[body] + data.xmat[body].reshape(3, 3) @ model.geom_pos[geom]
-        corners.append((place + (centre + BOX_CORNERS * half) @ axes.T - origin) @ turn)
+        corners.append((place + (centre + BOX_CORNERS * half) @ axes.T - origin) @ link_rotation)
         rank = ROUND_SHAPES.index(kind) if kind in ROUND_SHAPES else len(ROUND_SHAPES)
         width = (
             float(model.geom_size[geom, 0])

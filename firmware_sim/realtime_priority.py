@@ -58,18 +58,18 @@ class RealTimePriority:
 
     def __init__(
         self,
-        take: Callable[[], bool] = take_priority,
+        take_priority_function: Callable[[], bool] = take_priority,
         restore: Callable[[], None] = restore_priority,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start without real-time priority.
 
         Args:
-            take: function that takes the priority and returns True if granted.
+            take_priority_function: function that takes the priority and returns True if granted.
             restore: function that restores the ordinary priority.
             now_s: function that returns the present time [s].
         """
-        self._take = take
+        self._take = take_priority_function
         self._restore = restore
         self._now_s = now_s
         self.active = False

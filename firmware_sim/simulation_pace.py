@@ -143,10 +143,10 @@ def rounded_down(pace: float) -> float:
     return float(f"{math.floor(pace / step + 1e-9) * step:.6g}")
 
 
-def _pace_ratio(first: ClockReadings, last: ClockReadings) -> float:
+def _pace_ratio(start: ClockReadings, end: ClockReadings) -> float:
     """Return the plant time per computing time, infinite for no computing time."""
-    cpu_s = last.cpu_s - first.cpu_s
-    return (last.plant_s - first.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
+    cpu_s = end.cpu_s - start.cpu_s
+    return (end.plant_s - start.plant_s) / cpu_s if cpu_s > 0.0 else math.inf
 
 
 def _usable_cores() -> set[int]:

@@ -242,10 +242,10 @@ class TickExchange:
         self._progress[SENT] = 0
         return self._sent[:count]
 
-    def merged(self, first: Any, second: Any) -> Any:
+    def merged(self, frames: Any, other_frames: Any) -> Any:
         """Return the frames of two arrays in one array, sorted by time."""
-        out = np.empty(len(first) + len(second), FRAME_DTYPE)
-        self._kernels.merge(first, second, out)
+        out = np.empty(len(frames) + len(other_frames), FRAME_DTYPE)
+        self._kernels.merge(frames, other_frames, out)
         return out
 
 

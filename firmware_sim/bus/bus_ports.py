@@ -47,7 +47,7 @@ class BusPort(Protocol):
         """Return the sockets to poll for writing."""
         ...
 
-    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+    def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive frames from the sockets that are ready.
 
         The caller repeats the call until no frame is returned.

@@ -161,37 +161,37 @@ class Hub:
         """Return the sockets to poll for writing: sockets of clients with a partly sent record."""
         return [link.socket for link in self._links if link.unsent]
 
-    def serve(self, ready: Collection[socket.socket]) -> bytes:
+    def serve(self, ready_sockets: Collection[socket.socket]) -> bytes:
         """Accept clients, read their records, and forward them to the other clients.
 
         Args:
-            ready: sockets that are ready for reading.
+            ready_sockets: sockets that are ready for reading.
 
         Returns:
             The records that all clients sent, for the owner of the hub.
         """
-        received = self.poll(ready)
+        received = self.poll(ready_sockets)
         for link, records in received:
             self._forward(records, link)
         self.drop_closed()
         return b"".join(records for _, records in received)
 
-    def poll(self, ready: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
+    def poll(self, ready_sockets: Collection[socket.socket]) -> list[tuple[HubConnection, bytes]]:
         """Accept clients and read their records, but forward no records.
 
         Args:
-            ready: sockets that are ready for reading.
+            ready_sockets: sockets that are ready for reading.
 
         Returns:
             Pairs of connection and records, one for each client that sent records.
         """
-        if self._listener in ready:
+        if self._listener in ready_sockets:
             self._accept()
         received = []
         for link in self._links:
             if link.unsent:
                 link.flush()
-            if link.socket in ready and (records := link.receive()):
+            if link.socket in ready_sockets and (records := link.receive()):
                 received.append((link, records))
         return received
 

@@ -42,9 +42,9 @@ class HubPort:
         """See ``bus_ports.BusPort.writers``."""
         return self._hub.writers()
 
-    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+    def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """See ``bus_ports.BusPort.receive``."""
-        frames, unreadable = split_records(self._hub.serve(ready), self._bus)
+        frames, unreadable = split_records(self._hub.serve(ready_sockets), self._bus)
         self._unreadable += unreadable
         return frames
 
@@ -96,14 +96,14 @@ class JoinedPort:
         """See ``bus_ports.BusPort.writers``."""
         return [self._link.socket] if self._link.unsent else []
 
-    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+    def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """See ``bus_ports.BusPort.receive``.
 
         Raises:
             SimulatorError: the hub has closed the connection.
         """
         self._link.flush()
-        records = self._link.receive() if self._link.socket in ready else b""
+        records = self._link.receive() if self._link.socket in ready_sockets else b""
         if self._link.closed:
             raise SimulatorError(f"join:{self._name}: the hub has closed the connection")
         frames, unreadable = split_records(records, self._bus)

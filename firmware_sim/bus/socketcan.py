@@ -69,10 +69,10 @@ class SocketCanPort:
         """See ``bus_ports.BusPort.writers``."""
         return []
 
-    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+    def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """See ``bus_ports.BusPort.receive``."""
         frames: list[Frame] = []
-        if self._socket not in ready:
+        if self._socket not in ready_sockets:
             return frames
         try:
             while len(frames) < _MAX_READ:

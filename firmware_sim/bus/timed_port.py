@@ -112,14 +112,14 @@ class TimedPort:
         """See ``bus_ports.BusPort.writers``."""
         return self._hub.writers()
 
-    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+    def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive the frames that were the next to end on the wire, if any have ended by now.
 
         See ``bus_ports.BusPort``.
         """
         now_ns = self._now_ns()
-        if ready:
-            self._read_clients(ready, now_ns)
+        if ready_sockets:
+            self._read_clients(ready_sockets, now_ns)
         while not self._received and self.wire.next_ns() <= now_ns:
             self._at_ns = self.wire.next_ns()
             self.wire.step(now_ns)
@@ -151,14 +151,14 @@ class TimedPort:
                 )
                 self._queues[link] = arrived, left if link.dropped == dropped else -1
 
-    def _read_clients(self, ready: Collection[socket.socket], now_ns: int) -> None:
+    def _read_clients(self, ready_sockets: Collection[socket.socket], now_ns: int) -> None:
         """Read frames from the clients and queue them for sending at the present time.
 
         Args:
-            ready: sockets that are ready for reading.
+            ready_sockets: sockets that are ready for reading.
             now_ns: present time of the wire [ns].
         """
-        received = self._hub.poll(ready)
+        received = self._hub.poll(ready_sockets)
         for link in self._hub.links:
             if link not in self._clients:
                 self._clients[link] = self.wire.add(self._deliver(link))
@@ -243,6 +243,6 @@ def timed_port_maker(
     )
 
 
-def no_latency(number: int) -> AdapterLatency:
+def no_latency(adapter_number: int) -> AdapterLatency:
     """Return no latency, for a client that is on the wire without an adapter."""
     return AdapterLatency(NO_LATENCY_CLASS)

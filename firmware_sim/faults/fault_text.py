@@ -193,11 +193,11 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
     return fault
 
 
-def _component(text: str, kind: str, given: dict[str, str]) -> str:
+def _component(text: str, kind: str, options: dict[str, str]) -> str:
     """Return the type of the fault's target component."""
     components = [
         key
-        for key in given
+        for key in options
         if key
         in (
             NODE_TARGET,
@@ -217,17 +217,21 @@ def _component(text: str, kind: str, given: dict[str, str]) -> str:
     return components[0]
 
 
-def _other(text: str, kind: str, first: str, given: dict[str, str], hand: Hand) -> str:
+def _other(text: str, kind: str, first_motor: str, options: dict[str, str], hand: Hand) -> str:
     """Return the second motor of a fault that acts on two motors, otherwise an empty string."""
     if kind not in TWO_MOTOR_KINDS:
         return ""
-    if "with" not in given:
+    if "with" not in options:
         raise SimulatorError(f"fault {text!r}: {kind} needs with=NAME, the other motor")
     other = _instance(
-        text, instances_of_component(NODE_TARGET, hand, kind), NODE_TARGET, given.pop("with"), hand
+        text,
+        instances_of_component(NODE_TARGET, hand, kind),
+        NODE_TARGET,
+        options.pop("with"),
+        hand,
     )
-    if other == first:
-        raise SimulatorError(f"fault {text!r}: {kind} needs two motors, not {first!r} twice")
+    if other == first_motor:
+        raise SimulatorError(f"fault {text!r}: {kind} needs two motors, not {first_motor!r} twice")
     return other
 
 
@@ -265,26 +269,26 @@ def _instance(text: str, names: list[str], component: str, name: str, hand: Hand
     return name
 
 
-def _number_from_text(text: str, key: str, word: str, low: float, high: float) -> float:
+def _number_from_text(text: str, key: str, value_text: str, low: float, high: float) -> float:
     """Parse a number that must lie in a range."""
     try:
-        value = float(int(word, 0)) if word.startswith("0x") else float(word)
+        value = float(int(value_text, 0)) if value_text.startswith("0x") else float(value_text)
     except ValueError:
         value = math.nan
     if not low <= value <= high:
         raise SimulatorError(
-            f"fault {text!r}: {key}={word}: expected a number from {low:g} to {high:g}"
+            f"fault {text!r}: {key}={value_text}: expected a number from {low:g} to {high:g}"
         )
     return value
 
 
-def _time_from_text(text: str, key: str, word: str) -> int:
+def _time_from_text(text: str, key: str, value_text: str) -> int:
     """Parse a time with a unit, and return the time [ns]."""
-    unit = next((unit for unit in _TIME_UNITS_NS if word.endswith(unit)), "")
+    unit = next((unit for unit in _TIME_UNITS_NS if value_text.endswith(unit)), "")
     if not unit:
         raise SimulatorError(
-            f"fault {text!r}: {key}={word}: expected a time with its unit, as in 3s or 200ms"
+            f"fault {text!r}: {key}={value_text}: expected a time with its unit, as in 3s or 200ms"
         )
     return round(
-        _number_from_text(text, key, word.removesuffix(unit), 0.0, 1e9) * _TIME_UNITS_NS[unit]
+        _number_from_text(text, key, value_text.removesuffix(unit), 0.0, 1e9) * _TIME_UNITS_NS[unit]
     )

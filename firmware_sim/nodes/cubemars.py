@@ -142,13 +142,13 @@ class CubemarsNode:
         self._apply_command(data)
         return [self._answer(frame, t_ns)]
 
-    def _special(self, code: int, frame: Frame, t_ns: int) -> list[Frame]:
+    def _special(self, command_code: int, frame: Frame, t_ns: int) -> list[Frame]:
         """Execute a special command."""
-        if code == _ENABLE_COMMAND:
-            self._switch(on=self.error == FeedbackError.NONE)
-        elif code == _DISABLE_COMMAND:
-            self._switch(on=False)
-        elif code == _ZERO_COMMAND:
+        if command_code == _ENABLE_COMMAND:
+            self._switch(enable=self.error == FeedbackError.NONE)
+        elif command_code == _DISABLE_COMMAND:
+            self._switch(enable=False)
+        elif command_code == _ZERO_COMMAND:
             self.offset = -self._direction * self.motor.encoder()
             self._silent_until_ns = t_ns + ZEROING_NS
             return []
@@ -157,14 +157,14 @@ class CubemarsNode:
             return []
         return [self._answer(frame, t_ns)]
 
-    def _switch(self, on: bool) -> None:
+    def _switch(self, enable: bool) -> None:
         """Switch the torque on or off.
 
         The servo keeps its setpoint only if the motor was enabled and stays enabled.
         """
-        if not (on and self.enabled):
+        if not (enable and self.enabled):
             self.motor.servo.release()
-        self.enabled = on
+        self.enabled = enable
 
     def _apply_command(self, data: bytes) -> None:
         """Apply an MIT command if the motor is enabled."""
@@ -197,16 +197,16 @@ class CubemarsNode:
             )
         return Frame(self._id, data, frame.flags, frame.bus, t_ns)
 
-    def trip(self, error: FeedbackError) -> None:
+    def trip(self, feedback_error: FeedbackError) -> None:
         """Enter an error state, which removes the torque. Error.NONE ends the error state."""
-        self.error = error
-        if error != FeedbackError.NONE:
-            self._switch(on=False)
+        self.error = feedback_error
+        if feedback_error != FeedbackError.NONE:
+            self._switch(enable=False)
 
     def power_cycle(self) -> None:
         """Restart the motor, disabled and without error."""
         self.error = FeedbackError.NONE
-        self._switch(on=False)
+        self._switch(enable=False)
 
     def wake(self, t_ns: int) -> None:
         """Update the temperatures, and set or end the over-temperature error."""

@@ -119,14 +119,14 @@ def table_index(bus: int, can_id: int) -> int:
 
 
 @kernel_helper
-def _word(data: Any) -> int:
+def _word(payload: Any) -> int:
     """Return eight bytes as an integer, the first byte highest.
 
     The sign of the integer has no meaning.
     """
     word = 0
     for i in range(8):
-        word = word << 8 | int(data[i])
+        word = word << 8 | int(payload[i])
     return word
 
 
@@ -143,16 +143,16 @@ def _fill_header(answer: Any, can_id: int, length: int, flags: int, bus: int) ->
 
 
 @kernel_helper
-def _put_int(data: Any, at: int, size: int, value: int) -> None:
+def _put_int(payload: Any, first_byte: int, size: int, value: int) -> None:
     """Write an integer into a payload, low byte first."""
     for i in range(size):
-        data[at + i] = value >> 8 * i & 0xFF
+        payload[first_byte + i] = value >> 8 * i & 0xFF
 
 
 @kernel_helper
-def _put_float(data: Any, at: int, value: float) -> None:
+def _put_float(payload: Any, first_byte: int, value: float) -> None:
     """Write a float of four bytes into a payload, low byte first."""
-    _put_int(data, at, 4, int(np.float32(value).view(np.uint32)))
+    _put_int(payload, first_byte, 4, int(np.float32(value).view(np.uint32)))
 
 
 @kernel_helper
@@ -183,9 +183,13 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
 
 
 @kernel_helper
-def _get_float(data: Any) -> float:
+def _get_float(payload: Any) -> float:
     """Return the float in the first four bytes of a payload."""
-    return float(np.uint32(data[0] | data[1] << 8 | data[2] << 16 | data[3] << 24).view(np.float32))
+    return float(
+        np.uint32(payload[0] | payload[1] << 8 | payload[2] << 16 | payload[3] << 24).view(
+            np.float32
+        )
+    )
 
 
 @kernel_helper
@@ -621,16 +625,16 @@ def _cia402_needs_wake(node: Any, now_ns: int) -> bool:
 
 
 @kernel_helper
-def _send_cia402(node: Any, now_ns: int, sent: Any, count: int) -> int:
+def _send_cia402(node: Any, now_ns: int, sent_frames: Any, count: int) -> int:
     """Write the heartbeat of a CiA 402 drive if it is due.
 
     Returns:
-        Number of frames in ``sent``.
+        Number of frames in ``sent_frames``.
     """
     if heartbeat_due(node, now_ns):
-        _fill_header(sent[count], 0x700 + node.node_id, 1, 0, node.bus)
-        _put_int(sent[count].data, 0, 1, node.nmt)
-        sent[count].t_ns = now_ns
+        _fill_header(sent_frames[count], 0x700 + node.node_id, 1, 0, node.bus)
+        _put_int(sent_frames[count].data, 0, 1, node.nmt)
+        sent_frames[count].t_ns = now_ns
         node.heartbeat_ns = now_ns
         count += 1
     schedule_cia402(node, now_ns, False)
@@ -638,23 +642,23 @@ def _send_cia402(node: Any, now_ns: int, sent: Any, count: int) -> int:
 
 
 @kernel_helper
-def _send_odrive(node: Any, rotor: Any, now_ns: int, sent: Any, count: int) -> int:
+def _send_odrive(node: Any, rotor: Any, now_ns: int, sent_frames: Any, count: int) -> int:
     """Write the cyclic messages of an ODrive that are due.
 
     Returns:
-        Number of frames in ``sent``.
+        Number of frames in ``sent_frames``.
     """
     if now_ns >= node.heartbeat_due_ns:
-        _fill_header(sent[count], node.node_id << 5 | 0x01, 8, 0, node.bus)
-        _put_int(sent[count].data, 0, 4, node.active_errors | node.disarm_reason)
-        _put_int(sent[count].data, 4, 1, node.state)
-        _put_int(sent[count].data, 5, 1, node.result)
-        sent[count].t_ns = now_ns
+        _fill_header(sent_frames[count], node.node_id << 5 | 0x01, 8, 0, node.bus)
+        _put_int(sent_frames[count].data, 0, 4, node.active_errors | node.disarm_reason)
+        _put_int(sent_frames[count].data, 4, 1, node.state)
+        _put_int(sent_frames[count].data, 5, 1, node.result)
+        sent_frames[count].t_ns = now_ns
         node.heartbeat_due_ns = next_due(node.heartbeat_due_ns, now_ns, node.heartbeat_period_ns)
         count += 1
     if now_ns >= node.encoder_due_ns:
-        _write_encoder_frame(node, rotor, node.bus, sent[count])
-        sent[count].t_ns = now_ns
+        _write_encoder_frame(node, rotor, node.bus, sent_frames[count])
+        sent_frames[count].t_ns = now_ns
         node.encoder_due_ns = next_due(node.encoder_due_ns, now_ns, node.encoder_period_ns)
         count += 1
     schedule_odrive(node)
@@ -669,7 +673,7 @@ def send_due(
     cia402: Any,
     rotors: Any,
     now_ns: int,
-    sent: Any,
+    sent_frames: Any,
     progress: Any,
 ) -> bool:
     """Write the unsolicited frames of all drives that are due.
@@ -681,8 +685,8 @@ def send_due(
         cia402: rows of CiA 402 drives.
         rotors: rows of the rotors.
         now_ns: present time [ns].
-        sent: array with room for two frames of each drive.
-        progress: array with the number of frames in ``sent``, see ``SENT``.
+        sent_frames: array with room for two frames of each drive.
+        progress: array with the number of frames in ``sent_frames``, see ``SENT``.
 
     Returns:
         False if Python must wake a drive. Nothing is written then.
@@ -710,27 +714,29 @@ def send_due(
         if receiver_row.kind == ODRIVE_KIND:
             rotor = rotors[odrive[receiver_row.number].motor_number]
             progress[SENT] = _send_odrive(
-                odrive[receiver_row.number], rotor, now_ns, sent, progress[SENT]
+                odrive[receiver_row.number], rotor, now_ns, sent_frames, progress[SENT]
             )
         else:
-            progress[SENT] = _send_cia402(cia402[receiver_row.number], now_ns, sent, progress[SENT])
+            progress[SENT] = _send_cia402(
+                cia402[receiver_row.number], now_ns, sent_frames, progress[SENT]
+            )
     progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
     return True
 
 
 @compiled(FRAME_DTYPE, FRAME_DTYPE, FRAME_DTYPE)
-def merge(first: Any, second: Any, out: Any) -> None:
-    """Write the frames of two arrays into ``out``, sorted by time.
+def merge(frames: Any, other_frames: Any, merged: Any) -> None:
+    """Write the frames of two arrays into ``merged``, sorted by time.
 
     Frames with equal times keep their order.
     """
-    count = len(first)
-    for i in range(len(out)):
-        frame = first[i] if i < count else second[i - count]
+    count = len(frames)
+    for i in range(len(merged)):
+        frame = frames[i] if i < count else other_frames[i - count]
         # This is an insertion sort, because both arrays are almost sorted and equal times must keep
         # their order.
         place = i
-        while place > 0 and out[place - 1].t_ns > frame.t_ns:
-            out[place] = out[place - 1]
+        while place > 0 and merged[place - 1].t_ns > frame.t_ns:
+            merged[place] = merged[place - 1]
             place -= 1
-        out[place] = frame
+        merged[place] = frame

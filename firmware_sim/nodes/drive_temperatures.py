@@ -70,6 +70,6 @@ class ThermalStruct(ctypes.Structure, DriveTemperatures):
     _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]
 
 
-def _low_pass(value: float, target: float, times: float) -> float:
+def _low_pass(value: float, target: float, time_constants: float) -> float:
     """Move a value towards a target as a first-order lag does in a time, given in time constants."""
-    return target + (value - target) * math.exp(-times)
+    return target + (value - target) * math.exp(-time_constants)

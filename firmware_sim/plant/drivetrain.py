@@ -89,7 +89,7 @@ def _elastic(tendon: Any, stretch: float) -> float:
 
 
 @kernel_helper
-def _secant(tendon: Any, loss: float, tension_angle: float) -> float:
+def _secant(tendon: Any, tension_loss: float, tension_angle: float) -> float:
     """Compute the friction of a tendon divided by the speed of the tendon [N s/m].
 
     This secant is used instead of the tangent. With the tangent, friction would reverse the motion
@@ -97,14 +97,14 @@ def _secant(tendon: Any, loss: float, tension_angle: float) -> float:
 
     Args:
         tendon: the tendon with its present speed.
-        loss: loss of tension that friction causes [N].
+        tension_loss: loss of tension that friction causes [N].
         tension_angle: tension of the tendon times its wrap angle [N rad].
     """
     speed = abs(tendon.speed)
     # This is the limit of the secant at rest, where the quotient would be 0/0.
     if speed < 1e-3 * CAPSTAN_SPEED:
         return float(tension_angle * tendon.friction / CAPSTAN_SPEED)
-    return float(loss / speed)
+    return float(tension_loss / speed)
 
 
 @kernel_helper
@@ -302,8 +302,10 @@ def integrate(rotor: Any) -> None:
 
 
 @compiled(*DRIVETRAIN_ARGUMENTS, "vector", "vector", "vector")
-def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, out: Any) -> None:
-    """Write the present tension of each tendon at its load cell to ``out`` [N].
+def tensions(
+    tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, tension: Any
+) -> None:
+    """Write the present tension of each tendon at its load cell to ``tension`` [N].
 
     Args:
         tendons: tendons of the hand.
@@ -312,10 +314,10 @@ def tensions(tendons: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any,
         rotors: rotors of the motors.
         q: joint angles [rad].
         dq: joint velocities [rad/s].
-        out: tension of each tendon, written by the kernel, shape (tendons,) [N].
+        tension: tension of each tendon, written by the kernel, shape (tendons,) [N].
     """
     for i in range(len(tendons)):
-        out[i] = _cell_tension(tendons[i], joints, arms, rotors[tendons[i].motor], q, dq)
+        tension[i] = _cell_tension(tendons[i], joints, arms, rotors[tendons[i].motor], q, dq)
 
 
 @compiled(*DRIVETRAIN_ARGUMENTS, "vector", "vector", "vector", "vector", "flag")

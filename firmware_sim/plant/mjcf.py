@@ -164,15 +164,15 @@ def palm_box(hand: Hand, carrier: str) -> tuple[Any, Any]:
     return centre, np.array([PALM_DEPTH / 2.0, side, side])
 
 
-def _mesh_assets(shown: dict[str, LinkMesh]) -> str:
+def _mesh_assets(meshes_by_link: dict[str, LinkMesh]) -> str:
     """Build the MJCF assets of the meshes, an empty text without meshes."""
-    if not shown:
+    if not meshes_by_link:
         return ""
     # Inertia "shell" is also defined for open surfaces. It has no effect, because meshes have no
     # mass.
     meshes = "".join(
         f'<mesh name="{link}" file={quoteattr(mesh.file)} scale="{_text(mesh.scale)}" inertia="shell"/>'
-        for link, mesh in shown.items()
+        for link, mesh in meshes_by_link.items()
     )
     return f"<asset>{meshes}</asset>"
 
@@ -190,17 +190,21 @@ def _mesh_geom(mesh: LinkMesh | None) -> str:
     )
 
 
-def _palm(hand: Hand, carrier: str, opposed: dict[str, bool], shown: dict[str, LinkMesh]) -> str:
+def _palm(
+    hand: Hand, carrier: str, opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
+) -> str:
     """Build the palm, or the box on the last link of a carrying digit, with all digits on it."""
     centre, half = palm_box(hand, carrier)
     name = f"{carrier}_palm" if carrier else "palm"
     link = f"{carrier}_link{_last_link(hand, carrier)}" if carrier else "palm"
     box = (
         f'<geom name="{name}" type="box" size="{_text(half.tolist())}" pos="{_text(centre.tolist())}"'
-        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"{_hidden_if(link in shown)}/>'
+        f' contype="{PALM_BIT}" conaffinity="{OBJECT_BIT}"{_hidden_if(link in meshes_by_link)}/>'
     )
-    mesh = "" if carrier else _mesh_geom(shown.get("palm"))
-    digits = "\n".join(_digit(hand, digit, opposed, shown) for digit in hand.carried_by(carrier))
+    mesh = "" if carrier else _mesh_geom(meshes_by_link.get("palm"))
+    digits = "\n".join(
+        _digit(hand, digit, opposed, meshes_by_link) for digit in hand.carried_by(carrier)
+    )
     return f"{box}{mesh}\n{digits}\n"
 
 
@@ -240,7 +244,9 @@ def touches_palm(hand: Hand, digit: Digit) -> list[bool]:
     return overlaps
 
 
-def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool], shown: dict[str, LinkMesh]) -> str:
+def _digit(
+    hand: Hand, digit: Digit, opposed: dict[str, bool], meshes_by_link: dict[str, LinkMesh]
+) -> str:
     """Build the nested bodies of a digit.
 
     Each link lies along the x axis of the link's frame, with the hinge at the origin.
@@ -258,11 +264,11 @@ def _digit(hand: Hand, digit: Digit, opposed: dict[str, bool], shown: dict[str, 
         length = (
             max(digit.length[i] - digit.radius, 0.0) if carries and i == last else digit.length[i]
         )
-        mesh = shown.get(f"{digit.name}_link{i + 1}")
+        mesh = meshes_by_link.get(f"{digit.name}_link{i + 1}")
         body = _body(digit, i, length, bits, mesh is not None)
         opening += f"{_joint(digit, i)}{body}{_mesh_geom(mesh)}\n"
         closing = "</body>" + closing
-    return opening + (_palm(hand, digit.name, opposed, shown) if carries else "") + closing
+    return opening + (_palm(hand, digit.name, opposed, meshes_by_link) if carries else "") + closing
 
 
 def _digit_bits(opposed: bool, near_palm: bool) -> tuple[int, int]:

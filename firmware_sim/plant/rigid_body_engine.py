@@ -70,11 +70,11 @@ class RigidBodyEngine:
         """Return the speed of the object's centre [m/s], 0 without an object."""
         return float(np.linalg.norm(self._object_velocity[:3])) if self.has_object else 0.0
 
-    def forces_on(self, kind: str, digits: list[str]) -> Callable[[], list[float]]:
+    def forces_on(self, sensor_kind: str, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the contact forces on the digits [N].
 
         Args:
-            kind: ``grip`` for forces of the object only, or ``contact`` for forces of any body.
+            sensor_kind: ``grip`` for forces of the object only, or ``contact`` for forces of any body.
             digits: names of the digits.
 
         Returns:
@@ -82,19 +82,23 @@ class RigidBodyEngine:
             force in the palm frame, digit by digit.
         """
         index = np.array(
-            [address + axis for address in self.force_indices(kind, digits) for axis in range(3)]
+            [
+                address + axis
+                for address in self.force_indices(sensor_kind, digits)
+                for axis in range(3)
+            ]
         )
         data = self._data.sensordata
         # The sensor gives the force that the first body (the digit) exerts on the second. Therefore
         # the sign is changed.
         return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
 
-    def force_indices(self, kind: str, digits: list[str]) -> list[int]:
+    def force_indices(self, sensor_kind: str, digits: list[str]) -> list[int]:
         """Return the index in ``sensed`` of each digit's force.
 
         The values there have the opposite sign. See ``forces_on``.
         """
-        return [self._sensor(f"{kind}/{digit}") for digit in digits]
+        return [self._sensor(f"{sensor_kind}/{digit}") for digit in digits]
 
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the sum of the normal forces between each digit and the object [N]."""

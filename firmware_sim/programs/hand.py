@@ -158,7 +158,7 @@ def run(words: list[str]) -> None:
 
 
 def _serve(
-    server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready: str
+    server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready_line: str
 ) -> None:
     """Serve a simulated hand and record its truth file."""
     try:
@@ -173,7 +173,7 @@ def _serve(
     until_signal(stop)
     gc.collect()
     gc.freeze()  # from now on, the garbage collector skips loaded modules
-    print(ready, flush=True)
+    print(ready_line, flush=True)
     try:
         server.run()
     finally:

@@ -38,32 +38,32 @@ class SceneStage:
     friction: float | None
 
 
-def read_stage(raw: dict[str, Any]) -> SceneStage:
+def read_stage(section: dict[str, Any]) -> SceneStage:
     """Read one stage of a scene file.
 
     Raises:
         ValueError: a key or a value of the stage is wrong.
     """
-    if unknown := raw.keys() - STAGE_KEYS:
+    if unknown := section.keys() - STAGE_KEYS:
         raise ValueError(f"stage.{sorted(unknown)[0]}: expected {', '.join(sorted(STAGE_KEYS))}")
-    down = _vector(raw["down"], "stage.down") if "down" in raw else None
+    down = _vector(section["down"], "stage.down") if "down" in section else None
     if down is not None:
         length = math.hypot(*down)
         if not length > 0.0:
             raise ValueError("stage.down: expected a direction, not zero")
         down = (down[0] / length, down[1] / length, down[2] / length)
-    push = _vector(raw.get("push_N", (0.0, 0.0, 0.0)), "stage.push_N")
-    times = [float(raw.get(key, 0.0)) for key in ("turn_s", "last_s", "push_at_s", "push_s")]
+    push = _vector(section.get("push_N", (0.0, 0.0, 0.0)), "stage.push_N")
+    times = [float(section.get(key, 0.0)) for key in ("turn_s", "last_s", "push_at_s", "push_s")]
     if not all(0.0 <= time <= 3600.0 for time in times) or times[0] + times[1] <= 0.0:
         raise ValueError("stage: expected times from 0 to 3600 s, and last_s above 0")
-    friction = float(raw["friction"]) if "friction" in raw else None
+    friction = float(section["friction"]) if "friction" in section else None
     if friction is not None and not 0.0 <= friction <= 10.0:
         raise ValueError(f"stage.friction {friction}: expected 0 to 10")
     return SceneStage(down, times[0], times[1], push, times[2], times[3], friction)
 
 
-def _vector(raw: Any, where: str) -> Vector:
-    values = tuple(float(value) for value in raw)
+def _vector(raw_vector: Any, where: str) -> Vector:
+    values = tuple(float(value) for value in raw_vector)
     if len(values) != 3 or not all(map(math.isfinite, values)):
         raise ValueError(f"{where}: expected three finite numbers")
     return values[0], values[1], values[2]

@@ -59,15 +59,15 @@ class AdapterLatency:
     The times passed to a method must not decrease from call to call.
     """
 
-    def __init__(self, kind: str, seed: int = 0) -> None:
+    def __init__(self, adapter_class: str, seed: int = 0) -> None:
         """Make the latency of an adapter whose USB frames have a random phase.
 
         Args:
-            kind: key of ``ADAPTER_CLASSES``.
+            adapter_class: key of ``ADAPTER_CLASSES``.
             seed: seed of the random phase.
         """
-        self._adapter = ADAPTER_CLASSES[kind]
-        self._phase = random.Random(f"adapter {kind} {seed}").random()
+        self._adapter = ADAPTER_CLASSES[adapter_class]
+        self._phase = random.Random(f"adapter {adapter_class} {seed}").random()
         self._sent_ns = self._received_ns = 0
 
     def send(self, t_ns: int) -> int:

@@ -44,13 +44,13 @@ class WireSpec:
     data_bitrate: int = 0
     adapter: str = NO_LATENCY_CLASS
 
-    def latency(self, number: int) -> AdapterLatency:
+    def latency(self, adapter_number: int) -> AdapterLatency:
         """Return the latency of a host's CAN adapter.
 
         Args:
-            number: number of the adapter. The number selects the random phase of the adapter.
+            adapter_number: number of the adapter. The number selects the random phase of the adapter.
         """
-        return AdapterLatency(self.adapter, self.options.seed + number)
+        return AdapterLatency(self.adapter, self.options.seed + adapter_number)
 
     def rate(self, bitrate: int, data_bitrate: int) -> BitRates:
         """Return the bit rates of a bus, from the command line or the hand file.

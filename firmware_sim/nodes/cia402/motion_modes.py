@@ -70,13 +70,13 @@ POSITION_GAIN = 20.0
 """Gain of the position controller [1/s]. An assumption."""
 
 
-def check_write(index: int, value: int) -> None:
+def check_write(object_index: int, value: int) -> None:
     """Check a value before it is written to an object.
 
     Raises:
         Abort: the value is a homing method that the drive does not have.
     """
-    if index == 0x6098 and value not in HOMING_METHODS:
+    if object_index == 0x6098 and value not in HOMING_METHODS:
         raise SdoAbort(OUT_OF_RANGE)
 
 
@@ -133,11 +133,11 @@ class MotionModes:
         self._node.motion_due_ns = 0
         self._node.mode_bits = -1
 
-    def take(self, index: int) -> None:
+    def take(self, object_index: int) -> None:
         """Apply the new value of an object that a host has written."""
-        if index == 0x6040:
+        if object_index == 0x6040:
             self._take_control(self._node.objects[0x6040, 0])
-        elif index == 0x607A and self._mode == CYCLIC_POSITION:
+        elif object_index == 0x607A and self._mode == CYCLIC_POSITION:
             self._rest_s = self._node.objects[0x60C2, 1] * 10.0 ** self._node.objects[0x60C2, 2]
 
     def _take_control(self, word: int) -> None:
@@ -228,20 +228,29 @@ class MotionModes:
                 self._target = self._limited(self._next)
                 self._next = None
 
-    def _approach(self, step_s: float, speed: int, sub: int, rise: int, fall: int) -> bool:
+    def _approach(
+        self,
+        step_s: float,
+        speed: int,
+        subindex: int,
+        acceleration_index: int,
+        deceleration_index: int,
+    ) -> bool:
         """Move the demand towards the target with the speed and ramps in objects.
 
         Return True at the target.
         """
-        slope = max(1.0, self._counts(self._node.objects[fall, 0]))
+        slope = max(1.0, self._counts(self._node.objects[deceleration_index, 0]))
         if self._control & HALT_BIT:
             self._demand.ramp(0.0, slope, slope, step_s)
             return False
-        fastest = self._counts(min(self._node.objects[speed, sub], self._node.objects[0x6080, 0]))
+        fastest = self._counts(
+            min(self._node.objects[speed, subindex], self._node.objects[0x6080, 0])
+        )
         return self._demand.trapezoid(
             self._target,
             fastest,
-            max(1.0, self._counts(self._node.objects[rise, 0])),
+            max(1.0, self._counts(self._node.objects[acceleration_index, 0])),
             slope,
             step_s,
         )
@@ -348,6 +357,6 @@ class MotionModes:
         """Convert a speed from 1/min to count/s, or an acceleration from 1/min/s to count/s2."""
         return float(per_minute / 60.0 * self._node.counts)
 
-    def _rate_of(self, index: int) -> float:
+    def _rate_of(self, object_index: int) -> float:
         """Return the value of a velocity object in count/s."""
-        return self._counts(self._node.objects[index, 0])
+        return self._counts(self._node.objects[object_index, 0])

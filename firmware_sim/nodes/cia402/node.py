@@ -240,22 +240,22 @@ class Cia402Node:
         elif state == OPERATIONAL_STATE:
             self._send_event_pdos()
 
-    def _connection_lost(self, code: int) -> None:
+    def _connection_lost(self, error_code: int) -> None:
         """React to a lost connection as object 0x6007 (abort connection option) demands."""
         option = self.objects[0x6007, 0]
         if option == 1:
-            self.trip(code)
+            self.trip(error_code)
         elif option:
             self.power.state = OFF_STATE
             self._apply_torque()
 
-    def trip(self, code: int) -> None:
+    def trip(self, error_code: int) -> None:
         """Enter the fault state and send an emergency message."""
         self.frame_pending = True
         self.power.fail()
-        self.objects[0x603F, 0] = code
-        self.objects[0x1001, 0] = 0x11 if code == HEARTBEAT_LOST else 0x01
-        self._emergency(code)
+        self.objects[0x603F, 0] = error_code
+        self.objects[0x1001, 0] = 0x11 if error_code == HEARTBEAT_LOST else 0x01
+        self._emergency(error_code)
         self._apply_torque()
 
     def lose_settings(self) -> None:
@@ -267,10 +267,10 @@ class Cia402Node:
         self._update_derived()
         self._apply_torque()
 
-    def _emergency(self, code: int) -> None:
+    def _emergency(self, error_code: int) -> None:
         """Send an emergency message, unless the node is in the NMT state stopped."""
         if self.nmt != STOPPED_STATE:
-            data = code.to_bytes(2, "little") + bytes((self.objects[0x1001, 0],)) + bytes(5)
+            data = error_code.to_bytes(2, "little") + bytes((self.objects[0x1001, 0],)) + bytes(5)
             self._unsolicited.append(Frame(0x80 + self.node_id, data))
 
     def _sdo(self, data: bytes) -> None:
@@ -333,21 +333,21 @@ class Cia402Node:
         head = toggle << 4 | (7 - len(segment)) << 1 | (not self._segments)
         return bytes((head,)) + segment.ljust(7, b"\0")
 
-    def _write(self, key: tuple[int, int], raw: bytes) -> None:
+    def _write(self, key: tuple[int, int], value_bytes: bytes) -> None:
         """Write an object as a host requests it, and apply the new value."""
         # These are the communication and mapping objects of RPDOs (0x1400, 0x1600) and TPDOs
         # (0x1800, 0x1A00).
         if 0x1400 <= key[0] < 0x1C00:
             if self.nmt != PRE_OPERATIONAL:
                 raise SdoAbort(WRONG_STATE)
-            self.pdos.write(key, raw)
+            self.pdos.write(key, value_bytes)
         else:
-            check_write(key[0], int.from_bytes(raw, "little", signed=True))
-            self.objects.write(key, raw)
+            check_write(key[0], int.from_bytes(value_bytes, "little", signed=True))
+            self.objects.write(key, value_bytes)
         if key[0] < 0x2000:
             self._update_derived()
         if key == (0x1010, 1):
-            if raw == b"save":
+            if value_bytes == b"save":
                 self._stored = self.objects.settings()
             self.objects[key] = 1
         if key == (0x1016, 1):

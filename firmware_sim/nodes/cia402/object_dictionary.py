@@ -172,16 +172,16 @@ class ObjectDictionary:
         size = self.size(key)
         return self[key].to_bytes(size, "little", signed=key in self._signed)
 
-    def write(self, key: ObjectKey, raw: bytes) -> None:
+    def write(self, key: ObjectKey, value_bytes: bytes) -> None:
         """Write the bytes of a received frame to an object.
 
         Raises:
             Abort: the object does not exist, is read-only, or has another length.
         """
-        if len(raw) != self.size(key):
+        if len(value_bytes) != self.size(key):
             raise SdoAbort(WRONG_TYPE)
         if key not in self._writable:
             raise SdoAbort(READ_ONLY)
         self.values[self._indices_of[key]] = int.from_bytes(
-            raw, "little", signed=key in self._signed
+            value_bytes, "little", signed=key in self._signed
         )

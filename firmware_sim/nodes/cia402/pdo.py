@@ -42,7 +42,7 @@ class NodePdos:
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
 
-    def write(self, key: ObjectKey, raw: bytes) -> None:
+    def write(self, key: ObjectKey, value_bytes: bytes) -> None:
         """Write a communication or mapping object over SDO.
 
         Raises:
@@ -52,20 +52,20 @@ class NodePdos:
         if index & 0x200:
             if not self._objects[index - 0x200, 1] & PDO_OFF_BIT:
                 raise SdoAbort(0x08000022)
-            value = int.from_bytes(raw, "little")
+            value = int.from_bytes(value_bytes, "little")
             if sub == 0:
                 self._check(index, value)
             elif self._objects[index, 0]:
                 raise SdoAbort(0x08000022)
             elif value and not self._objects.mappable((value >> 16, value >> 8 & 0xFF)):
                 raise SdoAbort(NOT_MAPPABLE)
-        self._objects.write(key, raw)
+        self._objects.write(key, value_bytes)
 
-    def _check(self, index: int, count: int) -> None:
+    def _check(self, mapping_index: int, entry_count: int) -> None:
         """Check that the number of entries and the length of a mapping are allowed."""
-        if count > 4:
+        if entry_count > 4:
             raise SdoAbort(OUT_OF_RANGE)
-        if sum(self._objects[index, i + 1] & 0xFF for i in range(count)) > 64:
+        if sum(self._objects[mapping_index, i + 1] & 0xFF for i in range(entry_count)) > 64:
             raise SdoAbort(TOO_LONG)
 
     def _entries(self, mapping: int) -> Iterator[tuple[ObjectKey, int]]:
@@ -96,11 +96,11 @@ class NodePdos:
             return []
         return self._store(number, data)
 
-    def _store(self, number: int, data: bytes) -> list[ObjectKey]:
+    def _store(self, pdo_number: int, data: bytes) -> list[ObjectKey]:
         """Write the objects of an RPDO and return their keys."""
         keys = []
         offset = 0
-        for key, size in self._entries(0x1600 + number):
+        for key, size in self._entries(0x1600 + pdo_number):
             self._objects.write(key, data[offset : offset + size])
             keys.append(key)
             offset += size
@@ -181,7 +181,7 @@ class NodePdos:
         """List the indices of the TPDOs that are on."""
         return [i for i in range(4) if not self._objects[0x1800 + i, 1] & PDO_OFF_BIT]
 
-    def _frame(self, number: int) -> Frame:
+    def _frame(self, pdo_number: int) -> Frame:
         """Build the frame of a TPDO."""
-        data = b"".join(self._objects.read(key) for key, _ in self._entries(0x1A00 + number))
-        return Frame(self._objects[0x1800 + number, 1] & 0x7FF, data)
+        data = b"".join(self._objects.read(key) for key, _ in self._entries(0x1A00 + pdo_number))
+        return Frame(self._objects[0x1800 + pdo_number, 1] & 0x7FF, data)

@@ -146,7 +146,7 @@ class AmplifierObjects:
             )
         return self._values[key].to_bytes(self._sizes[key], "little")
 
-    def write(self, key: ObjectKey, raw: bytes) -> None:
+    def write(self, key: ObjectKey, value_bytes: bytes) -> None:
         """Write the bytes of a received frame to an object.
 
         Raises:
@@ -155,9 +155,9 @@ class AmplifierObjects:
         self.read(key)
         if key[0] in _MAPPABLE_SIZES_BYTES or key in self._fixed:
             raise SdoAbort(READ_ONLY)
-        if len(raw) != self._sizes[key]:
+        if len(value_bytes) != self._sizes[key]:
             raise SdoAbort(WRONG_TYPE)
-        value = int.from_bytes(raw, "little")
+        value = int.from_bytes(value_bytes, "little")
         if 0x1A00 <= key[0] < 0x1A00 + TPDO_COUNT:
             self._check_mapping(key, value)
         self._values[key] = value

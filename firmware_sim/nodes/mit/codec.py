@@ -142,13 +142,13 @@ def _degrees(value: float) -> int:
 
 @compiled("count", *("real",) * 8)
 def write_feedback(
-    head: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
+    state_and_id: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
     mosfet: float, winding: float,
 ) -> int:  # fmt: skip
     """Encode the feedback of an MIT drive.
 
     Args:
-        head: state or error nibble and low four bits of ESC_ID, as one byte.
+        state_and_id: state or error nibble and low four bits of ESC_ID, as one byte.
         p: measured position [rad], saturated at its range.
         v: measured velocity [rad/s], saturated at its range.
         t: measured torque [N m], saturated at its range.
@@ -166,7 +166,7 @@ def write_feedback(
     )
     # The head is made a signed byte first. In compiled code, shifting a head above 127 would
     # overflow 64 bits.
-    signed = head - 256 if head > 127 else head
+    signed = state_and_id - 256 if state_and_id > 127 else state_and_id
     return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
 
 

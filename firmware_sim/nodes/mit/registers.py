@@ -104,12 +104,12 @@ class Registers:
             else struct.pack("<f", value)
         )
 
-    def write(self, register: int, raw: bytes) -> None:
+    def write(self, register: int, value_bytes: bytes) -> None:
         """Write the four bytes of a received frame to a register.
 
         Read-only registers and impossible values are ignored.
         """
-        value = float(struct.unpack("<I" if register in _UINT_REGISTERS else "<f", raw)[0])
+        value = float(struct.unpack("<I" if register in _UINT_REGISTERS else "<f", value_bytes)[0])
         if register not in _READ_ONLY_REGISTERS and _is_value_possible(register, value):
             self._values[register] = value
 

@@ -193,7 +193,7 @@ class MoteusNode:
                 out += b"\x30" + mp.encode_varuint(number) + mp.encode_varuint(error)
         return out
 
-    def _read_all(self, kind: int, count: int, first: int) -> bytes:
+    def _read_all(self, value_type: int, count: int, first: int) -> bytes:
         """Return the reply to a request that reads registers.
 
         The reply ends with an error at a register without a value.
@@ -201,7 +201,7 @@ class MoteusNode:
         values = list[bytes]()
         error = b""
         for number in range(first, first + min(count, 64)):
-            raw = self._read(number, kind)
+            raw = self._read(number, value_type)
             if raw is None:
                 error = (
                     b"\x31"
@@ -211,27 +211,31 @@ class MoteusNode:
                 break
             values.append(raw)
         return (
-            mp.subframe_head(0x20, kind, len(values), first) + b"".join(values) if values else b""
+            mp.subframe_head(0x20, value_type, len(values), first) + b"".join(values)
+            if values
+            else b""
         ) + error
 
-    def _write(self, number: int, kind: int, raw: bytes) -> int:
+    def _write(self, register: int, value_type: int, raw: bytes) -> int:
         """Write a register and return an error number, 0 for no error."""
-        number = reg.SHADOW_REGISTERS.get(number, number)
-        if number == reg.MODE:
-            mode = mp.decode_register(raw, kind, mp.PLAIN)
+        register = reg.SHADOW_REGISTERS.get(register, register)
+        if register == reg.MODE:
+            mode = mp.decode_register(raw, value_type, mp.PLAIN)
             if mode not in COMMANDABLE_MODES:
                 return reg.INVALID_VALUE_ERROR
             self._pending = int(mode)
             self.command = dict(reg.REGISTER_DEFAULTS)
-        elif number in reg.COMMAND_REGISTER_STEPS:
-            self.command[number] = mp.decode_register(raw, kind, reg.COMMAND_REGISTER_STEPS[number])
-        elif number in (reg.SET_NEAREST, reg.SET_EXACT):
-            self._set_position(
-                mp.decode_register(raw, kind, mp.POSITION), number == reg.SET_NEAREST
+        elif register in reg.COMMAND_REGISTER_STEPS:
+            self.command[register] = mp.decode_register(
+                raw, value_type, reg.COMMAND_REGISTER_STEPS[register]
             )
-        elif number == reg.RECAPTURE:
+        elif register in (reg.SET_NEAREST, reg.SET_EXACT):
+            self._set_position(
+                mp.decode_register(raw, value_type, mp.POSITION), register == reg.SET_NEAREST
+            )
+        elif register == reg.RECAPTURE:
             self._apply(self.mode, self._t_ns)
-        elif number in reg.MEASURED_REGISTER_STEPS or number in INT32_ONLY_REGISTERS:
+        elif register in reg.MEASURED_REGISTER_STEPS or register in INT32_ONLY_REGISTERS:
             return reg.NOT_WRITEABLE_ERROR
         else:
             return reg.UNKNOWN_REGISTER_ERROR
@@ -243,26 +247,30 @@ class MoteusNode:
             shift = turns - self._position
             self.offset += TURN_RAD * (round(shift) if nearest else shift)
 
-    def _read(self, number: int, kind: int) -> bytes | None:
+    def _read(self, register: int, value_type: int) -> bytes | None:
         """Return the bytes of a register, None if the register is unknown or cannot have the type."""
-        number = reg.SHADOW_REGISTERS.get(number, number)
-        if number in INT32_ONLY_REGISTERS:
-            return struct.pack("<I", self._integer(number)) if kind == mp.INT32 else None
-        if number == reg.MODE:
-            return mp.encode_register(self.mode, kind, mp.PLAIN)
-        if number in reg.COMMAND_REGISTER_STEPS:
+        register = reg.SHADOW_REGISTERS.get(register, register)
+        if register in INT32_ONLY_REGISTERS:
+            return struct.pack("<I", self._integer(register)) if value_type == mp.INT32 else None
+        if register == reg.MODE:
+            return mp.encode_register(self.mode, value_type, mp.PLAIN)
+        if register in reg.COMMAND_REGISTER_STEPS:
             return mp.encode_register(
-                self.command[number], kind, reg.COMMAND_REGISTER_STEPS[number]
+                self.command[register], value_type, reg.COMMAND_REGISTER_STEPS[register]
             )
-        steps = reg.MEASURED_REGISTER_STEPS.get(number)
-        return None if steps is None else mp.encode_register(self._measured(number), kind, steps)
+        steps = reg.MEASURED_REGISTER_STEPS.get(register)
+        return (
+            None
+            if steps is None
+            else mp.encode_register(self._measured(register), value_type, steps)
+        )
 
-    def _integer(self, number: int) -> int:
+    def _integer(self, register: int) -> int:
         """Return the value of a register that exists only as int32."""
-        if 0x120 <= number <= 0x122:
-            return self._serial >> 32 * (number - 0x120) & 0xFFFFFFFF
-        if reg.UUID <= number < reg.UUID + 4:
-            return self._uuid(number - reg.UUID)
+        if 0x120 <= register <= 0x122:
+            return self._serial >> 32 * (register - 0x120) & 0xFFFFFFFF
+        if reg.UUID <= register < reg.UUID + 4:
+            return self._uuid(register - reg.UUID)
         # These registers are model number, firmware version, version of the register map, node
         # number and support of the UUID mask.
         fixed = {
@@ -272,11 +280,11 @@ class MoteusNode:
             reg.MULTIPLEX_ID: self.node_id,
             0x158: 1,
         }
-        return fixed[number]
+        return fixed[register]
 
-    def _uuid(self, part: int) -> int:
+    def _uuid(self, word_index: int) -> int:
         """Return 32 of the 128 bits of the drive's UUID."""
-        return (self._serial << 32 | 0x5AFE) >> 32 * part & 0xFFFFFFFF
+        return (self._serial << 32 | 0x5AFE) >> 32 * word_index & 0xFFFFFFFF
 
     @property
     def _position(self) -> float:
@@ -300,7 +308,7 @@ class MoteusNode:
         )
         return MAX_TORQUE_LIMITS if abs(torque + servo.torque) > servo.limit else 0
 
-    def _measured(self, number: int) -> float:
+    def _measured(self, register: int) -> float:
         """Return the measured value of a register."""
         motor = self.motor
         sign = self._direction
@@ -315,20 +323,20 @@ class MoteusNode:
             0x03D: torque - commanded, 0x050: self._position, 0x051: velocity,
             0x070: self._t_ns // 1_000_000 % 8388608,
         }  # fmt: skip
-        return values.get(number, 0.0)
+        return values.get(register, 0.0)
 
-    def _text(self, kind: int, reader: mp.PayloadReader) -> bytes:
+    def _text(self, subframe: int, reader: mp.PayloadReader) -> bytes:
         """Execute a subframe of the text channel.
 
         Return as much of the channel's answers as fits into the reply.
         """
         channel = reader.varuint()
         length = reader.varuint()
-        data = reader.take(length) if kind == 0x40 else b""
+        data = reader.take(length) if subframe == 0x40 else b""
         if channel != 1:
             return b""
         self.channel.write(data)
-        part = self.channel.read(min(length, 61)) if kind == 0x42 else b""
+        part = self.channel.read(min(length, 61)) if subframe == 0x42 else b""
         return b"\x41" + mp.encode_varuint(channel) + mp.encode_varuint(len(part)) + part
 
     def _apply(self, mode: int, t_ns: int) -> None:

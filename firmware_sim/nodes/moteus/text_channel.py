@@ -42,16 +42,16 @@ class TextChannel:
         out: text of the answers that the host has not read yet.
     """
 
-    def __init__(self, stop: Callable[[], None]) -> None:
+    def __init__(self, stop_drive: Callable[[], None]) -> None:
         """Start with the factory configuration.
 
         Args:
-            stop: function that stops the motor, for the command ``d stop``.
+            stop_drive: function that stops the motor, for the command ``d stop``.
         """
         self.items = dict(FACTORY_CONFIGURATION)
         self.saved = dict(FACTORY_CONFIGURATION)
         self.out = b""
-        self._stop = stop
+        self._stop = stop_drive
         self._line = b""
 
     def write(self, data: bytes) -> None:

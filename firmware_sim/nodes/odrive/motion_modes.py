@@ -151,18 +151,18 @@ class MotionModes:
         node.motion_due_ns = 0 if plain else max(1, t_ns)
         self.advance(t_ns)
 
-    def advance(self, t_ns: int, now: bool = False) -> None:
+    def advance(self, t_ns: int, update_now: bool = False) -> None:
         """Update the setpoint and the servo if the update is due.
 
         Args:
             t_ns: present time [ns].
-            now: True to use new inputs at once, even if no update is due.
+            update_now: True to use new inputs at once, even if no update is due.
         """
         node = self._node
         if (
             node.motion_due_ns == 0
             or node.state != CLOSED_LOOP
-            or (t_ns < node.motion_due_ns and not now)
+            or (t_ns < node.motion_due_ns and not update_now)
         ):
             return
         step_s = (t_ns - self._updated_ns) * 1e-9

@@ -384,7 +384,7 @@ class OdriveNode:
             self.disarm(MISSING_INPUT)
             return
         set_torque(self, self.motor.servo, torque, t_ns)
-        self.motion.advance(t_ns, now=True)
+        self.motion.advance(t_ns, update_now=True)
 
     def _set_input(self, command: int, data: bytes, t_ns: int) -> None:
         """Set the inputs of Set_Input_Pos (0x0C) or Set_Input_Vel (0x0D).
@@ -401,21 +401,21 @@ class OdriveNode:
             return
         self.motion.take(command == 0x0C, *values[:2])
         set_torque(self, self.motor.servo, values[2], t_ns)
-        self.motion.advance(t_ns, now=True)
+        self.motion.advance(t_ns, update_now=True)
 
     def _limit(self, name: str, default: float) -> float:
         """Return the float of a named endpoint, or the default if the hand file does not give its number."""
         raw = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw)[0]) if raw else default
 
-    def endpoint_float(self, number: int) -> float:
+    def endpoint_float(self, endpoint: int) -> float:
         """Return a setting of ``MOTION_ENDPOINTS``.
 
         If the hand file reuses its number, return the default.
         """
-        if number in self._numbers.values():
-            return MOTION_ENDPOINTS[number][1]
-        (value,) = struct.unpack("<f", self.endpoints[number])
+        if endpoint in self._numbers.values():
+            return MOTION_ENDPOINTS[endpoint][1]
+        (value,) = struct.unpack("<f", self.endpoints[endpoint])
         return max(0.0, float(value)) if math.isfinite(value) else 0.0
 
     def _sdo(self, data: bytes) -> list[Frame]:
@@ -483,9 +483,9 @@ class OdriveNode:
         self.result = result
         self.setpoint = 0.0
 
-    def disarm(self, error: int) -> None:
+    def disarm(self, error_bit: int) -> None:
         """Enter the axis state idle because of an error. The motor turns freely."""
-        self.disarm_reason |= error
+        self.disarm_reason |= error_bit
         self._release(DISARMED_RESULT)
 
     def wake(self, t_ns: int) -> list[Frame]:

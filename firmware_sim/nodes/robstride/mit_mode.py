@@ -100,32 +100,32 @@ class RobstrideMitNode(RobstrideNode):
         self._schedule()
         return [self._answer(frame)]
 
-    def _special(self, area: int, code: int, frame: Frame, t_ns: int) -> list[Frame]:
+    def _special(self, data_area: int, command_code: int, frame: Frame, t_ns: int) -> list[Frame]:
         """Execute a special command.
 
         Byte 6 of the frame is FF, or a value that belongs to the command.
         """
-        plain = area == 0xFF
-        if code == 0xFB and not plain:
+        plain = data_area == 0xFF
+        if command_code == 0xFB and not plain:
             return [
                 Frame(
                     self.host_id,
                     bytes((self.node_id,)) + struct.pack("<I", self._fault_word) + bytes(3),
                 )
             ]
-        if code == 0xFC and plain:
+        if command_code == 0xFC and plain:
             self._enable(b"", t_ns)
-        elif code == 0xFC and area <= 2:
-            self._set_run_mode(area)
-        elif code == 0xFD and plain:
-            self._stop(clear=False)
-        elif code == 0xFB:
+        elif command_code == 0xFC and data_area <= 2:
+            self._set_run_mode(data_area)
+        elif command_code == 0xFD and plain:
+            self._stop(clear_faults=False)
+        elif command_code == 0xFB:
             # LeRobot polls running motors with this command, so the command must not stop a motor.
             self.fault = 0
-        elif code == 0xFE and plain:
+        elif command_code == 0xFE and plain:
             self.offset = -self._direction * self.motor.encoder()
         else:
-            return self._set_up(area, code)
+            return self._set_up(data_area, command_code)
         return [self._answer(frame)]
 
     def _set_run_mode(self, mode: int) -> None:
@@ -133,18 +133,18 @@ class RobstrideMitNode(RobstrideNode):
         if self.mode != RUN_MODE:
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
-    def _set_up(self, area: int, code: int) -> list[Frame]:
+    def _set_up(self, data_area: int, command_code: int) -> list[Frame]:
         """Change the protocol, or the number of the motor or host.
 
         The motor replies with its identity.
         """
         node_id = self.node_id
-        if code == 0xFD and area <= 2:
-            self.next_protocol = area
-        elif code == 0xFA and 0 < area < 0x80:
-            self.node_id = area
-        elif area == 0xFD and code < 0x80:
-            self.host_id = code
+        if command_code == 0xFD and data_area <= 2:
+            self.next_protocol = data_area
+        elif command_code == 0xFA and 0 < data_area < 0x80:
+            self.node_id = data_area
+        elif data_area == 0xFD and command_code < 0x80:
+            self.host_id = command_code
         else:
             self.malformed += 1
             return []

@@ -197,14 +197,14 @@ class RobstrideNode:
         self._host = number >> 8 & 0xFF
         return self._execute(kind, number >> 16 & 0xFF, frame, t_ns)
 
-    def _execute(self, kind: int, area: int, frame: Frame, t_ns: int) -> list[Frame]:
+    def _execute(self, frame_type: int, data_area: int, frame: Frame, t_ns: int) -> list[Frame]:
         """Execute a request of a host and answer it."""
-        if kind in (0, 7):
+        if frame_type in (0, 7):
             # A new motor number takes effect at once, and the answer is the identity.
-            if kind == 7 and 0 < area < 0x80:
-                self.node_id = area
+            if frame_type == 7 and 0 < data_area < 0x80:
+                self.node_id = data_area
             return [self._identity(frame)]
-        if kind == 0x11:
+        if frame_type == 0x11:
             return [self._read(frame.data, frame)]
         requests = {
             3: self._enable,
@@ -213,10 +213,10 @@ class RobstrideNode:
             0x12: self._write,
             0x16: self._save,
         }
-        if kind not in requests:
+        if frame_type not in requests:
             self.malformed += 1
             return []
-        requests[kind](frame.data, t_ns)
+        requests[frame_type](frame.data, t_ns)
         return [self._feedback(frame)]
 
     def _identity(self, frame: Frame) -> Frame:
@@ -237,7 +237,7 @@ class RobstrideNode:
 
     def _stop_on_request(self, data: bytes, _t_ns: int) -> None:
         """Enter reset mode. If byte 0 of the request is 1, also clear the faults."""
-        self._stop(clear=data[0] == 1)
+        self._stop(clear_faults=data[0] == 1)
 
     def _set_zero(self, data: bytes, _t_ns: int) -> None:
         """Make the present position zero."""
@@ -249,11 +249,11 @@ class RobstrideNode:
         if data == bytes(range(1, 9)):
             self._saved = dict(self.parameters)
 
-    def _stop(self, clear: bool) -> None:
-        """Enter reset mode, and clear the faults if ``clear`` is True."""
+    def _stop(self, clear_faults: bool) -> None:
+        """Enter reset mode, and clear the faults if ``clear_faults`` is True."""
         self.motor.servo.release()
         self.mode = RESET_MODE
-        if clear:
+        if clear_faults:
             self.fault = 0
         self._schedule()
 
@@ -287,7 +287,7 @@ class RobstrideNode:
         head = EXTENDED | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
         return Frame(head, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
 
-    def _measured(self, number: int) -> float:
+    def _measured(self, parameter: int) -> float:
         """Return the present value of a measured parameter."""
         sign = self._direction
         values = {
@@ -296,7 +296,7 @@ class RobstrideNode:
             0x701B: sign * self.motor.velocity,
             0x701C: 48.0,
         }
-        return values[number]
+        return values[parameter]
 
     def _write(self, data: bytes, _t_ns: int) -> None:
         """Write a parameter. Unknown parameters and values out of range are ignored."""
@@ -338,7 +338,7 @@ class RobstrideNode:
 
     def power_cycle(self) -> None:
         """Restart in reset mode, with the saved parameters."""
-        self._stop(clear=True)
+        self._stop(clear_faults=True)
         self.parameters = dict(self._saved)
         self._host = FACTORY_HOST
 

@@ -61,9 +61,13 @@ class BusLoad:
         """Return the bus load at a control rate [Hz], as a fraction."""
         return rate_hz * self.tick_s + self.timed_fraction
 
-    def highest(self, limit: float) -> float:
-        """Return the control rate at which the bus load is ``limit`` [Hz], or infinity if no tick has frames."""
-        return max(0.0, limit - self.timed_fraction) / self.tick_s if self.tick_s else float("inf")
+    def highest(self, load_limit: float) -> float:
+        """Return the control rate at which the bus load is ``load_limit`` [Hz], or infinity if no tick has frames."""
+        return (
+            max(0.0, load_limit - self.timed_fraction) / self.tick_s
+            if self.tick_s
+            else float("inf")
+        )
 
 
 def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
@@ -121,8 +125,8 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
     )
 
 
-def _load_of_bus(hand: Hand, index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoad:
-    bus_drives = [drive for drive in drives if drive.bus == index]
+def _load_of_bus(hand: Hand, bus_index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoad:
+    bus_drives = [drive for drive in drives if drive.bus == bus_index]
     rows = [row for drive in bus_drives for row in drive_rows(drive, bus)]
     if hand.sensor_node.bus == bus.name and make_sensors(hand).ids:
         rows += sensor_rows(hand, bus)

@@ -301,9 +301,11 @@ class State:
 
     # States of drives: their set-up is in the decisions, their values are in the block.
 
-    def drive(self, n: int) -> DriveState:
+    def drive(self, motor_index: int) -> DriveState:
         """Return the state of one drive."""
-        return self.decisions.drives[n].with_values(*drive_values(self.tendon, self.tendon_int, n))
+        return self.decisions.drives[motor_index].with_values(
+            *drive_values(self.tendon, self.tendon_int, motor_index)
+        )
 
     @property
     def drives(self) -> tuple[DriveState, ...]:

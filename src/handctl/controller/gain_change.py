@@ -82,8 +82,8 @@ class DesignCache:
         made: ControllerT = self.controllers[gains]
         return made
 
-    def _design_pieces(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
-        """Return at least the first ``count`` control loops of a design, after designing the missing loops."""
+    def _design_pieces(self, model: HandModel, gains: Gains, piece_count: int) -> list[Vector]:
+        """Return at least the first ``piece_count`` control loops of a design, after designing the missing loops."""
         designed_pieces = self.designed_pieces.setdefault(gains, [])
         if len(self.designed_pieces) > CACHE_SIZE:
             # Dictionaries keep insertion order, so the first entry is the oldest. The gains in use
@@ -91,7 +91,7 @@ class DesignCache:
             oldest = next(one for one in self.designed_pieces if one != self.used)
             self.controllers.pop(oldest, None)
             del self.designed_pieces[oldest]
-        while len(designed_pieces) < count:
+        while len(designed_pieces) < piece_count:
             designed_pieces.append(
                 design_piece(model.space, gains, model.period, len(designed_pieces))
             )
@@ -116,9 +116,9 @@ def begin_design(
         return None, (TickEvent("warn", "request", "", f"{REFUSED_PREFIX}{error}"),)
 
 
-def gain_change_events(before: Gains, after: Gains) -> tuple[TickEvent, ...]:
+def gain_change_events(old_gains: Gains, new_gains: Gains) -> tuple[TickEvent, ...]:
     """Return an event for each changed gain, then an event for the takeover."""
-    different = different_values(before, after)
+    different = different_values(old_gains, new_gains)
     changed = tuple(
         TickEvent("info", GAIN_EVENT, key, repr(value)) for key, (_, value) in different.items()
     )

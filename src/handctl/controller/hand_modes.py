@@ -124,8 +124,8 @@ def next_mode(
     state: State,
     action: Action,
     operator: OperatorRequests,
-    foreign: tuple[str, ...],
-    t: float,
+    other_host_frames: tuple[str, ...],
+    time_s: float,
     identities: tuple[str, ...] = (),
 ) -> tuple[TickEvent, ...]:
     """Determine the next mode and write it into the state.
@@ -136,14 +136,16 @@ def next_mode(
         state: state with the drive and filter values of the tick, modified in place.
         action: reaction that the safety monitor demands.
         operator: stop and cut requests from the operator.
-        foreign: texts that describe signs of a second controller.
-        t: time of the tick [s].
+        other_host_frames: texts that describe signs of a second controller.
+        time_s: time of the tick [s].
         identities: identities of the drives in the calibration. May be empty.
 
     Returns:
         The event of a mode change, empty if the mode does not change.
     """
-    inputs = ModeInputs(model, drives, t - state.mode_since, action, operator, foreign, identities)
+    inputs = ModeInputs(
+        model, drives, time_s - state.mode_since, action, operator, other_host_frames, identities
+    )
     before = state.mode
     demanded = None if inputs.no_override else _overriding_mode(state, inputs)
     mode, failure = demanded or _NEXT_MODE_FUNCTIONS[before](state, inputs)
@@ -167,7 +169,7 @@ def next_mode(
     )
     state.decide(failure=reason, unconfirmed=unconfirmed)
     state.mode = mode
-    state.mode_since = t
+    state.mode_since = time_s
     if mode == Mode.RELAX:
         begin_relaxing(model, state)
     return (TickEvent(level, "mode", "", text),)

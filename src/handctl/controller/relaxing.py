@@ -86,7 +86,9 @@ def _relaxed_goal(model: HandModel, start: Vector) -> Vector:
     return np.where(model.is_pair, 0.0, np.minimum(start, model.relaxed))
 
 
-def _envelope_start(model: HandModel, state: State, sign: Vector, explained: Vector) -> Vector:
+def _envelope_start(
+    model: HandModel, state: State, sign: Vector, explained_force: Vector
+) -> Vector:
     """Return the motor forces (N,) at which the envelopes start [N]: the last commands, or smaller forces.
 
     An unstable loop may have commanded 100 N for a tendon with a tension of 10 N. The envelope then
@@ -96,10 +98,10 @@ def _envelope_start(model: HandModel, state: State, sign: Vector, explained: Vec
         model: model of the hand.
         state: state at the start of relaxing.
         sign: (N,) direction of the commanded force.
-        explained: (N,) largest tension in this direction that measurement or setpoint explain [N].
+        explained_force: (N,) largest tension in this direction that measurement or setpoint explain [N].
     """
     commanded = np.nan_to_num(state.tendon[s.COMMANDED_FORCE], nan=0.0)
-    return sign * np.minimum(sign * commanded, explained + model.space.coulomb)
+    return sign * np.minimum(sign * commanded, explained_force + model.space.coulomb)
 
 
 def are_commands_relaxed(model: HandModel, state: State) -> bool:

@@ -239,14 +239,14 @@ def _begin_segment(
     )  # fmt: skip
 
 
-def _count_target(state: State, row: int, text: str = "") -> tuple[TickEvent, ...]:
+def _count_target(state: State, counter_row: int, event_text: str = "") -> tuple[TickEvent, ...]:
     """Count a target in a counter of the state.
 
     Returns an event with the text for the first such target of a stream.
     """
-    count = state.whole(row) + 1
-    state.set_whole(row, count)
-    return (TickEvent("info", "stream", "", text),) if text and count == 1 else ()
+    count = state.whole(counter_row) + 1
+    state.set_whole(counter_row, count)
+    return (TickEvent("info", "stream", "", event_text),) if event_text and count == 1 else ()
 
 
 def stream_status(state: State) -> StreamStatus:

@@ -187,12 +187,12 @@ class Controller:
         """Return the frames that remove the torque of every motor."""
         return tuple(frame for drive in self.drives for frame in drive.cut())
 
-    def tick(self, before: State, entry: TickIn) -> tuple[State, TickOut]:
+    def tick(self, last_state: State, tick_input: TickIn) -> tuple[State, TickOut]:
         """Compute one tick of the controller.
 
         Args:
-            before: state after the previous tick.
-            entry: all inputs of the tick.
+            last_state: state after the previous tick.
+            tick_input: all inputs of the tick.
 
         Returns:
             The state after the tick, and the output of the tick.
@@ -200,30 +200,32 @@ class Controller:
         Raises:
             ValueError: a command cannot be encoded. The command is not sent.
         """
-        step = self.begin(before, entry)
-        step.command(entry.requests)
+        step = self.begin(last_state, tick_input)
+        step.command(tick_input.requests)
         return step.conclude()
 
-    def begin(self, before: State, entry: TickIn) -> "OpenTick":
+    def begin(self, last_state: State, tick_input: TickIn) -> "OpenTick":
         """Process the received frames, and correct and predict the tension filter.
 
         Args:
-            before: state after the previous tick.
-            entry: inputs of the tick. Its requests are ignored.
+            last_state: state after the previous tick.
+            tick_input: inputs of the tick. Its requests are ignored.
         """
-        gains = before.decisions.gains
+        gains = last_state.decisions.gains
         controller = (
             self
             if gains is None or gains is self.model.gains
             else self.designs.controller(self, gains)
         )
-        state = before.copy()
-        signs = controller._take_in(before, state, entry, frames_as_records(entry.frames))
-        return OpenTick(controller, before, state, entry, signs)
+        state = last_state.copy()
+        signs = controller._take_in(
+            last_state, state, tick_input, frames_as_records(tick_input.frames)
+        )
+        return OpenTick(controller, last_state, state, tick_input, signs)
 
-    def _command(self, step: "OpenTick", requests: tuple[str, ...]) -> None:
+    def _command(self, open_tick: "OpenTick", requests: tuple[str, ...]) -> None:
         """Apply requests, judge, decide, and compute the frames to send, see ``OpenTick.command``."""
-        before, state, entry = step.before, step.state, step.entry
+        before, state, entry = open_tick.before, open_tick.state, open_tick.entry
         operator, request_events = NO_REQUESTS
         if requests:
             operator, request_events = apply_requests(self.model, self.program, state, requests)
@@ -235,36 +237,38 @@ class Controller:
         self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
             events += expire_lease(self.model, state)
-        action, findings = self._judge(before, state, entry, step.signs)
+        action, findings = self._judge(before, state, entry, open_tick.signs)
         t = entry.t_ns / 1e9
         mode_events = hand_modes.next_mode(
-            self.model, self.drives, state, action, operator, step.signs, t, self.identities
+            self.model, self.drives, state, action, operator, open_tick.signs, t, self.identities
         )
         program_events = self._advance_program(state, action)
         self._write_progress(state, before)
-        step.unchanged = state.copy() if state.decisions.pending else None
+        open_tick.unchanged = state.copy() if state.decisions.pending else None
         self._compute_torques(state, action, entry.k - before.k)
-        step.sent = self._encode(state, entry.t_ns)
-        step.action = action
-        step.events = events + tuple(map(_fault_event, findings)) + mode_events + program_events
+        open_tick.sent = self._encode(state, entry.t_ns)
+        open_tick.action = action
+        open_tick.events = (
+            events + tuple(map(_fault_event, findings)) + mode_events + program_events
+        )
 
-    def _conclude(self, step: "OpenTick") -> tuple[State, TickOut]:
+    def _conclude(self, open_tick: "OpenTick") -> tuple[State, TickOut]:
         """Design pending gains, and complete state and output, see ``OpenTick.conclude``."""
-        state = step.state
-        if step.unchanged:
-            step.events += self._retune(
-                step.unchanged, state, step.action, step.entry.k - step.before.k
+        state = open_tick.state
+        if open_tick.unchanged:
+            open_tick.events += self._retune(
+                open_tick.unchanged, state, open_tick.action, open_tick.entry.k - open_tick.before.k
             )
         tick_stages.store_commands(state.block, self.layout.places, *self._constants)
         mode = state.mode
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         out = TickOut(
-            step.sent,
+            open_tick.sent,
             mode,
             phase,
-            step.action,
+            open_tick.action,
             self.gather(state.block),
-            step.events,
+            open_tick.events,
             state.digest(),
         )
         return state, out
@@ -272,7 +276,7 @@ class Controller:
     # receive, estimate
 
     def _take_in(
-        self, before: State, state: State, entry: TickIn, frames: Frames
+        self, last_state: State, state: State, tick_input: TickIn, frames: Frames
     ) -> tuple[str, ...]:
         """Process received frames, and correct and predict the tension filter.
 
@@ -280,18 +284,20 @@ class Controller:
         """
         block = state.block
         places = self.layout.places
-        missed = entry.k - before.k - 1
+        missed = tick_input.k - last_state.k - 1
         cyclic_frames.begin_tick(
-            block, places, entry.k, entry.t_ns, entry.late_ns, missed, len(frames)
+            block, places, tick_input.k, tick_input.t_ns, tick_input.late_ns, missed, len(frames)
         )
-        signs = self._receive(state, frames, self.sensors.earliest_answer_ns(before.whole(s.T_NS)))
+        signs = self._receive(
+            state, frames, self.sensors.earliest_answer_ns(last_state.whole(s.T_NS))
+        )
         tick_stages.observe_tick(block, places, *self._constants)
         tick_stages.correct_estimate(block, places, *self._constants)
         if state.started:
             predict_filter_states(self.model, self.layout, block, missed)
         if tick_stages.conclude_estimate(block, places, *self._constants):
             signs += detect_unsolicited_replies(
-                self.drives, self.sensors, before, state, entry.frames
+                self.drives, self.sensors, last_state, state, tick_input.frames
             )
         return signs
 
@@ -398,7 +404,11 @@ class Controller:
             state.set_whole(s.REFUSED_REQUESTS_NOW, len(refused))
 
     def _judge(
-        self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]
+        self,
+        last_state: State,
+        state: State,
+        tick_input: TickIn,
+        second_controller_signs: tuple[str, ...],
     ) -> tuple[Action, tuple[FaultFinding, ...]]:
         """Detect faults, latch them, and choose the reaction."""
         state.set_whole(
@@ -415,16 +425,16 @@ class Controller:
         decisions = state.decisions
         if not (
             new_findings
-            or entry.io_events
-            or signs
+            or tick_input.io_events
+            or second_controller_signs
             or decisions.latched
             or decisions.reported_faults
         ):
             return _ACTION_BY_NUMBER[demanded], ()
-        reports = [(event.kind, event.where, float(event.number)) for event in entry.io_events]
+        reports = [(event.kind, event.where, float(event.number)) for event in tick_input.io_events]
         reports = filter_error_frames(
             reports, self._any_node_seen(state)
-        ) + second_controller_reports(signs)
+        ) + second_controller_reports(second_controller_signs)
         verdict = judge_tick(
             decisions.latched, decisions.reported_faults, new_findings, demanded, reports
         )
@@ -458,10 +468,10 @@ class Controller:
         state.goal_time = t
         return events
 
-    def _write_progress(self, state: State, before: State | None) -> None:
+    def _write_progress(self, state: State, last_state: State | None) -> None:
         """Write the goals that the program has changed into the state block."""
         progress = state.progress
-        old = before.progress if before else None
+        old = last_state.progress if last_state else None
         if progress is old:
             return
         if old is None or progress.goals is not old.goals:
@@ -557,19 +567,19 @@ class Controller:
     def _send(
         self,
         state: State,
-        out: WordRows,
+        frame_words: WordRows,
         start: int,
         target: DriveTarget,
         torque: Vector,
         t_ns: int,
     ) -> Frames:
-        """Write the commands after the SYNC into ``out``.
+        """Write the commands after the SYNC into ``frame_words``.
 
         Drives that are not steady run their state machines.
 
         Args:
             state: state of the tick, modified in place.
-            out: memory for the frames, with SYNC in row 0.
+            frame_words: memory for the frames, with SYNC in row 0.
             start: first row to send: 0 with SYNC, 1 without.
             target: requested state of the drives.
             torque: (N,) commanded torque [N m].
@@ -585,9 +595,9 @@ class Controller:
         while True:
             if target == DriveTarget.ENABLE:
                 first, count = cyclic_frames.encode_commands(
-                    state.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
-                    tables.templates, torque, tables.servos, tables.servo_templates, tables.servo_wholes,
-                    tables.servo_reals, first, count,
+                    state.block, self.layout.places, frame_words, tables.commands, tables.sent_wholes,
+                    tables.sent_reals, tables.templates, torque, tables.servos, tables.servo_templates,
+                    tables.servo_wholes, tables.servo_reals, first, count,
                 )  # fmt: skip
             if first >= n:
                 break
@@ -601,10 +611,10 @@ class Controller:
                     send_torque_only(state, first)
             self.keep(state, first, drive_state)
             if frames:
-                parts += [Frames.of_rows(out[pending_row:count]), frames_as_records(frames)]
+                parts += [Frames.of_rows(frame_words[pending_row:count]), frames_as_records(frames)]
                 pending_row = count
             first += 1
-        rest = Frames.of_rows(out[pending_row:count])
+        rest = Frames.of_rows(frame_words[pending_row:count])
         return join_frames([*parts, rest]) if parts else rest
 
 

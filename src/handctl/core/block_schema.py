@@ -197,14 +197,14 @@ class BlockLayout:
         )  # one call, because every tick makes several of these views
 
     def difference(
-        self, one: BlockArray, other: BlockArray
+        self, block: BlockArray, other_block: BlockArray
     ) -> tuple[str, int, float, float] | None:
         """Return the first difference of two blocks, in schema order: name of the field, element, and both values.
 
         The result is None if the blocks are equal. Values are compared by bits, so NaN equals NaN.
         """
         # Numbers are compared as integers, so that NaN equals NaN, and 0.0 differs from -0.0.
-        apart = np.flatnonzero(one.view(np.int64) != other.view(np.int64))
+        apart = np.flatnonzero(block.view(np.int64) != other_block.view(np.int64))
         if not len(apart):
             return None
         for field in self.schema.fields:
@@ -216,8 +216,8 @@ class BlockLayout:
                 return (
                     field.name,
                     at - first,
-                    one.view(kind)[at].item(),
-                    other.view(kind)[at].item(),
+                    block.view(kind)[at].item(),
+                    other_block.view(kind)[at].item(),
                 )
         raise AssertionError("a difference outside of all fields")
 

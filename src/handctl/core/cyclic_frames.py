@@ -312,7 +312,7 @@ def _decode_sensor_frame(
     x: Tables,
     t_ns: Any,
     payload: Any,
-    fits: bool,
+    is_length_right: bool,
     entries: IntArray,
     entry: int,
     wholes: IntArray,
@@ -324,13 +324,13 @@ def _decode_sensor_frame(
         x: state tables.
         t_ns: reception time [ns].
         payload: first eight bytes of the frame's payload.
-        fits: True if the payload has the expected length.
+        is_length_right: True if the payload has the expected length.
         entries: see ``WireTables``.
         entry: row of ``entries``.
         wholes: see ``WireTables``.
         reals: see ``WireTables``.
     """
-    if not fits:
+    if not is_length_right:
         x.node_int[s.MALFORMED_NOW, x.node_int.shape[1] - 1] = 1
         return
     group = entries[entry, GROUP_COLUMN]
@@ -490,7 +490,7 @@ def _write_position_command(
 def encode_commands(
     block: BlockArray,
     at: TablePlaces,
-    out: WordRows,
+    frame_words: WordRows,
     commands: IntArray,
     wholes: IntArray,
     reals: FloatArray,
@@ -508,7 +508,7 @@ def encode_commands(
     Args:
         block: state block.
         at: ``Layout.places`` of the state block.
-        out: (frames, WORDS_PER_RECORD) result: records of the commands.
+        frame_words: (frames, WORDS_PER_RECORD) result: records of the commands.
         commands: (frames, 3) see ``WireTables``.
         wholes: ``WireTables.sent_wholes``.
         reals: ``WireTables.sent_reals``.
@@ -519,7 +519,7 @@ def encode_commands(
         servo_wholes: see ``WireTables``.
         servo_reals: see ``WireTables``.
         first: index of the first drive.
-        count: number of records that ``out`` contains already.
+        count: number of records that ``frame_words`` contains already.
 
     Returns:
         Index of the first drive that is not steady, N if all are steady, and the number of records.
@@ -544,13 +544,20 @@ def encode_commands(
         if signal >= 0 and not abs(torque[n]) <= reals[signal, 2]:
             return n, count
         for word in range(WORDS_PER_RECORD):
-            out[count, word] = templates[i, word]
+            frame_words[count, word] = templates[i, word]
         begin = servos[n, 0]
         end = servos[n, 1]
         if begin < end and x.servo[s.SERVO_KP, n] > 0.0:
             if _can_be_encoded(x, n, servo_reals, begin, end):
                 _write_position_command(
-                    x, n, out[count], servo_templates[n], servo_wholes, servo_reals, begin, end
+                    x,
+                    n,
+                    frame_words[count],
+                    servo_templates[n],
+                    servo_wholes,
+                    servo_reals,
+                    begin,
+                    end,
                 )
                 count += 1
                 continue
@@ -558,7 +565,7 @@ def encode_commands(
         if signal >= 0:
             bits = encode_signal(torque[n], wholes, reals, signal)
             ordered = bytes_reversed(bits) if wholes[signal, ORDER_COLUMN] else bits
-            write_window(out[count], PAYLOAD_WORD, wholes[signal, WINDOW_COLUMN], ordered)
+            write_window(frame_words[count], PAYLOAD_WORD, wholes[signal, WINDOW_COLUMN], ordered)
         count += 1
     return len(torque), count
 

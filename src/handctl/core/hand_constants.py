@@ -58,12 +58,12 @@ class HandConstants:
         block: block of constants. It is read-only, unless a moment arm of the hand varies.
     """
 
-    def __init__(self, model: HandModel, more: Mapping[str, object]) -> None:
+    def __init__(self, model: HandModel, other_constants: Mapping[str, object]) -> None:
         """Fill the block of constants.
 
         Args:
             model: model of the hand.
-            more: constants that are not in the model, by field: tare, zero, thresholds, constants
+            other_constants: constants that are not in the model, by field: tare, zero, thresholds, constants
                 of drives and sensors.
         """
         self.layout = layout_of_constants(model)
@@ -74,7 +74,7 @@ class HandConstants:
             _link_constants(model),
             _structure_constants(model),
             _posture_constants(model),
-            more,
+            other_constants,
         ):
             for name, value in part.items():
                 self.layout.view(self.block, name)[...] = value

@@ -93,9 +93,9 @@ class IdentifiedParameters(Document):
             raise ValueError("a square covariance")
         return self
 
-    def get(self, name: str, otherwise: float) -> float:
-        """Return the value of a parameter, or ``otherwise`` if this parameter was not identified."""
-        return self.values[self.names.index(name)] if name in self.names else otherwise
+    def get(self, name: str, default: float) -> float:
+        """Return the value of a parameter, or ``default`` if this parameter was not identified."""
+        return self.values[self.names.index(name)] if name in self.names else default
 
     def beside(self, older: "IdentifiedParameters | None") -> "IdentifiedParameters":
         """Return these parameters, together with the parameters of an older identification that are missing here.
@@ -124,21 +124,21 @@ class IdentifiedParameters(Document):
         )
 
 
-def identified_hand(hand: Hand, found: dict[str, IdentifiedParameters]) -> Hand:
+def identified_hand(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Hand:
     """Return the hand description with identified parameters in place of the values of the hand file.
 
     Args:
         hand: description from the hand file.
-        found: identified parameters by tendon.
+        identified: identified parameters by tendon.
 
     Raises:
         ConfigError: for a value that no hand file may contain.
     """
     content = copy.deepcopy(hand.content)
     for i, tendon in enumerate(hand.tendon):
-        if tendon.name not in found:
+        if tendon.name not in identified:
             continue
-        known = found[tendon.name]
+        known = identified[tendon.name]
         digit = next(
             d
             for d, name in enumerate(hand.digit_names)
@@ -151,20 +151,23 @@ def identified_hand(hand: Hand, found: dict[str, IdentifiedParameters]) -> Hand:
     return hand_from_content(content, f"{hand.name} as identified")
 
 
-def torque_gain(hand: Hand, found: dict[str, IdentifiedParameters]) -> Vector:
+def torque_gain(hand: Hand, identified: dict[str, IdentifiedParameters]) -> Vector:
     """Return the torque at the spool per commanded torque of each drive (N,), 1 if it was not identified."""
     return np.array(
-        [found[t.name].get("torque_gain", 1.0) if t.name in found else 1.0 for t in hand.tendon]
+        [
+            identified[t.name].get("torque_gain", 1.0) if t.name in identified else 1.0
+            for t in hand.tendon
+        ]
     )
 
 
-def check_identified(hand: Hand, found: dict[str, IdentifiedParameters], source: str) -> None:
+def check_identified(hand: Hand, identified: dict[str, IdentifiedParameters], source: str) -> None:
     """Check that identified parameters belong to tendons of the hand.
 
     Raises:
         ConfigError: for an unknown tendon, or a torque gain out of bounds.
     """
-    for name, known in found.items():
+    for name, known in identified.items():
         if name not in hand.tendon_names:
             raise ConfigError(
                 "no such tendon", f"{source}: identified.{name}", ", ".join(hand.tendon_names)
@@ -178,8 +181,8 @@ def check_identified(hand: Hand, found: dict[str, IdentifiedParameters], source:
             )
 
 
-def _is_in_slice(place: slice, i: int) -> bool:
-    return bool(place.start <= i < place.stop)
+def _is_in_slice(indices: slice, i: int) -> bool:
+    return bool(indices.start <= i < indices.stop)
 
 
 def _replace_values(

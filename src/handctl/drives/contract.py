@@ -283,6 +283,6 @@ class Drive(Protocol):
         """
         ...
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of a nonzero error code in ``DriveState.error``."""
         ...

@@ -69,13 +69,13 @@ def dbc_of_bus(
     return dbc_text(sent)
 
 
-def dbc_text(sent: Iterable[SentMessage]) -> str:
+def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
     """Return the content of a DBC file.
 
     If several messages have the same identifier, only the first is used.
     """
     by_identifier: dict[int, SentMessage] = {}
-    for item in sent:
+    for item in sent_messages:
         in_payload = all(signal.start >= 0 for signal in item.message.signals)
         if item.message.signals and in_payload and not item.message.can_id & REMOTE:
             by_identifier.setdefault(item.message.can_id, item)

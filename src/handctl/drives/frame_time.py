@@ -61,22 +61,22 @@ nominal bit rate.
 """
 
 
-def _fd_time(size: int, bitrate: float, data_bitrate: float, more: int) -> float:
+def _fd_time(size: int, bitrate: float, data_bitrate: float, extra_identifier_bits: int) -> float:
     """Return the longest time of a CAN FD frame on the wire [s].
 
     Up to the last data bit, stuff bits are inserted as in a classical frame. The CRC field has one
-    fixed stuff bit before every four bits. ``more`` is the number of bits that a 29-bit identifier
+    fixed stuff bit before every four bits. ``extra_identifier_bits`` is the number of bits that a 29-bit identifier
     adds.
     """
     size = next(length for length in FD_SIZES if length >= size)
     # The body has ESI, the four bits of DLC, and the data.
     body = 5 + 8 * size
-    header_stuff = HEADER_STUFF_BITS + more // 4
-    stuff = (HEADER_BITS + more + body - 1) // 4 - header_stuff
+    header_stuff = HEADER_STUFF_BITS + extra_identifier_bits // 4
+    stuff = (HEADER_BITS + extra_identifier_bits + body - 1) // 4 - header_stuff
     # The check field has a stuff count (3 bits and parity) and a CRC: 17 bits up to 16 data bytes,
     # 21 bits above.
     check = 4 + (17 if size <= 16 else 21)
-    nominal = HEADER_BITS + more + header_stuff + END_BITS
+    nominal = HEADER_BITS + extra_identifier_bits + header_stuff + END_BITS
     return nominal / bitrate + (body + stuff + check + math.ceil(check / 4)) / data_bitrate
 
 

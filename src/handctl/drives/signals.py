@@ -227,16 +227,16 @@ def integer_columns(signal: Signal) -> tuple[int, ...]:
 
 
 @kernel_helper
-def window_at(words: Any, first: int, byte: int) -> Any:
-    """Return eight bytes of a payload as uint64, from ``byte`` on. Bytes after the last word are 0.
+def window_at(words: Any, first_word: int, first_byte: int) -> Any:
+    """Return eight bytes of a payload as uint64, from ``first_byte`` on. Bytes after the last word are 0.
 
     Args:
         words: (n,) uint64 words of a row.
-        first: index of the first word of the payload.
-        byte: first byte of the window.
+        first_word: index of the first word of the payload.
+        first_byte: first byte of the window.
     """
-    at = first + byte // 8
-    shift = np.uint64(8 * (byte % 8))
+    at = first_word + first_byte // 8
+    shift = np.uint64(8 * (first_byte % 8))
     value = words[at] >> shift
     # The second word is read only if the window is in two words. Otherwise the shift would be 64
     # bits, which is undefined.
@@ -246,20 +246,20 @@ def window_at(words: Any, first: int, byte: int) -> Any:
 
 
 @kernel_helper
-def write_window(words: Any, first: int, byte: int, bits: Any) -> None:
+def write_window(words: Any, first_word: int, first_byte: int, signal_bits: Any) -> None:
     """Write the bits of a signal (uint64) into a payload. The payload must have zeros at their positions.
 
     Args:
         words: (n,) uint64 words of a row.
-        first: index of the first word of the payload.
-        byte: first byte of the window.
-        bits: bits of the signal at their positions in the window.
+        first_word: index of the first word of the payload.
+        first_byte: first byte of the window.
+        signal_bits: bits of the signal at their positions in the window.
     """
-    at = first + byte // 8
-    shift = np.uint64(8 * (byte % 8))
-    words[at] |= bits << shift
+    at = first_word + first_byte // 8
+    shift = np.uint64(8 * (first_byte % 8))
+    words[at] |= signal_bits << shift
     if shift > np.uint64(0) and at + 1 < len(words):
-        words[at + 1] |= bits >> (np.uint64(64) - shift)
+        words[at + 1] |= signal_bits >> (np.uint64(64) - shift)
 
 
 @kernel_helper

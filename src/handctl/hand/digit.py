@@ -267,8 +267,8 @@ class DigitModel:
         """Return n, the number of joints."""
         return len(self.lengths)
 
-    def with_joint_angles(self, angles: Mapping[int, float], now: JointValues) -> Array:
-        """Return the coordinates (n_c,) nearest to ``now`` that give some joints the given angles.
+    def with_joint_angles(self, angles: Mapping[int, float], present_angles: JointValues) -> Array:
+        """Return the coordinates (n_c,) nearest to ``present_angles`` that give some joints the given angles.
 
         The unit of the result is that of the arguments.
 
@@ -277,11 +277,13 @@ class DigitModel:
 
         Args:
             angles: given angles, by the index of the joint.
-            now: (n_c,) coordinates from which all other joints move as little as possible.
+            present_angles: (n_c,) coordinates from which all other joints move as little as possible.
         """
         rows = self.coupling[list(angles)]
         return np.asarray(
-            now + np.linalg.pinv(rows) @ (np.array(list(angles.values())) - rows @ np.asarray(now))
+            present_angles
+            + np.linalg.pinv(rows)
+            @ (np.array(list(angles.values())) - rows @ np.asarray(present_angles))
         )
 
     def with_gravity(self, gravity: JointValues) -> "DigitModel":

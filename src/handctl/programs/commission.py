@@ -360,17 +360,17 @@ class CommissionProgram:
         ), ()
 
     def _refuse(
-        self, model: HandModel, progress: ProgramProgress, i: int, text: str
+        self, model: HandModel, progress: ProgramProgress, i: int, reason: str
     ) -> ProgressAndEvents:
         """End the program with a failure of tendon i."""
         name = model.hand.tendon_names[i]
         failed = replace(
             progress,
             finished=True,
-            failure=f"{name}: {text}",
+            failure=f"{name}: {reason}",
             goals=(DigitGoal(),) * len(progress.goals),
         )
-        return failed, (TickEvent("error", "commission", name, text),)
+        return failed, (TickEvent("error", "commission", name, reason),)
 
 
 def _no_answer_text(model: HandModel, measured: TickMeasurements) -> str:
@@ -414,13 +414,13 @@ def _hold_phase(model: HandModel, i: int) -> str:
     return f"hold {model.hand.digit_names[model.digit_of[i]]}"
 
 
-def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]:
+def _hold_goals(model: HandModel, i: int, extra_tension: Vector) -> tuple[DigitGoal, ...]:
     """Return goals that press the digit of tendon i on its lower limits. All other digits are without torque.
 
     Args:
         model: model of the hand.
         i: index of the tendon.
-        more: (N,) additional tension [N].
+        extra_tension: (N,) additional tension [N].
     """
     held = model.digit_of[i]
     digit = model.digits[held]
@@ -433,7 +433,7 @@ def _hold_goals(model: HandModel, i: int, more: Vector) -> tuple[DigitGoal, ...]
     tension = tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
     limit = float(np.abs(tension).max()) + PULL_FORCE_LIMIT_N
     goal = DigitGoal(
-        GoalKind.TENSION, tension=tension + more[tendons], rate=20.0, force_limit=limit
+        GoalKind.TENSION, tension=tension + extra_tension[tendons], rate=20.0, force_limit=limit
     )
     return tuple(goal if d == held else DigitGoal() for d in range(len(model.digits)))
 

@@ -123,11 +123,16 @@ class ExciteProgram:
         return self._enter(model, progress, estimate, t, progress.step + 1)
 
     def _enter(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float, index: int
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        t: float,
+        step_index: int,
     ) -> ProgressAndEvents:
         """Enter a step, or finish after the last step."""
         goals = [DigitGoal()] * len(model.digits)
-        if index == len(self.steps):
+        if step_index == len(self.steps):
             done = replace(
                 progress,
                 finished=True,
@@ -136,14 +141,14 @@ class ExciteProgram:
                 contact=(False,) * len(goals),
             )
             return done, (TickEvent("info", "phase", "", "excitation complete"),)
-        step = self.steps[index]
+        step = self.steps[step_index]
         d = model.hand.digit_names.index(step.digit)
         goals[d] = _digit_goal(model, d, step, estimate, t)
         phase = f"{step.digit} {step.name}"
         same_phase = phase == progress.phase
         contact = tuple(i == d and step.held for i in range(len(goals)))
         progress = replace(
-            progress, step=index, since=t, phase=phase, goals=tuple(goals), contact=contact
+            progress, step=step_index, since=t, phase=phase, goals=tuple(goals), contact=contact
         )
         # Consecutive steps with the same name are one phase in the log.
         return progress, () if same_phase else (TickEvent("info", "phase", step.digit, phase),)

@@ -131,17 +131,22 @@ class ExerciseProgram:
         return self._enter(model, progress, estimate, progress.step + 1, t)
 
     def _enter(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, step: int, t: float
+        self,
+        model: HandModel,
+        progress: ProgramProgress,
+        estimate: Estimate,
+        stage_index: int,
+        t: float,
     ) -> ProgressAndEvents:
         """Enter a stage of the exercise."""
         parts = self.stages_of(model)
-        stage = parts[step]
+        stage = parts[stage_index]
         goals = tuple(_digit_goal(model, d, stage, estimate, t) for d in range(len(model.digits)))
-        event = TickEvent("info", "phase", "", f"{stage.name} {step + 1} of {len(parts)}")
+        event = TickEvent("info", "phase", "", f"{stage.name} {stage_index + 1} of {len(parts)}")
         # In `hold` every digit rests on its closed stop.
         blocked = (stage.name == "hold",) * len(goals)
         return replace(
-            progress, step=step, since=t, phase=stage.name, goals=goals, contact=blocked
+            progress, step=stage_index, since=t, phase=stage.name, goals=goals, contact=blocked
         ), (event,)
 
 

@@ -139,17 +139,17 @@ def begin_task(
     return progress, (TickEvent("info", "request", "", f"grasp {task.name}"), *events)
 
 
-def _start_refusal(model: HandModel, first: MovePhase, estimate: Estimate) -> TickEvent | None:
+def _start_refusal(model: HandModel, first_move: MovePhase, estimate: Estimate) -> TickEvent | None:
     """Return an event if the first move is too fast from the present angles, or None if it is slow enough."""
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
         angle = end_angles(
-            first.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
+            first_move.angle_deg, digit, np.degrees(coordinates_by_excursion(digit, estimate))
         )
         if angle is None:
             continue
         end = np.broadcast_to(np.array(angle, dtype=float), (digit.coupling.shape[1],))
-        if reason := _out_of_reach(model, d, estimate, end, first.duration_s):
+        if reason := _out_of_reach(model, d, estimate, end, first_move.duration_s):
             return TickEvent("warn", "request", name, f"refused: {name} {reason}")
     return None
 

@@ -227,13 +227,13 @@ _TARGET_START = '{"do": "target", '
 """Start of the text of a target, for a quick test. Targets come hundreds of times a second."""
 
 
-def target_text(stream: str, number: int, sent_ns: int, values: Sequence[float]) -> str:
+def target_text(stream: str, sequence_number: int, sent_ns: int, values: Sequence[float]) -> str:
     """Return a target as the text of a request, see ``StreamTarget``.
 
     Values are written to the last bit.
     """
     listed = json.dumps(list(values))
-    return f'{_TARGET_START}"stream": "{stream}", "n": {number}, "sent_ns": {sent_ns}, "values": {listed}}}'
+    return f'{_TARGET_START}"stream": "{stream}", "n": {sequence_number}, "sent_ns": {sent_ns}, "values": {listed}}}'
 
 
 def is_target(text: str) -> bool:

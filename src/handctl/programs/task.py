@@ -156,24 +156,24 @@ class FollowPhase(Document):
         return self
 
 
-def _peak_speed(times: tuple[float, ...], angles: tuple[float, ...]) -> float:
+def _peak_speed(times_s: tuple[float, ...], angles: tuple[float, ...]) -> float:
     """Return the largest speed of a curve [rad/s], inf or NaN if its times are too close together."""
     with np.errstate(all="ignore"):
         try:
-            return curve_through(times, angles).peak_speed()
+            return curve_through(times_s, angles).peak_speed()
         # scipy raises ValueError for slopes that are not finite.
         except ValueError:
             return math.inf
 
 
 @functools.lru_cache(maxsize=32)
-def curve_through(times: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
+def curve_through(times_s: tuple[float, ...], angles: tuple[float, ...]) -> CurveTrajectory:
     """Return the curve of one coordinate through angles [rad] at times [s].
 
     The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
     later tick, and takes the curves from the cache.
     """
-    return CurveTrajectory.through(times, angles, 1)
+    return CurveTrajectory.through(times_s, angles, 1)
 
 
 TaskPhase = Annotated[
@@ -364,17 +364,19 @@ def joint_values(value: float | Mapping[str, Value], digit: "DigitModel") -> dic
 
 
 def end_angles(
-    value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", now: Vector
+    value: float | dict[str, DigitAnglesDeg], digit: "DigitModel", present_angles: Vector
 ) -> DigitAnglesDeg | Vector | None:
     """Return the coordinates of a digit at the end of a phase [deg], None if the phase gives the digit no angle.
 
     Args:
         value: angles of the phase, by digit or joint [deg].
         digit: model of the digit.
-        now: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
+        present_angles: (n_c,) coordinates at the beginning [deg]. Joints without an angle keep their present
             angles.
     """
     given = joint_values(value, digit)
     if not given:
         return value_for_digit(value, digit.name)
-    return digit.with_joint_angles({j: float(np.mean(angle)) for j, angle in given.items()}, now)
+    return digit.with_joint_angles(
+        {j: float(np.mean(angle)) for j, angle in given.items()}, present_angles
+    )

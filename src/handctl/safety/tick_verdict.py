@@ -171,19 +171,23 @@ def locate_reports(reports: Iterable[EventReport]) -> list[tuple[Fault, str, flo
 _CATALOGUE_POSITION = {id_: position for position, id_ in enumerate(FAULT_BY_ID)}
 
 
-def filter_error_frames(reports: Iterable[EventReport], heard: bool) -> list[EventReport]:
+def filter_error_frames(reports: Iterable[EventReport], any_node_heard: bool) -> list[EventReport]:
     """Drop error frames from the reports, except the first unacknowledged frame (B18).
 
     Args:
         reports: reports of the tick.
-        heard: True if any node has ever answered, or if torque may act. The fault B18 cannot occur
+        any_node_heard: True if any node has ever answered, or if torque may act. The fault B18 cannot occur
             then.
     """
     kept, error = [], None
     for one in reports:
         if one[0] != "error_frame":
             kept.append(one)
-        elif error is None and not heard and any(word in one[1] for word in NO_ACKNOWLEDGE_KINDS):
+        elif (
+            error is None
+            and not any_node_heard
+            and any(word in one[1] for word in NO_ACKNOWLEDGE_KINDS)
+        ):
             error = one
     return [*kept, error] if error else kept
 

@@ -26,7 +26,7 @@ A busy node may answer its queued requests over many ticks.
 def detect_unsolicited_replies(
     drives: tuple[Drive, ...],
     sensors: SensorInterface,
-    before: State,
+    last_state: State,
     state: State,
     frames: Sequence[Frame],
 ) -> tuple[str, ...]:
@@ -37,7 +37,7 @@ def detect_unsolicited_replies(
     Args:
         drives: drives of the hand.
         sensors: sensor node of the hand.
-        before: state before the tick.
+        last_state: state before the tick.
         state: state with the data received in the tick.
         frames: frames received in the tick.
 
@@ -54,27 +54,27 @@ def detect_unsolicited_replies(
             signs.append(f"{drives[n].name} answering it")
         elif count:
             duplicates[n] = _duplicate_kind(
-                _accepted_payloads(drives[n], before, n, frames), count - 1
+                _accepted_payloads(drives[n], last_state, n, frames), count - 1
             )
-    _detect_duplicate_answers(sensors, before, state, frames)
+    _detect_duplicate_answers(sensors, last_state, state, frames)
     return tuple(signs)
 
 
 def _detect_duplicate_answers(
-    sensors: SensorInterface, before: State, state: State, frames: Sequence[Frame]
+    sensors: SensorInterface, last_state: State, state: State, frames: Sequence[Frame]
 ) -> None:
     """Write duplicate answers of the load cells into ``DUPLICATES``, and count late answers in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
     excused = not sensors.has_counter and (
-        state.whole(s.MISSED_TICKS) > 0 or _has_lost_answers(before)
+        state.whole(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
     )
-    answered = before.view("group_answered").tolist()
+    answered = last_state.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1 and (excused or not (sensors.has_counter or answered[group])):
             state.set_whole(s.STALE_FRAMES, state.whole(s.STALE_FRAMES) + count - 1)
             state.set_whole(s.STALE_NOW, max(state.whole(s.STALE_NOW), 1))
         elif count > 1:
-            counter = before.whole(s.SYNC_COUNTER)
+            counter = last_state.whole(s.SYNC_COUNTER)
             can_id = sensors.ids[group]
             fresh = [
                 frame.data
@@ -85,14 +85,15 @@ def _detect_duplicate_answers(
             duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh, 1))
 
 
-def _has_lost_answers(before: State) -> bool:
+def _has_lost_answers(last_state: State) -> bool:
     """Return True if answers of the load cells were missing in the last ``LATE_TICKS`` ticks.
 
     An additional answer without a counter then counts as late, and not as a duplicate. The same
     holds after a tick without an answer, and if this host has missed a tick.
     """
     return bool(
-        before.layout.table(before.block, "node_int")[s.LOST_REPLIES, -1] & (1 << LATE_TICKS) - 1
+        last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLIES, -1]
+        & (1 << LATE_TICKS) - 1
     )
 
 
@@ -101,9 +102,11 @@ def _duplicate_kind(payloads: list[bytes], due: int) -> int:
     return 2 if len(set(payloads[due - 1 :])) > 1 else 1
 
 
-def _accepted_payloads(drive: Drive, before: State, n: int, frames: Sequence[Frame]) -> list[bytes]:
+def _accepted_payloads(
+    drive: Drive, last_state: State, n: int, frames: Sequence[Frame]
+) -> list[bytes]:
     """Return the payloads that the drive's state machine accepts as replies, in the order of reception."""
-    drive_state = before.drive(n)
+    drive_state = last_state.drive(n)
     payloads = []
     for frame in frames:
         after = drive.receive(drive_state, frame)

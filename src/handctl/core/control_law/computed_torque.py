@@ -168,14 +168,14 @@ def _derated_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def write_motor_torques(
-    x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_loop: bool, ticks: int
+    x: Tables, c: ConstantTables, trajectory: Matrix, relax_rate: float, open_loop: bool, ticks: int
 ) -> None:
     """Write the motor torques of the tick, and the state of the control law for the next tick.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
         relax_rate: rate at which the envelope of motor forces falls in a relaxing hand [N/s], 0 in
             other modes.
         open_loop: True if the motor forces of a relaxing hand equal the envelope, without feedback.
@@ -185,11 +185,11 @@ def write_motor_torques(
     limit = present_tension_limits(x, c)
     count = x.tendon.shape[1]
     load = np.zeros(count)
-    winding, terms, internal = _motion_terms(x, c, way, limit)
+    winding, terms, internal = _motion_terms(x, c, trajectory, limit)
     for n in range(count):
         kind = x.tendon_int[s.GOAL_KIND, n]
-        _, own_rate, acceleration = _goal_along_tendon(c, n, way)
-        carried_rate, carried_acceleration = _goal_of_carriers(c, n, way)
+        _, own_rate, acceleration = _goal_along_tendon(c, n, trajectory)
+        carried_rate, carried_acceleration = _goal_of_carriers(c, n, trajectory)
         rate = own_rate + carried_rate
         acceleration += carried_acceleration
         force = 0.0
@@ -229,7 +229,7 @@ def write_motor_torques(
             x.tendon[s.PLANNED_TENSION, n] = x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
             x.tendon[s.FRICTION_STATE, n] = math.nan
     _fade_trim(x, c)
-    _write_joint_torques(x, c, way, load)
+    _write_joint_torques(x, c, trajectory, load)
 
 
 @kernel_helper
@@ -274,13 +274,13 @@ def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carr
 
 
 @kernel_helper
-def _write_joint_torques(x: Tables, c: ConstantTables, way: Matrix, load: Vector) -> None:
+def _write_joint_torques(x: Tables, c: ConstantTables, trajectory: Matrix, load: Vector) -> None:
     """Write the joint torques that the tensions make, and the goals of joints on a trajectory.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
         load: (N,) tensions at the joints [N].
     """
     joints = x.joint.shape[1]
@@ -295,8 +295,8 @@ def _write_joint_torques(x: Tables, c: ConstantTables, way: Matrix, load: Vector
                 x.tendon_int[s.GOAL_KIND, n] == MOTION
                 and c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0
             ):
-                x.joint[s.Q_GOAL, j] = way[0, j]
-                x.joint[s.DQ_GOAL, j] = way[1, j]
+                x.joint[s.Q_GOAL, j] = trajectory[0, j]
+                x.joint[s.DQ_GOAL, j] = trajectory[1, j]
         if c.run_int[h.HAS_CARRIER_ARMS]:
             for j in range(joints):
                 x.joint[s.JOINT_TORQUE, j] += load[n] * c.tendon_joint[h.CARRIER_ARMS, n, j]
@@ -325,7 +325,7 @@ def _relaxing_force(
 
 @kernel_helper
 def _motion_terms(
-    x: Tables, c: ConstantTables, way: Matrix, limit: Vector
+    x: Tables, c: ConstantTables, trajectory: Matrix, limit: Vector
 ) -> tuple[Vector, Matrix, Matrix]:
     """Return pulley efficiency (N,), tension goal and feedback (2, N) [N], null-space force and integral (2, N) [N].
 
@@ -334,7 +334,7 @@ def _motion_terms(
     Args:
         x: state tables.
         c: constants of the hand.
-        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
         limit: (N,) present tension limits [N].
     """
     count = x.tendon.shape[1]
@@ -345,8 +345,8 @@ def _motion_terms(
     for n in range(count):
         if x.tendon_int[s.GOAL_KIND, n] != MOTION:
             continue
-        efficiency[n] = winding_efficiency(c, n, way[0])
-        excursion, rate, _ = _goal_along_tendon(c, n, way)
+        efficiency[n] = winding_efficiency(c, n, trajectory[0])
+        excursion, rate, _ = _goal_along_tendon(c, n, trajectory)
         place = x.tendon[s.EXCURSION, n]
         if c.tendon_int[h.HAS_SURPLUS, n]:
             surplus = True
@@ -367,7 +367,9 @@ def _motion_terms(
         counted = c.run[h.FRICTION_FRACTION]
         # Tension behind the pulleys, as a fraction of the tension before them: the efficiency while
         # the tendon is wound, and 1 / efficiency while it is paid out.
-        winding = math.tanh((rate + _goal_of_carriers(c, n, way)[0]) / CAPSTAN_FRICTION_SPEED)
+        winding = math.tanh(
+            (rate + _goal_of_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED
+        )
         passed = (1.0 - counted) + counted * math.pow(efficiency[n], winding)
         ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
         if c.tendon_int[h.IS_SPOOL_PAIR, n]:
@@ -384,7 +386,7 @@ def _motion_terms(
             terms[1, n] = servo_force(x, c, n, excursion, rate, terms[0, n])
     if surplus:
         raise_tensions_to_floor(x, c, limit, terms, internal)
-    _take_up_slack(x, c, way, terms, internal)
+    _take_up_slack(x, c, trajectory, terms, internal)
     return efficiency, terms, internal
 
 
@@ -412,7 +414,7 @@ def _take_up_speed(rate: float) -> float:
 
 @kernel_helper
 def _take_up_slack(
-    x: Tables, c: ConstantTables, way: Matrix, terms: Matrix, internal: Matrix
+    x: Tables, c: ConstantTables, trajectory: Matrix, terms: Matrix, internal: Matrix
 ) -> None:
     """Replace the feedback on slack tendons of streamed digits, so that their spools wind at a low speed.
 
@@ -423,7 +425,7 @@ def _take_up_slack(
     Args:
         x: state tables.
         c: constants of the hand.
-        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
         terms: (2, N) tension goal and feedback of motion [N], modified in place.
         internal: (2, N) null-space force and integral [N], modified in place.
     """
@@ -432,7 +434,7 @@ def _take_up_slack(
             continue
         floor = c.tendon[h.TENSION_FLOOR, n]
         if _takes_up_slack(x, c, n):
-            _, rate, _ = _goal_along_tendon(c, n, way)
+            _, rate, _ = _goal_along_tendon(c, n, trajectory)
             terms[0, n] = floor
             terms[1, n] = c.tendon[h.FEEDBACK_MASS, n] * c.tendon[h.SPEED_GAIN, n]
             terms[1, n] *= _take_up_speed(rate) - x.tendon[s.SPEED, n]
@@ -442,7 +444,7 @@ def _take_up_slack(
 
 
 @kernel_helper
-def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float, float]:
+def _goal_along_tendon(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float, float]:
     """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the joints' trajectories."""
     excursion = 0.0
     rate = 0.0
@@ -450,21 +452,23 @@ def _goal_along_tendon(c: ConstantTables, n: int, way: Matrix) -> tuple[float, f
     varying = c.tendon_int[h.HAS_VARYING_ARM, n] == 1
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
-        arm = moment_arm(c, n, j, way[0, j])
-        excursion += joint_excursion(c, n, j, way[0, j])
-        rate += arm * way[1, j]
-        acceleration += arm * way[2, j]
+        arm = moment_arm(c, n, j, trajectory[0, j])
+        excursion += joint_excursion(c, n, j, trajectory[0, j])
+        rate += arm * trajectory[1, j]
+        acceleration += arm * trajectory[2, j]
         if varying:
-            acceleration += arm_slope(c, n, j, way[0, j]) * way[1, j] * way[1, j]
+            acceleration += (
+                arm_slope(c, n, j, trajectory[0, j]) * trajectory[1, j] * trajectory[1, j]
+            )
     return excursion, rate, acceleration
 
 
 @kernel_helper
-def _goal_of_carriers(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float]:
+def _goal_of_carriers(c: ConstantTables, n: int, trajectory: Matrix) -> tuple[float, float]:
     """Return the parts of a tendon's rate [m/s] and acceleration [m/s2] that the trajectories of carriers cause."""
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0, 0.0
-    return carrier_excursion(c, n, way[1]), carrier_excursion(c, n, way[2])
+    return carrier_excursion(c, n, trajectory[1]), carrier_excursion(c, n, trajectory[2])
 
 
 @kernel_helper

@@ -25,13 +25,13 @@ NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 
 
 @kernel_helper
-def follow_trajectories(x: Tables, c: ConstantTables, frozen: bool) -> None:
+def follow_trajectories(x: Tables, c: ConstantTables, is_time_frozen: bool) -> None:
     """Write position, rate and acceleration of every coordinate on its trajectory, 0 if it has no trajectory.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        frozen: True while safety holds the hand. The digits then rest at their positions on the
+        is_time_frozen: True while safety holds the hand. The digits then rest at their positions on the
             trajectory.
 
     Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
@@ -60,40 +60,42 @@ def follow_trajectories(x: Tables, c: ConstantTables, frozen: bool) -> None:
                 x.coordinate[s.TRAJECTORY + 1, k] = rate * length
                 x.coordinate[s.TRAJECTORY + 2, k] = acceleration * length
                 _add_blend(x, k, after, x.digit[s.TRAJECTORY_BLEND, d])
-        if x.digit_int[s.TRAJECTORY_KIND, d] == STREAMED and not frozen:
+        if x.digit_int[s.TRAJECTORY_KIND, d] == STREAMED and not is_time_frozen:
             for k in range(first, end):
                 advance_reference(x, c, d, k)
-        if frozen and is_digit_moving(x, c, d):
+        if is_time_frozen and is_digit_moving(x, c, d):
             for k in range(first, end):
                 x.coordinate[s.TRAJECTORY + 1, k] = x.coordinate[s.TRAJECTORY + 2, k] = 0.0
 
 
 @kernel_helper
-def _add_blend(x: Tables, k: int, after: float, blend: float) -> None:
+def _add_blend(x: Tables, k: int, elapsed: float, blend_duration: float) -> None:
     """Add the part of a minimum-jerk move that continues an earlier motion, see ``trajectory.MinimumJerk``.
 
     Args:
         x: state tables.
         k: index of the coordinate.
-        after: time since the start of the move [s].
-        blend: time in which the earlier motion fades [s].
+        elapsed: time since the start of the move [s].
+        blend_duration: time in which the earlier motion fades [s].
     """
     speed = x.coordinate[s.TRAJECTORY_START_SPEED, k]
     bend = x.coordinate[s.TRAJECTORY_START_ACCELERATION, k]
     if speed == 0.0 and bend == 0.0:
         return
-    u = min(max(after / blend, 0.0), 1.0)
+    u = min(max(elapsed / blend_duration, 0.0), 1.0)
     x.coordinate[s.TRAJECTORY, k] += (
-        blend * u * (1.0 + u * u * (-6.0 + u * (8.0 - 3.0 * u))) * speed
+        blend_duration * u * (1.0 + u * u * (-6.0 + u * (8.0 - 3.0 * u))) * speed
     )
     x.coordinate[s.TRAJECTORY, k] += (
-        0.5 * blend * blend * u * u * (1.0 + u * (-3.0 + u * (3.0 - u))) * bend
+        0.5 * blend_duration * blend_duration * u * u * (1.0 + u * (-3.0 + u * (3.0 - u))) * bend
     )
     x.coordinate[s.TRAJECTORY + 1, k] += (1.0 + u * u * (-18.0 + u * (32.0 - 15.0 * u))) * speed
     x.coordinate[s.TRAJECTORY + 1, k] += (
-        0.5 * blend * u * (2.0 + u * (-9.0 + u * (12.0 - 5.0 * u))) * bend
+        0.5 * blend_duration * u * (2.0 + u * (-9.0 + u * (12.0 - 5.0 * u))) * bend
     )
-    x.coordinate[s.TRAJECTORY + 2, k] += u * (-36.0 + u * (96.0 - 60.0 * u)) / blend * speed
+    x.coordinate[s.TRAJECTORY + 2, k] += (
+        u * (-36.0 + u * (96.0 - 60.0 * u)) / blend_duration * speed
+    )
     x.coordinate[s.TRAJECTORY + 2, k] += (1.0 + u * (-9.0 + u * (18.0 - 10.0 * u))) * bend
 
 
@@ -127,13 +129,13 @@ def is_tendon_streamed(x: Tables, c: ConstantTables, n: int) -> bool:
 
 
 @kernel_helper
-def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
+def write_required_torque(x: Tables, c: ConstantTables, trajectory: Matrix) -> None:
     """Write the joint torques that the trajectories require, by inverse dynamics, springs and damping.
 
     Args:
         x: state tables.
         c: constants of the hand.
-        way: (3, J) angles [rad], rates [rad/s] and accelerations [rad/s2].
+        trajectory: (3, J) angles [rad], rates [rad/s] and accelerations [rad/s2].
     """
     joints = x.joint.shape[1]
     moving = False
@@ -146,7 +148,7 @@ def write_required_torque(x: Tables, c: ConstantTables, way: Matrix) -> None:
             moving = True
             for order in range(3):
                 for j in range(first, end):
-                    motion[order, j] = way[order, j]
+                    motion[order, j] = trajectory[order, j]
         else:
             # A digit without a trajectory rests at its estimated angles.
             for j in range(first, end):

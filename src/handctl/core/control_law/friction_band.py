@@ -72,28 +72,38 @@ def predict_moving_tension(
 
 @kernel_helper
 def tension_after_period(
-    now: float, load: float, efficiency: float, wound: float, stiffness: float, crept: float
+    present_tension: float,
+    load: float,
+    efficiency: float,
+    wound_length: float,
+    stiffness: float,
+    crept_length: float,
 ) -> float:
     """Return the tension of a tendon a period from now [N].
 
     Args:
-        now: present tension [N].
+        present_tension: present tension [N].
         load: tension that the digit will need one period from now, if it had no friction [N].
         efficiency: tension at the joints as a fraction of the tension at the load cell, while the
             tendon is wound.
-        wound: length that the spool winds in the period [m].
+        wound_length: length that the spool winds in the period [m].
         stiffness: stiffness of the tendon [N/m].
-        crept: largest motion of a creeping tendon in the period [m].
+        crept_length: largest motion of a creeping tendon in the period [m].
     """
-    creep = stiffness * crept / (load * (1.0 - efficiency) + MIN_FRICTION_N)
+    creep = stiffness * crept_length / (load * (1.0 - efficiency) + MIN_FRICTION_N)
     # The viscous slider is computed by an implicit Euler step, which is stable for any period.
-    sticking = (now + stiffness * wound + creep * load) / (1.0 + creep)
+    sticking = (present_tension + stiffness * wound_length + creep * load) / (1.0 + creep)
     return min(max(sticking, load * efficiency), load / efficiency)
 
 
 @kernel_helper
 def _predict_pair_tension(
-    x: Tables, c: ConstantTables, n: int, coming: float, efficiency: float, wound: float
+    x: Tables,
+    c: ConstantTables,
+    n: int,
+    coming_tension: float,
+    efficiency: float,
+    wound_length: float,
 ) -> None:
     """Write the results of ``predict_moving_tension`` for a spool pair.
 
@@ -103,20 +113,20 @@ def _predict_pair_tension(
         x: state tables.
         c: constants of the hand.
         n: index of the spool pair.
-        coming: net tension that the digit requires without friction a period from now [N].
+        coming_tension: net tension that the digit requires without friction a period from now [N].
         efficiency: tension at the joints as a fraction of the tension at the load cell, while a
             tendon is wound.
-        wound: length that the spool winds in the period [m].
+        wound_length: length that the spool winds in the period [m].
     """
     before = x.tendon[s.PLANNED_TENSION, n]
     pretension = c.tendon[h.PRETENSION, n]
     period = c.run[h.PERIOD]
-    upper = net_tension_at_spool(coming, pretension, efficiency)
-    lower = net_tension_at_spool(coming, pretension, 1.0 / efficiency)
+    upper = net_tension_at_spool(coming_tension, pretension, efficiency)
+    lower = net_tension_at_spool(coming_tension, pretension, 1.0 / efficiency)
     now = x.tendon[s.TENSION, n] if before == 0.0 else before  # 0 stands for an unknown tension
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
     creep = stiffness * MIN_SLIDING_SPEED * period / (0.5 * (upper - lower) + MIN_FRICTION_N)
-    sticking = (now + stiffness * wound + creep * coming) / (1.0 + creep)
+    sticking = (now + stiffness * wound_length + creep * coming_tension) / (1.0 + creep)
     planned = min(max(sticking, lower), upper)
     x.tendon[s.PLANNED_TENSION, n] = planned
     x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0

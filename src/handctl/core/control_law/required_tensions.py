@@ -54,8 +54,8 @@ def allocate_bounded_tensions(
     layout: BlockLayout,
     constants: HandConstants,
     block: BlockArray,
-    undecided: int,
-    way: Vector,
+    undecided_digits: int,
+    trajectory: Vector,
 ) -> None:
     """Solve the bounded least-squares problem for digits whose tensions are out of bounds or not unique.
 
@@ -64,19 +64,19 @@ def allocate_bounded_tensions(
         layout: layout of the state block.
         constants: constants of the hand, with the moment arms at the present angles.
         block: state block, modified in place.
-        undecided: a number with a bit for each of these digits.
-        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        undecided_digits: a number with a bit for each of these digits.
+        trajectory: (3, J) angles, rates and accelerations of the joints on the trajectories.
     """
     required = layout.view(block, "joint_required")
     load = layout.view(block, "load")
     for d, digit in enumerate(model.digits):
-        if undecided >> d & 1:
+        if undecided_digits >> d & 1:
             tendons = digit.tendons
             if digit.has_varying_arm:
                 digit = _with_present_arms(digit, constants)
             if model.redundancy.surplus[tendons.start]:
                 load[tendons] = _tensions_with_friction(
-                    model, digit, required[digit.joints], way[:2, digit.joints]
+                    model, digit, required[digit.joints], trajectory[:2, digit.joints]
                 )
                 continue
             required_torque = required[digit.joints] @ digit.coupling
@@ -94,7 +94,7 @@ def _with_present_arms(digit: DigitModel, constants: HandConstants) -> DigitMode
 
 
 def _tensions_with_friction(
-    model: HandModel, digit: DigitModel, required: Vector, way: Vector
+    model: HandModel, digit: DigitModel, required: Vector, trajectory: Vector
 ) -> Vector:
     """Return the tensions at the joints (n_t,) of a digit whose tendons act against each other [N].
 
@@ -106,14 +106,16 @@ def _tensions_with_friction(
         model: model of the hand.
         digit: model of the digit.
         required: (n,) joint torques [N m].
-        way: (2, n) angles [rad] and rates [rad/s] of the joints on the trajectory.
+        trajectory: (2, n) angles [rad] and rates [rad/s] of the joints on the trajectory.
     """
     tendons = digit.tendons
     arms = digit.moment_arms
     counted = model.gains.motion.friction_share
-    winding = np.tanh(arms @ way[1] / CAPSTAN_FRICTION_SPEED)
+    winding = np.tanh(arms @ trajectory[1] / CAPSTAN_FRICTION_SPEED)
     passes = arms != 0.0
-    lost = digit.friction[:, None] * (digit.wrap[:, None] + np.cumsum(passes * way[0], axis=1))
+    lost = digit.friction[:, None] * (
+        digit.wrap[:, None] + np.cumsum(passes * trajectory[0], axis=1)
+    )
     factors = 1.0 - counted + counted * np.exp(-lost * winding[:, None])
     low = model.floor[tendons]
     high = model.ceiling[tendons]

@@ -42,36 +42,38 @@ CLIP_TOLERANCE = 1e-9
 def begin_segments(
     block: BlockArray,
     at: TablePlaces,
-    aim: Vector,
-    held: Vector,
+    target_coordinates: Vector,
+    held_coordinates: Vector,
     since: float,
     duration: float,
-    apart: float,
-    top: float,
-    smooth: int,
+    target_interval: float,
+    max_rate: float,
+    minimum_jerk: int,
 ) -> bool:
     """Begin the motion from the present reference to a target. Return True if the target was clipped.
 
     Args:
         block: state block, modified in place.
         at: ``Layout.places`` of the state block.
-        aim: (C,) requested coordinates [rad].
-        held: (C,) the nearest coordinates that taut tendons can hold [rad].
+        target_coordinates: (C,) requested coordinates [rad].
+        held_coordinates: (C,) the nearest coordinates that taut tendons can hold [rad].
         since: start of the motion [s].
         duration: duration of the motion [s].
-        apart: time between this target and the previous target [s]. With an infinite time, the
+        target_interval: time between this target and the previous target [s]. With an infinite time, the
             motion ends at rest.
-        top: largest rate at the target [rad/s].
-        smooth: 1 for a motion of minimum jerk, 0 for a linear motion.
+        max_rate: largest rate at the target [rad/s].
+        minimum_jerk: 1 for a motion of minimum jerk, 0 for a linear motion.
     """
     x = state_tables(block, at)
     clipped = False
     for k in range(x.coordinate.shape[1]):
         low, high = x.coordinate[s.STREAM_RANGE, k], x.coordinate[s.STREAM_RANGE + 1, k]
-        target = min(max(held[k], low), high)
-        clipped |= abs(target - aim[k]) > CLIP_TOLERANCE
-        rate = min(max((target - x.coordinate[s.STREAM_TARGET, k]) / apart, -top), top)
-        _write_segment(x, k, target, rate, duration, smooth == 1)
+        target = min(max(held_coordinates[k], low), high)
+        clipped |= abs(target - target_coordinates[k]) > CLIP_TOLERANCE
+        rate = min(
+            max((target - x.coordinate[s.STREAM_TARGET, k]) / target_interval, -max_rate), max_rate
+        )
+        _write_segment(x, k, target, rate, duration, minimum_jerk == 1)
         x.coordinate[s.STREAM_TARGET_RATE, k] = rate
         x.coordinate[s.STREAM_TARGET, k] = target
     x.run[s.STREAM_SINCE] = since
@@ -81,7 +83,7 @@ def begin_segments(
 
 @kernel_helper
 def _write_segment(
-    x: Tables, k: int, target: float, speed: float, duration: float, smooth: bool
+    x: Tables, k: int, target: float, speed: float, duration: float, minimum_jerk: bool
 ) -> None:
     """Write the polynomial of a coordinate's motion to a target, lowest power first [rad, s].
 
@@ -95,7 +97,7 @@ def _write_segment(
         target: position at the end [rad].
         speed: rate at the end of a motion of minimum jerk [rad/s].
         duration: duration T of the motion [s].
-        smooth: True for a motion of minimum jerk, False for a linear motion.
+        minimum_jerk: True for a motion of minimum jerk, False for a linear motion.
     """
     position = x.coordinate[s.TRAJECTORY, k]
     rate = x.coordinate[s.TRAJECTORY + 1, k]
@@ -103,7 +105,7 @@ def _write_segment(
     for power in range(6):
         x.coordinate[s.STREAM_SEGMENT + power, k] = 0.0
     x.coordinate[s.STREAM_SEGMENT, k] = position
-    if not smooth:
+    if not minimum_jerk:
         x.coordinate[s.STREAM_SEGMENT + 1, k] = (target - position) / duration
         return
     squared = duration * duration

@@ -93,7 +93,7 @@ def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
 
 
 def solve_bounded(
-    moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, near: Vector
+    moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, preferred_tension: Vector
 ) -> Vector:
     """Return the tensions (n_t,) within the bounds that solve the quadratic program, by daqp.
 
@@ -102,7 +102,7 @@ def solve_bounded(
         torque: see ``tensions_for_torque``.
         floor: see ``tensions_for_torque``.
         ceiling: see ``tensions_for_torque``.
-        near: (n_t,) start tensions [N], for example the solution without bounds. The bounds that
+        preferred_tension: (n_t,) start tensions [N], for example the solution without bounds. The bounds that
             these tensions violate are the solver's first active set, which halves the number of its
             steps.
     """
@@ -110,7 +110,7 @@ def solve_bounded(
 
     arms, mean, weight, unconstrained = _cached_problem(moment_arms)
     linear = -(arms.dot(torque / mean) + REGULARISATION * floor)
-    start = np.minimum(np.maximum(near, floor), ceiling)
+    start = np.minimum(np.maximum(preferred_tension, floor), ceiling)
     # Bounds and weights are copied, because daqp may write into its arguments.
     result = solve(
         weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start

@@ -65,7 +65,7 @@ def cell_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int
 
 @kernel_helper
 def update_loss_counts(
-    x: Tables, c: ConstantTables, now_ns: int, unknown: int, judged: bool
+    x: Tables, c: ConstantTables, now_ns: int, unknown: int, counts_losses: bool
 ) -> None:
     """Update the counts of lost, malformed and unknown frames of all nodes.
 
@@ -74,7 +74,7 @@ def update_loss_counts(
         c: constants of the hand.
         now_ns: time of the tick [ns].
         unknown: number of frames with unknown identifiers in the tick.
-        judged: True if missing replies are counted, because torque may act and the host missed no
+        counts_losses: True if missing replies are counted, because torque may act and the host missed no
             tick.
     """
     tendons = x.tendon.shape[1]
@@ -92,7 +92,7 @@ def update_loss_counts(
         x.node_int[s.LOST_REPLIES + 1, node] = (
             earlier << 1 | recent >> (BITS_PER_WORD - 1)
         ) & WORD_MASK
-        x.node_int[s.LOST_REPLIES, node] = (recent << 1 | (late and judged)) & WORD_MASK
+        x.node_int[s.LOST_REPLIES, node] = (recent << 1 | (late and counts_losses)) & WORD_MASK
         misread = x.node_int[s.MALFORMED_NOW, node] != 0
         x.node_int[s.MALFORMED, node] = (x.node_int[s.MALFORMED, node] << 1 | misread) & SHORT_MASK
     # The rate of unknown frames is a leaky counter with a time constant of 1 s. A small remainder

@@ -42,7 +42,7 @@ def correct_covariance(
     n: int,
     z: Vector,
     gain: Matrix,
-    after: Matrix,
+    predicted: Matrix,
     information: Vector,
 ) -> float:
     """Correct the covariance of a tendon by its encoder and load cell. The gain for joint encoders does not change.
@@ -53,7 +53,7 @@ def correct_covariance(
         n: index of the tendon.
         z: (3,) measurements, NaN if missing.
         gain: (7, 3) steady gains. The first two columns, encoder and load cell, are replaced.
-        after: (7, 7) result: covariance after the update.
+        predicted: (7, 7) result: covariance after the update.
         information: (3,) result: inverse covariance of the innovations, see
             ``constants.INFORMATION_AT``.
 
@@ -98,14 +98,14 @@ def correct_covariance(
     joseph = _multiply_by_transposed(_multiply_matrices(rest, P), rest)
     for i in range(STATE_COUNT):
         for j in range(STATE_COUNT):
-            after[i, j] = (
+            predicted[i, j] = (
                 joseph[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
             )
     return math.sqrt(d)
 
 
 @kernel_helper
-def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
+def predict_covariances(x: Tables, c: ConstantTables, predicted: Matrix, missed: int) -> None:
     """Predict the covariances (N, 7, 7) of all tendons to the next tick. End the propagation if all are steady.
 
     If the filter design of a tendon has changed, its covariance becomes the steady covariance of
@@ -113,11 +113,11 @@ def predict_covariances(x: Tables, c: ConstantTables, after: Matrix, missed: int
     """
     periods = 1 + ticks_to_predict(c, missed)
     steady = True
-    for n in range(len(after)):
+    for n in range(len(predicted)):
         kind = x.tendon_int[s.FILTER_KIND, n]
         F = _copy_design_matrix(c, n, kind, h.F_AT)
         Q = _copy_design_matrix(c, n, kind, h.Q_AT)
-        P = after[n]
+        P = predicted[n]
         for _ in range(periods):
             P = _multiply_by_transposed(_multiply_matrices(F, P), F)
             for i in range(STATE_COUNT):

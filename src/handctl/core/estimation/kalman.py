@@ -268,13 +268,15 @@ def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def _normalised_innovation_squared(innovation: Vector, information: Vector, blind: bool) -> float:
+def _normalised_innovation_squared(
+    innovation: Vector, information: Vector, without_cell: bool
+) -> float:
     """Return the normalised innovation squared of encoder and load cell, NaN if either is missing.
 
-    For a tendon without load cell (``blind``), the result is twice the value of the encoder alone.
+    For a tendon without load cell (``without_cell``), the result is twice the value of the encoder alone.
     Its ideal mean is then also 2.
     """
-    if blind:
+    if without_cell:
         return 2.0 * information[0] * innovation[0] * innovation[0]
     encoder = innovation[0]
     cell = innovation[1]
@@ -490,9 +492,9 @@ def is_in_contact(x: Tables, d: int) -> bool:
 
 
 @kernel_helper
-def _is_at_stop(was: bool, excursion: float, force: float, resistance: float) -> bool:
+def _is_at_stop(was_at_stop: bool, excursion: float, force: float, resistance: float) -> bool:
     """Return True if its springs hold a digit on the open stop against the pull of its tendon."""
-    if was:
+    if was_at_stop:
         return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
     return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST
 

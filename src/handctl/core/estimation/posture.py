@@ -204,7 +204,9 @@ def _contact_turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
 
 
 @kernel_helper
-def _write_place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lever: Vector) -> None:
+def _write_place_levers(
+    c: ConstantTables, d: int, contact_place: int, pose: Matrix, lever: Vector
+) -> None:
     """Write the levers (J,) of a force at a place of contact about the joints of a digit [m].
 
     Place i is the middle of link i. The place after the last link is the tip. Further places have
@@ -214,7 +216,7 @@ def _write_place_levers(c: ConstantTables, d: int, place: int, pose: Matrix, lev
     end = c.digit_int[h.JOINTS_END, d]
     for j in range(first, end):
         lever[j] = 0.0
-    touched = first + place
+    touched = first + contact_place
     if touched < end:
         write_levers(pose, first, touched, 0.5 * c.joint[h.LINK_TABLE + LENGTH_ROW, touched], lever)
     elif touched == end:
@@ -433,9 +435,9 @@ def _reduce_levers(c: ConstantTables, d: int, lever: Vector, result: Vector) -> 
 
 
 @kernel_helper
-def _dot_over_coordinates(c: ConstantTables, d: int, one: Vector, other: Vector) -> float:
+def _dot_over_coordinates(c: ConstantTables, d: int, vector: Vector, other_vector: Vector) -> float:
     """Return the dot product of two vectors (C,) over the coordinates of a digit."""
     total = 0.0
     for k in range(c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]):
-        total += one[k] * other[k]
+        total += vector[k] * other_vector[k]
     return total

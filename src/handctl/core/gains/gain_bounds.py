@@ -138,13 +138,13 @@ def values_by_key(gains: Gains) -> dict[str, float]:
     return values
 
 
-def different_values(before: Gains, after: Gains) -> dict[str, tuple[float, float]]:
+def different_values(old_gains: Gains, new_gains: Gains) -> dict[str, tuple[float, float]]:
     """Return the old and the new value of every key whose value differs.
 
     A tendon without a separate force has the force for all tendons.
     """
-    old = values_by_key(before)
-    new = values_by_key(after)
+    old = values_by_key(old_gains)
+    new = values_by_key(new_gains)
     pairs = {key: (_value_of(old, key), _value_of(new, key)) for key in {**old, **new}}
     return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
 
@@ -159,14 +159,14 @@ def _value_of(values: Mapping[str, float], key: str) -> float:
 
 
 def with_values(
-    gains: Gains, values: Mapping[str, float], source: str, live: bool = False
+    gains: Gains, values: Mapping[str, float], source_name: str, live: bool = False
 ) -> Gains:
     """Return a copy of gains with some values replaced. All new values are checked first.
 
     Args:
         gains: gains to copy.
         values: new values by key.
-        source: name of the source of the values, for messages.
+        source_name: name of the source of the values, for messages.
         live: True to accept only keys that may change during a run.
 
     Raises:
@@ -175,18 +175,20 @@ def with_values(
     """
     content = gains.model_dump(by_alias=True)
     for key, value in values.items():
-        bound = checked_bound(key, value, source)
+        bound = checked_bound(key, value, source_name)
         if live and not bound.live:
             right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
             raise ConfigError(
-                "is designed before arming and cannot change in a run", f"{source}: {key}", right
+                "is designed before arming and cannot change in a run",
+                f"{source_name}: {key}",
+                right,
             )
         if parts := tendon_key(key):
             _set_tendon_force(content, parts, float(value))
             continue
         section, _, name = key.partition(".")
         content[section][name] = int(value) if bound.whole else float(value)
-    return validate_content(content, Gains, source)
+    return validate_content(content, Gains, source_name)
 
 
 def _set_tendon_force(content: dict[str, Any], parts: TendonKey, force: float) -> None:
@@ -216,7 +218,7 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
             raise ConfigError(f"no tendon {one.name!r}", f"gains: {TENDON_SECTION}", right)
 
 
-def checked_bound(key: str, value: float, source: str) -> GainBounds:
+def checked_bound(key: str, value: float, source_name: str) -> GainBounds:
     """Return the bounds of a key after checking a value.
 
     Raises:
@@ -226,8 +228,8 @@ def checked_bound(key: str, value: float, source: str) -> GainBounds:
     if known is None:
         near = similar_name(key, gain_bounds(), cutoff=0.5)
         right = f"{near}?" if near else "one of those that handctl gains show lists"
-        raise ConfigError("no such gain", f"{source}: {key}", right)
+        raise ConfigError("no such gain", f"{source_name}: {key}", right)
     inside = known.low < value if known.open_low else known.low <= value
     if not (inside and value <= known.high) or (known.whole and value != int(value)):
-        raise ConfigError(f"{value:g}", f"{source}: {key}", str(known))
+        raise ConfigError(f"{value:g}", f"{source_name}: {key}", str(known))
     return known

@@ -234,16 +234,16 @@ def abort_text(code: int) -> str:
     return ABORT_TEXTS.get(code, f"abort {code:#010x}")
 
 
-def upload_request(index: int, sub: int) -> bytes:
+def upload_request(index: int, subindex: int) -> bytes:
     """Return the SDO payload to request the value of an object."""
     # 0x40 starts an upload from the drive to the host.
-    return struct.pack("<BHB4x", 0x40, index, sub)
+    return struct.pack("<BHB4x", 0x40, index, subindex)
 
 
-def download_request(index: int, sub: int, raw: bytes) -> bytes:
+def download_request(index: int, subindex: int, value_bytes: bytes) -> bytes:
     """Return the SDO payload that writes one to four bytes to an object."""
     # 0x23 starts an expedited download. Bits 2..3 contain the number of unused bytes.
-    return struct.pack("<BHB4s", 0x23 | (4 - len(raw)) << 2, index, sub, raw)
+    return struct.pack("<BHB4s", 0x23 | (4 - len(value_bytes)) << 2, index, subindex, value_bytes)
 
 
 class SdoReply(NamedTuple):

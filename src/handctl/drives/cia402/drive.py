@@ -101,7 +101,7 @@ class Cia402Drive:
     def of(
         motor: MotorDescription,
         bus: int,
-        given: Mapping[str, Any] | None = None,
+        options_override: Mapping[str, Any] | None = None,
         mode: int = setup.TORQUE_MODE,
     ) -> "Cia402Drive":
         """Return the drive for a motor description.
@@ -109,14 +109,14 @@ class Cia402Drive:
         Args:
             motor: description of the motor.
             bus: index of the bus of the drive.
-            given: options to use instead of the options in the description.
+            options_override: options to use instead of the options in the description.
             mode: mode of operation of the drive, see ``settings``.
 
         Raises:
             ConfigError: an option is unknown or wrong, the node number is out of range, or the
                 torque limit is too large.
         """
-        options = dict(motor.options if given is None else given)
+        options = dict(motor.options if options_override is None else options_override)
         where = f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.HOST_NODE:
             raise ConfigError(
@@ -493,10 +493,11 @@ class Cia402Drive:
         """Return the serial number in object 0x1018:4, or the node number if the drive does not have this object."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
         return CAUSE_BY_ERROR.get(
-            error, DriveFaultCause.OTHER if error in codec.ERROR_TEXTS else DriveFaultCause.UNKNOWN
+            error_code,
+            DriveFaultCause.OTHER if error_code in codec.ERROR_TEXTS else DriveFaultCause.UNKNOWN,
         )
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:

@@ -254,10 +254,10 @@ class Cia404LoadCells:
         """Return the number of lost frames. Answers to the last SYNC are not counted."""
         return max(0, (syncs - 1) * len(self.ids) - accepted - stale)
 
-    def group_of_tendon(self, index: int) -> int:
+    def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
-        return self.frame_of[index]
+        return self.frame_of[tendon_index]
 
-    def group_of_joint(self, index: int) -> int:
+    def group_of_joint(self, joint_index: int) -> int:
         """Return -1, because the amplifiers have no joint encoders."""
         return -1

@@ -422,9 +422,9 @@ class CubemarsDrive:
         """Return the node number, because the motor does not report a serial number."""
         return f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSE_BY_ERROR.get(error, DriveFaultCause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(error_code, DriveFaultCause.UNKNOWN)
 
     def _frame_to_motor(self, data: bytes) -> Frame:
         """Return a frame to the motor with the given payload."""

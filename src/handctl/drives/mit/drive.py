@@ -80,18 +80,20 @@ class MitDrive:
         object.__setattr__(self, "feedback", SignalTable(feedback))
 
     @staticmethod
-    def of(motor: MotorDescription, bus: int, given: Mapping[str, Any] | None = None) -> "MitDrive":
+    def of(
+        motor: MotorDescription, bus: int, options_override: Mapping[str, Any] | None = None
+    ) -> "MitDrive":
         """Return the drive for a motor description.
 
         Args:
             motor: description of the motor.
             bus: index of the bus of the motor.
-            given: options to use instead of the options in the description.
+            options_override: options to use instead of the options in the description.
 
         Raises:
             ConfigError: an option is unknown, or has a wrong value.
         """
-        options = dict(motor.options if given is None else given)
+        options = dict(motor.options if options_override is None else options_override)
         where = f"motor[{motor.name}].options"
         reply = options.pop("reply_id", motor.node_id + 0x10)
         fd = checked_boolean(options.pop("fd", False), f"{where}.fd")
@@ -432,9 +434,9 @@ class MitDrive:
         """Return the serial number from register 15, or the node number if it is unknown."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSE_BY_ERROR.get(error, DriveFaultCause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(error_code, DriveFaultCause.UNKNOWN)
 
     def _frame(self, data: bytes) -> Frame:
         """Return a frame to the motor with the given payload."""

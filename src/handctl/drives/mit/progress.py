@@ -77,9 +77,9 @@ def progress_of(state: DriveState) -> MitProgress:
     return progress
 
 
-def enter_fault(state: DriveState, error: int, text: str) -> DriveState:
+def enter_fault(state: DriveState, error_code: int, text: str) -> DriveState:
     """Return the state in phase FAULT, with the given error code and text."""
-    return state._replace(phase=FAULT, error=error, error_text=text)
+    return state._replace(phase=FAULT, error=error_code, error_text=text)
 
 
 def apply_status(state: DriveState, nibble: int) -> DriveState:

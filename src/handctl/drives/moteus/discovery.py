@@ -42,15 +42,15 @@ _MODE_TEXTS = {
 }
 
 
-def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 reads the mode from every node number. Round 3 reads other registers of the discovered
     drives.
     """
-    if turn == 2:
+    if scan_round == 2:
         return tuple(Frame(codec.request_id(number), MODE_REQUEST) for number in DRIVE_NUMBERS)
-    if turn == 3:
+    if scan_round == 3:
         return tuple(
             Frame(codec.request_id(drive.node_id), data)
             for drive in discovered_drives(received)
@@ -79,7 +79,7 @@ def discovered_drives(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     )
 
 
-def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
+def _describe_drive(node_number: int, answers: dict[int, list[bytes]]) -> DiscoveredNode:
     """Return a discovered drive with all data.
 
     ``answers`` has the payloads from the drive, by register.
@@ -101,7 +101,7 @@ def _describe_drive(number: int, answers: dict[int, list[bytes]]) -> DiscoveredN
     notes = (TWO_DRIVES_WARNING,) * twins + ("needs a bus with CAN FD: data_bitrate = 5_000_000",)
     state = _MODE_TEXTS.get(mode, f"mode {mode}")
     return DiscoveredNode(
-        "moteus", number, firmware, serial, state, error, notes=notes, twins=twins
+        "moteus", node_number, firmware, serial, state, error, notes=notes, twins=twins
     )
 
 

@@ -520,9 +520,9 @@ class MoteusDrive:
         """Return the serial number (96 bits), or the node number if it is unknown."""
         return f"{serial:024x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return CAUSE_BY_ERROR.get(error, DriveFaultCause.UNKNOWN)
+        return CAUSE_BY_ERROR.get(error_code, DriveFaultCause.UNKNOWN)
 
     def _frame_to_drive(self, data: bytes) -> Frame:
         """Return a frame to the drive with the given payload."""

@@ -136,10 +136,17 @@ def result_text(result: int) -> str:
 
 
 def _float_signal(
-    name: str, quantity: Quantity, first: int, scale: float, offset: float = 0.0, unit: str = ""
+    name: str,
+    quantity: Quantity,
+    first_byte: int,
+    scale: float,
+    offset: float = 0.0,
+    unit: str = "",
 ) -> Signal:
-    """Return the description of a float32 signal that begins at byte ``first``."""
-    return Signal(name, quantity, 8 * first, 32, False, SignalCoding.FLOAT, scale, offset, unit)
+    """Return the description of a float32 signal that begins at byte ``first_byte``."""
+    return Signal(
+        name, quantity, 8 * first_byte, 32, False, SignalCoding.FLOAT, scale, offset, unit
+    )
 
 
 def encoder_message(node_id: int, ratio: float, zero: float, requested: bool) -> Message:

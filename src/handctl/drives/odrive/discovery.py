@@ -45,20 +45,20 @@ _CYCLIC_MESSAGES = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
 """Numbers of messages that a drive can send without a request."""
 
 
-def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 1 requests the message Address from all nodes. Round 2 requests the version of the
     discovered drives. Round 3 repeats this request to drives that have not reported a version. It
     also requests two messages of firmware 0.5 from these drives.
     """
-    if turn == 1:
+    if scan_round == 1:
         return (Frame(codec.message_id(BROADCAST, ADDRESS) | REMOTE, b""),)
-    if turn == 2:
+    if scan_round == 2:
         return tuple(
             _remote_request(drive, codec.GET_VERSION) for drive in discovered_drives(received)
         )
-    if turn == 3:
+    if scan_round == 3:
         silent = [drive for drive in discovered_drives(received) if not drive.firmware]
         return tuple(
             _remote_request(drive, command)

@@ -533,9 +533,9 @@ class OdriveDrive:
         """
         return f"{serial:012X}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return cause_of_error(error)
+        return cause_of_error(error_code)
 
     def torque_frames(self, torque: float) -> tuple[Frame, ...]:
         """Return the frame of a torque command [N m at the spool].

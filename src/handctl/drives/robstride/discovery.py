@@ -26,22 +26,22 @@ HOST_REQUEST_TYPES = frozenset(codec.REQUEST_TYPES) - {
 """Types of frames by which another host is detected."""
 
 
-def probe_frames(turn: int, received: ReceivedFrames) -> tuple[Frame, ...]:
+def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the requests of a round of the scan.
 
     Round 2 requests the identity of every motor number. Round 3 repeats the request for the
     discovered motors.
     """
-    if turn == 2:
+    if scan_round == 2:
         return tuple(_identity_request(number) for number in MOTOR_NUMBERS)
-    if turn == 3:
+    if scan_round == 3:
         return tuple(_identity_request(motor.node_id) for motor in discovered_motors(received))
     return ()
 
 
-def _identity_request(number: int) -> Frame:
+def _identity_request(node_number: int) -> Frame:
     """Return the frame to request the identity of a motor."""
-    return Frame(codec.request_id(codec.GET_ID, number, codec.HOST_ID), codec.EMPTY_DATA)
+    return Frame(codec.request_id(codec.GET_ID, node_number, codec.HOST_ID), codec.EMPTY_DATA)
 
 
 def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
@@ -57,13 +57,15 @@ def discovered_motors(received: ReceivedFrames) -> tuple[DiscoveredNode, ...]:
     return tuple(_describe_motor(number, serials[number]) for number in sorted(serials))
 
 
-def _describe_motor(number: int, serials: set[bytes]) -> DiscoveredNode:
+def _describe_motor(node_number: int, serials: set[bytes]) -> DiscoveredNode:
     """Return a discovered motor, with the serial numbers that were received under its number."""
     twins = len(serials) > 1
     notes = (TWO_DRIVES_WARNING,) * twins + (
         "does not report its model: give motor_type in the hand file",
     )
-    return DiscoveredNode("robstride", number, serial=min(serials).hex(), notes=notes, twins=twins)
+    return DiscoveredNode(
+        "robstride", node_number, serial=min(serials).hex(), notes=notes, twins=twins
+    )
 
 
 def command_ids(motor: DiscoveredNode) -> frozenset[int]:

@@ -425,9 +425,9 @@ class RobstrideDrive:
         """Return the 64-bit identifier of the motor's processor, or the node number if it is unknown."""
         return f"{serial:016x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return cause_of_error(error)
+        return cause_of_error(error_code)
 
     def _request_frame(self, kind: int, data: bytes = codec.EMPTY_DATA) -> Frame:
         """Return a request of type ``kind`` to the motor."""

@@ -211,6 +211,6 @@ class RobstrideMitDrive(CubemarsDrive):
         fresh, stop = CubemarsDrive.clear(self, state)
         return fresh, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
 
-    def cause(self, error: int) -> DriveFaultCause:
+    def cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
-        return cause_of_error(error)
+        return cause_of_error(error_code)

@@ -142,10 +142,10 @@ class SensorInterface(Protocol):
         """Return the number of lost tension frames, see ``SensorNode.lost``."""
         ...
 
-    def group_of_tendon(self, index: int) -> int:
+    def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
         ...
 
-    def group_of_joint(self, index: int) -> int:
+    def group_of_joint(self, joint_index: int) -> int:
         """Return the index of the frame with the encoder of a joint, -1 for a joint without an encoder."""
         ...

@@ -284,14 +284,14 @@ class SensorNode:
         """
         return max(0, (syncs - 1) * self.tension_frames - accepted - stale)
 
-    def group_of_tendon(self, index: int) -> int:
+    def group_of_tendon(self, tendon_index: int) -> int:
         """Return the index of the frame with the load cell of a tendon, -1 for a tendon without a load cell."""
-        return self.frame_of[index]
+        return self.frame_of[tendon_index]
 
-    def group_of_joint(self, index: int) -> int:
+    def group_of_joint(self, joint_index: int) -> int:
         """Return the index of the frame with the encoder of a joint, -1 for a joint without an encoder."""
         groups = range(self.tension_frames, len(self.ids))
-        return next((g for g in groups if index in self.channels[g]), -1)
+        return next((g for g in groups if joint_index in self.channels[g]), -1)
 
 
 def _channel_signal(slot: int, index: int, tension: bool) -> Signal:

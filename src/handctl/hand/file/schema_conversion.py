@@ -206,12 +206,12 @@ def _take_shared_values(
     return list(entries.values())
 
 
-def _are_equal(one: Any, other: Any) -> bool:
+def _are_equal(value: Any, other_value: Any) -> bool:
     """Return True if two values are equal and both or neither are booleans.
 
     In TOML, true is not 1.
     """
-    return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
+    return bool(value == other_value) and isinstance(value, bool) == isinstance(other_value, bool)
 
 
 def _shorten_lists_per_link(block: TomlTable) -> None:
