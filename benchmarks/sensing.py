@@ -212,12 +212,12 @@ def measure(seeds: int) -> dict[str, Any]:
     """Measure all cases without faults, and the injected faults on jamia with and without load cells."""
     result: dict[str, Any] = {"seeds": seeds, "cases": [], "faults": {}}
     for name, sensors in CASES:
-        model = HandModel.of(hand_with(name, sensors), Gains(), RATE_HZ[name])
+        model = HandModel.from_hand(hand_with(name, sensors), Gains(), RATE_HZ[name])
         records = [run(model, scene_of(name), task_of(model.hand), seed) for seed in range(seeds)]
         result["cases"].append({"hand": name, "sensors": sensors, **figures(records, model.period)})
     names = {"tendon": "index_tendon", "motor": "index_motor", "other": "middle_motor"}
     for sensors in ("load cells", "neither"):
-        model = HandModel.of(hand_with("jamia", sensors), Gains(), RATE_HZ["jamia"])
+        model = HandModel.from_hand(hand_with("jamia", sensors), Gains(), RATE_HZ["jamia"])
         for title, text in FAULTS.items():
             record = run(model, scene_of("jamia"), task_of(model.hand), 0, text.format(**names))
             found = list(dict.fromkeys(record.faults))

@@ -137,7 +137,7 @@ def compare(
     names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
     if fitted:
         names.append("tuned_as_identified")
-        scores.append(_with_model(hand, HandModel.of(twin, _best(detuned, fitted), rate)))
+        scores.append(_with_model(hand, HandModel.from_hand(twin, _best(detuned, fitted), rate)))
     costs = [score.cost(scores[0]) for score in scores]
     return {
         "hand": hand_name,

@@ -13,7 +13,7 @@ from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
 
-model = HandModel.of(load_hand("jamia"), Gains(), 500.0)
+model = HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
 with SimulatorSettings("jamia", seed=1, homed=True).against(
     homed_controller(model, LiveProgram())
 ) as run:

@@ -151,18 +151,18 @@ class BusServer:
 
         Then advance the plant, and answer the frames.
         """
-        ready = self._wait()
-        frames = self._receive(ready)
+        ready = self._wait_for_sockets()
+        frames = self._receive_frames(ready)
         if frames:
             self._note_host()
         self._catch_up(sampled=bool(frames))
-        self._answer(frames)
-        if self._faults and self._faults.readers()[0] in ready:
+        self._send_answers(frames)
+        if self._faults and self._faults.read_sockets()[0] in ready:
             self._faults.serve(self.pace)
         for _ in range(MAX_READS_PER_TURN):
-            if not (frames := self._receive(())):
+            if not (frames := self._receive_frames(())):
                 break
-            self._answer(frames)
+            self._send_answers(frames)
         self._note_progress()
 
     def _note_progress(self) -> None:
@@ -185,11 +185,11 @@ class BusServer:
         if self._priority:
             self._priority.note_host_frames()
 
-    def _receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
+    def _receive_frames(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive the frames of all ports."""
         return [frame for port in self._ports for frame in port.receive(ready_sockets)]
 
-    def _wait(self) -> list[socket.socket]:
+    def _wait_for_sockets(self) -> list[socket.socket]:
         """Wait until a socket is ready or the plant must advance.
 
         Returns:
@@ -204,9 +204,9 @@ class BusServer:
 
     def _ready_links(self, timeout_s: float) -> list[socket.socket]:
         """Wait for at most ``timeout_s``, and return the sockets that are ready for reading."""
-        readers = [link for port in self._ports for link in port.readers()]
-        readers += self._faults.readers() if self._faults else []
-        writers = [link for port in self._ports for link in port.writers()]
+        readers = [link for port in self._ports for link in port.read_sockets()]
+        readers += self._faults.read_sockets() if self._faults else []
+        writers = [link for port in self._ports for link in port.write_sockets()]
         readable, _, _ = select.select(readers, writers, [], timeout_s)
         return readable
 
@@ -220,13 +220,13 @@ class BusServer:
         target_ns = self._clock.now_ns() - world.slip_ns
         behind_ns = target_ns - world.t_ns
         if behind_ns > MAX_DELAY_NS:
-            self._slip(behind_ns)
+            self._give_up_lost_time(behind_ns)
             return
         self.overruns += behind_ns > OVERRUN_NS
         follow = world.reach if sampled else world.advance
         follow(min(target_ns, world.t_ns + MAX_CATCH_UP_NS))
 
-    def _slip(self, behind_ns: int) -> None:
+    def _give_up_lost_time(self, behind_ns: int) -> None:
         """Give up the time lost while this process did not run.
 
         Plant and watchdogs stood still meanwhile.
@@ -239,7 +239,7 @@ class BusServer:
             self.pace.slipped(behind_ns, self._world.t_ns)
         time.sleep(SLIP_PAUSE_S)
 
-    def _answer(self, frames: list[Frame]) -> None:
+    def _send_answers(self, frames: list[Frame]) -> None:
         """Send the answers to frames, and all unsolicited frames."""
         answers: list[list[Frame]] = [[] for _ in self._ports]
         for frame in frames:

@@ -360,7 +360,7 @@ def load_hand(name_or_path: str) -> Hand:
     """
     path = find_hand(name_or_path)
     try:
-        return _hand(_resolved_file(tomllib.loads(path.read_text("utf-8"))), path.parent)
+        return _parse_hand(_resolved_file(tomllib.loads(path.read_text("utf-8"))), path.parent)
     except OSError as error:
         raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:  # A number is too long, or the file is not UTF-8.
@@ -426,24 +426,24 @@ def _merged_tables(base: dict[str, Any], override: dict[str, Any]) -> dict[str, 
     return base | override | tables
 
 
-def _hand(content: dict[str, Any], folder: Path) -> Hand:
+def _parse_hand(content: dict[str, Any], folder: Path) -> Hand:
     sensors = content.get("sensor_node")
     return Hand(
         name=content["name"],
         gravity=tuple(content["mount"]["gravity_m_s2"]),
         buses=[bus["name"] for bus in content["bus"]],
         bitrates=[(bus["bitrate"], bus.get("data_bitrate") or 0) for bus in content["bus"]],
-        digits=[_digit(digit) for digit in content["digit"]],
-        tendons=[_tendon(tendon, _joint_ranges(content)) for tendon in content["tendon"]],
-        motors=[_motor(motor) for motor in content["motor"]],
-        sensors=_sensors(sensors)
+        digits=[_parse_digit(digit) for digit in content["digit"]],
+        tendons=[_parse_tendon(tendon, _joint_ranges(content)) for tendon in content["tendon"]],
+        motors=[_parse_motor(motor) for motor in content["motor"]],
+        sensors=_parse_sensors(sensors)
         if sensors and (sensors["tendons"] or sensors.get("joints"))
         else None,
-        meshes=tuple(_meshes(content, folder)),
+        meshes=tuple(_parse_meshes(content, folder)),
     )
 
 
-def _meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
+def _parse_meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
     """Yield the meshes of a hand.
 
     Relative paths of mesh files start at the folder of the hand file.
@@ -452,17 +452,17 @@ def _meshes(content: dict[str, Any], folder: Path) -> Iterator[LinkMesh]:
     pose_keys = ("scale", "position_m", "rpy_deg")
     if mount.get("palm_mesh"):
         pose = [mount.get(f"palm_mesh_{key}") for key in pose_keys]
-        yield _mesh("palm", folder / mount["palm_mesh"], *pose)
+        yield _make_mesh("palm", folder / mount["palm_mesh"], *pose)
     for digit in content["digit"]:
         count = len(digit["link_length_m"])
         poses = [digit.get(f"link_mesh_{key}") or [None] * count for key in pose_keys]
         for i, file in enumerate(digit.get("link_mesh") or ()):
             if file:
                 pose = [values[i] for values in poses]
-                yield _mesh(f"{digit['name']}_link{i + 1}", folder / file, *pose)
+                yield _make_mesh(f"{digit['name']}_link{i + 1}", folder / file, *pose)
 
 
-def _mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
+def _make_mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> LinkMesh:
     """Return a mesh. An argument of None stands for no scaling, no shift or no rotation."""
     factors = scale if isinstance(scale, list) else [1.0 if scale is None else scale] * 3
     return LinkMesh(
@@ -474,7 +474,7 @@ def _mesh(link: str, file: Path, scale: Any, position: Any, rpy_deg: Any) -> Lin
     )
 
 
-def _digit(section: dict[str, Any]) -> Digit:
+def _parse_digit(section: dict[str, Any]) -> Digit:
     count = len(section["link_length_m"])
     no_springs = [0.0] * count
     for key in (*PER_LINK_KEYS, "joint_axis", "joint_rpy_deg"):
@@ -494,7 +494,7 @@ def _digit(section: dict[str, Any]) -> Digit:
             for com in section["link_com_m"]
         ),
         mass=tuple(section["link_mass_kg"]),
-        inertia=tuple(_inertia(section, i) for i in range(count)),
+        inertia=tuple(_link_inertia(section, i) for i in range(count)),
         radius=section["link_radius_m"],
         joint_min_deg=tuple(section["joint_min_deg"]),
         joint_max_deg=tuple(section["joint_max_deg"]),
@@ -505,7 +505,7 @@ def _digit(section: dict[str, Any]) -> Digit:
     )
 
 
-def _inertia(section: dict[str, Any], i: int) -> tuple[float, ...]:
+def _link_inertia(section: dict[str, Any], i: int) -> tuple[float, ...]:
     """Return the six inertia values of link ``i`` of a digit.
 
     If the file has a single number, it is the moment of inertia of a round bar about y and z.
@@ -528,7 +528,7 @@ def _joint_ranges(section: dict[str, Any]) -> dict[str, tuple[float, float]]:
     }
 
 
-def _curve(section: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
+def _parse_arm_curve(section: dict[str, list[float]], limits: tuple[float, float]) -> ArmCurve:
     """Return a moment arm that depends on the joint angle.
 
     A table of arms is replaced by a least-squares polynomial.
@@ -565,10 +565,10 @@ def _fit_polynomial(angles: list[float], arms: list[float]) -> list[float]:
     return [row[count] for row in rows]
 
 
-def _tendon(section: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
+def _parse_tendon(section: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> TendonSpec:
     given = section["moment_arm_m"]
     curves = {
-        joint: _curve(arm, ranges.get(joint, (0.0, 1.0)))
+        joint: _parse_arm_curve(arm, ranges.get(joint, (0.0, 1.0)))
         for joint, arm in given.items()
         if isinstance(arm, dict)
     }
@@ -588,7 +588,7 @@ def _tendon(section: dict[str, Any], ranges: dict[str, tuple[float, float]]) -> 
     )
 
 
-def _motor(section: dict[str, Any]) -> MotorSpec:
+def _parse_motor(section: dict[str, Any]) -> MotorSpec:
     return MotorSpec(
         name=section["name"],
         protocol=section["protocol"],
@@ -609,7 +609,7 @@ def _motor(section: dict[str, Any]) -> MotorSpec:
     )
 
 
-def _sensors(section: dict[str, Any]) -> SensorSpec:
+def _parse_sensors(section: dict[str, Any]) -> SensorSpec:
     return SensorSpec(
         bus=section["bus"],
         sync_id=section.get("sync_id", 0x080),

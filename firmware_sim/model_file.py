@@ -53,7 +53,7 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
           none.
         - ``palm``: (3,) origin of each named frame on the root, by name [m].
         - ``palm_meshes``: meshes on the root, in the form of the ``meshes`` of a link.
-        - ``links``: one table for each link, see ``_link``, parents first. The ``meshes`` of a link
+        - ``links``: one table for each link, see ``_link_values``, parents first. The ``meshes`` of a link
           are tables with ``file``, ``scale`` (3,), ``position`` (3,) [m] and ``rotation`` (3, 3) in
           the link's frame.
         - ``tendons``: name, moment arms by joint [m], motor or None, and maximum tension or None
@@ -64,11 +64,11 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
         SimulatorError: the file is not readable, or does not describe a tree of links with inertia
             and hinges.
     """
-    root = _root(path, file_format)
+    root = _parsed_root(path, file_format)
     if file_format == "urdf":
         _check_joint_types(root, path)
     notes: list[str] = []
-    spec, model = _compiled(path, file_format, root, notes)
+    spec, model = _compiled_model(path, file_format, root, notes)
     _check_structure(model, path)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -78,23 +78,23 @@ def read_model_file(path: str, file_format: str) -> dict[str, Any]:
     urdf = file_format == "urdf"
     shown = urdf_meshes(root, folder, model) if urdf else mjcf_meshes(spec, model, folder, notes)
     meshes = list(shown)
-    links = [_link(model, data, roots, body, path) for body in roots]
+    links = [_link_values(model, data, roots, body, path) for body in roots]
     for body, link in zip(roots, links, strict=True):
         axes = data.xmat[body].reshape(3, 3)
         origin = data.xanchor[model.body_jntadr[body]]
-        link["meshes"] = _meshes(meshes, model, data, body, origin, axes)
+        link["meshes"] = _mesh_values(meshes, model, data, body, origin, axes)
     return {
         "name": root.get("name") or root.get("model") or Path(path).stem,
         "gravity": model.opt.gravity.tolist() if file_format == "mjcf" else None,
-        "palm": _frames(model, data, 0, np.zeros(3), np.eye(3)),
-        "palm_meshes": _meshes(meshes, model, data, 0, np.zeros(3), np.eye(3)),
+        "palm": _frame_origins(model, data, 0, np.zeros(3), np.eye(3)),
+        "palm_meshes": _mesh_values(meshes, model, data, 0, np.zeros(3), np.eye(3)),
         "links": links,
-        "tendons": _tendons(model, notes),
+        "tendons": _tendon_values(model, notes),
         "notes": notes,
     }
 
 
-def _root(path: str, file_format: str) -> ET.Element:
+def _parsed_root(path: str, file_format: str) -> ET.Element:
     """Parse the XML of a model file, check its first element and return the element."""
     try:
         root = ET.parse(path).getroot()
@@ -104,7 +104,7 @@ def _root(path: str, file_format: str) -> ET.Element:
         ) from None
     except (ET.ParseError, UnicodeError, ValueError) as error:
         raise SimulatorError(
-            f"{path}: not XML: {error}; expected {_form_text(file_format)}"
+            f"{path}: not XML: {error}; expected {_format_name(file_format)}"
         ) from None
     if any("xacro" in str(part.tag) for part in root.iter()):
         raise SimulatorError(f"{path}: xacro; expected the URDF that the command xacro makes of it")
@@ -113,12 +113,12 @@ def _root(path: str, file_format: str) -> ET.Element:
             (f": give it with --{name}" for name, tag in ROOT_TAGS.items() if tag == root.tag), ""
         )
         raise SimulatorError(
-            f"{path}: its first element is <{root.tag}>; expected {_form_text(file_format)}{other}"
+            f"{path}: its first element is <{root.tag}>; expected {_format_name(file_format)}{other}"
         )
     return root
 
 
-def _form_text(file_format: str) -> str:
+def _format_name(file_format: str) -> str:
     return f"{file_format.upper()}, with the first element <{ROOT_TAGS[file_format]}>"
 
 
@@ -138,13 +138,15 @@ def _check_joint_types(root: ET.Element, path: str) -> None:
             raise SimulatorError(f"{path}: {what}; expected {right}")
 
 
-def _compiled(path: str, file_format: str, root: ET.Element, notes: list[str]) -> tuple[Any, Any]:
+def _compiled_model(
+    path: str, file_format: str, root: ET.Element, notes: list[str]
+) -> tuple[Any, Any]:
     """Compile the model file without merging fixed bodies.
 
     If a mesh is unreadable, shapes of meshes are left out.
     """
     try:
-        spec = _parsed(path)
+        spec = _parsed_spec(path)
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
         if file_format == "urdf":
@@ -152,11 +154,11 @@ def _compiled(path: str, file_format: str, root: ET.Element, notes: list[str]) -
             spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
             _name_mesh_files(spec, root, Path(path).absolute().parent)
         try:
-            return spec, _model(spec)
+            return spec, _compile_spec(spec)
         except ValueError as error:
             if not _remove_meshes(spec):
                 raise
-            model = _model(spec)
+            model = _compile_spec(spec)
             notes.append(f"shapes of meshes are not read: {_first_line(error)}")
             return spec, model
     except (UnicodeError, ValueError) as error:
@@ -174,7 +176,7 @@ def _name_mesh_files(spec: Any, root: ET.Element, folder: Path) -> None:
     spec.strippath = False
 
 
-def _model(spec: Any) -> Any:
+def _compile_spec(spec: Any) -> Any:
     """Compile a model and suppress the warnings of MuJoCo.
 
     The warnings concern dynamics, which are not used here. The warnings would appear beside a
@@ -185,7 +187,7 @@ def _model(spec: Any) -> Any:
         return spec.compile()
 
 
-def _parsed(path: str) -> Any:
+def _parsed_spec(path: str) -> Any:
     """Parse a model file.
 
     A file without a suffix of ``MODEL_SUFFIXES`` is given to MuJoCo as text.
@@ -244,12 +246,12 @@ def _joint_name(model: Any, joint: int) -> str:
     return model.joint(joint).name or f"joint_{joint + 1}"
 
 
-def _members(model: Any, root: int) -> list[int]:
+def _fixed_bodies(model: Any, root: int) -> list[int]:
     """Return a body and all bodies fixed to the body."""
     return [body for body in range(model.nbody) if model.body_weldid[body] == root]
 
 
-def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict[str, Any]:
+def _link_values(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict[str, Any]:
     """Return one link of the model.
 
     Returns:
@@ -278,12 +280,12 @@ def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict
         parent_origin = data.xanchor[model.body_jntadr[above]]
         parent_turn = data.xmat[above].reshape(3, 3)
     zero = float(model.qpos0[model.jnt_qposadr[joint]])
-    mass, com, inertia = _inertia(model, data, _members(model, body), origin, turn)
+    mass, com, inertia = _link_inertia(model, data, _fixed_bodies(model, body), origin, turn)
     if mass <= 0.0:
         raise SimulatorError(
             f"{path}: link {model.body(body).name} has no mass; expected its mass and its inertia"
         )
-    points, radius = _shapes(model, data, _members(model, body), origin, turn)
+    points, radius = _shape_corners(model, data, _fixed_bodies(model, body), origin, turn)
     return {
         "name": model.body(body).name,
         "joint": _joint_name(model, joint),
@@ -299,18 +301,18 @@ def _link(model: Any, data: Any, roots: list[int], body: int, path: str) -> dict
         "mass": mass,
         "com": com,
         "inertia": inertia,
-        "frames": _frames(model, data, body, origin, turn),
+        "frames": _frame_origins(model, data, body, origin, turn),
         "points": points,
         "radius": radius,
     }
 
 
-def _meshes(
+def _mesh_values(
     meshes: Sequence[BodyMesh], model: Any, data: Any, root: int, origin: Any, link_rotation: Any
 ) -> list[dict[str, Any]]:
     """Return the meshes of a link as plain values, placed in the link's frame."""
     found = []
-    members = _members(model, root)
+    members = _fixed_bodies(model, root)
     for mesh in meshes:
         if mesh.body in members:
             axes = data.xmat[mesh.body].reshape(3, 3)
@@ -324,7 +326,7 @@ def _meshes(
     return found
 
 
-def _inertia(
+def _link_inertia(
     model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[float, list[float], list[list[float]]]:
     """Return mass, centre of mass and central inertia of bodies fixed to each other, in a link's frame."""
@@ -347,11 +349,11 @@ def _inertia(
     )
 
 
-def _frames(
+def _frame_origins(
     model: Any, data: Any, root: int, origin: Any, link_rotation: Any
 ) -> dict[str, list[float]]:
     """Return the origins (3,) of the named bodies and sites fixed to a link, by name, in the link's frame [m]."""
-    members = _members(model, root)
+    members = _fixed_bodies(model, root)
     places = {model.body(body).name: data.xpos[body] for body in members if body != root}
     # MuJoCo places sites only in the first step, so their places are computed here.
     for site in range(model.nsite):
@@ -367,7 +369,7 @@ def _frames(
     }
 
 
-def _shapes(
+def _shape_corners(
     model: Any, data: Any, members: list[int], origin: Any, link_rotation: Any
 ) -> tuple[list[list[float]], float | None]:
     """Return the corners (n, 3) of the boxes around a link's shapes [m], and the link's half width [m] or None."""
@@ -397,7 +399,7 @@ def _shapes(
     return np.vstack(corners).tolist(), radii[min(radii)]
 
 
-def _tendons(model: Any, notes: list[str]) -> list[dict[str, Any]]:
+def _tendon_values(model: Any, notes: list[str]) -> list[dict[str, Any]]:
     """Return the tendons with constant moment arms, each with arms and pulling motor."""
     found = []
     for tendon in range(model.ntendon):

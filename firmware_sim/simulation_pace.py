@@ -67,7 +67,7 @@ class PaceCounter:
         self._wall_s = wall_s
         self._cpu_s = cpu_s
         self._report_line = report_line
-        self._mark = self._at(plant_ns)
+        self._mark = self._clock_readings(plant_ns)
         self._start = self._mark
         self._reported_s = -math.inf
         self._slips = self._lost_ns = 0
@@ -79,7 +79,7 @@ class PaceCounter:
         Args:
             plant_ns: present time of the plant [ns].
         """
-        self._mark = self._start = self._at(plant_ns)
+        self._mark = self._start = self._clock_readings(plant_ns)
 
     def slipped(self, behind_ns: int, plant_ns: int) -> None:
         """Count a slip of the clock, and report it unless the last report is less than a second old.
@@ -90,12 +90,12 @@ class PaceCounter:
         """
         self._slips += 1
         self._lost_ns += behind_ns
-        now = self._at(plant_ns)
+        now = self._clock_readings(plant_ns)
         if now.wall_s - self._reported_s < REPORT_PERIOD_S:
             return
         if self._slips >= SLOW_MACHINE_SLIPS:
-            self._advise(now)
-            self._report_line(self._too_slow(now.wall_s - self._mark.wall_s))
+            self._update_advice(now)
+            self._report_line(self._slow_machine_text(now.wall_s - self._mark.wall_s))
         else:
             times = "" if self._slips == 1 else f" {self._slips} times"
             self._report_line(
@@ -107,19 +107,19 @@ class PaceCounter:
 
     def report(self, plant_ns: int) -> dict[str, float | None]:
         """Return the requested pace, the advised pace, and the plant time per computing time since the start."""
-        capacity = _pace_ratio(self._start, self._at(plant_ns))
+        capacity = _pace_ratio(self._start, self._clock_readings(plant_ns))
         return {
             "time_scale": self._time_scale,
             "advice": self.advice,
             "plant_s_per_cpu_s": capacity if math.isfinite(capacity) else None,
         }
 
-    def _too_slow(self, seconds: float) -> str:
+    def _slow_machine_text(self, seconds: float) -> str:
         """Return the line that reports a machine that is too slow."""
         lost = f"clock slipped {self._slips} times in {seconds:.1f} s, {self._lost_ns / 1e6:.0f} ms given up"
         return f"firmware_sim: {lost}: this machine is fast enough for --time-scale {self.advice:g}"
 
-    def _advise(self, now: ClockReadings) -> None:
+    def _update_advice(self, now: ClockReadings) -> None:
         """Update the advised pace from the pace since the last report."""
         measured = (now.plant_s - self._mark.plant_s) / (now.wall_s - self._mark.wall_s)
         advice = ADVISED_FRACTION * min(
@@ -130,7 +130,7 @@ class PaceCounter:
             rounded_down(advice) if self.advice is None else min(self.advice, rounded_down(advice))
         )
 
-    def _at(self, plant_ns: int) -> ClockReadings:
+    def _clock_readings(self, plant_ns: int) -> ClockReadings:
         return ClockReadings(self._wall_s(), self._cpu_s(), plant_ns * 1e-9)
 
 

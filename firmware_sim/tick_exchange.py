@@ -97,7 +97,7 @@ class TickExchange:
                     answers = self._appended(answers, world.receive(frame))
                 progress[NEXT_FRAME] = len(frames)
                 self._drop_stale_table()
-            self._run(frames, answers, t_ns, last_ns)
+            self._run_kernel(frames, answers, t_ns, last_ns)
             at = int(progress[NEXT_FRAME])
             if at == len(frames):
                 return answers[: progress[ANSWERS]], bool(progress[IN_ORDER])
@@ -109,7 +109,7 @@ class TickExchange:
             progress[NEXT_FRAME] = at + 1
             self._drop_stale_table()
 
-    def _run(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
+    def _run_kernel(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
         """Run the compiled kernel up to the first frame that a node must answer in Python."""
         if self._table is None:
             self._build_table()
@@ -161,7 +161,7 @@ class TickExchange:
                     receivers.append((*world.row_of[id(node)], next_receiver))
                     next_receiver = len(receivers) - 1
                 table[cyclic_kernels.table_index(bus, can_id)] = next_receiver
-        self._identifiers_seen = self._identifiers()
+        self._identifiers_seen = self._accepted_identifiers()
         self._table = table
         self._receivers = np.array(receivers, Receiver)
         rows = [
@@ -183,7 +183,7 @@ class TickExchange:
         )
         self._addresses = np.array(addresses(arrays), np.int64)
 
-    def _identifiers(self) -> list[Any]:
+    def _accepted_identifiers(self) -> list[Any]:
         """Return the identifiers that each node accepts.
 
         A node returns another object after a change.
@@ -195,7 +195,7 @@ class TickExchange:
     def _drop_stale_table(self) -> None:
         """Remove the table of receivers if the identifiers of a node have changed."""
         if self._table is not None and any(
-            map(is_not, self._identifiers_seen, self._identifiers())
+            map(is_not, self._identifiers_seen, self._accepted_identifiers())
         ):
             self._table = None
 

@@ -97,9 +97,9 @@ class TruthWriter:
         self._motors = list(plant.motors.values())
         self._file = path.open("wb")
         self.due_ns = 0
-        self._file.write(self._head(_HEAD_SIZE))
+        self._file.write(self._header_line(_HEAD_SIZE))
 
-    def _head(self, size: int) -> bytes:
+    def _header_line(self, size: int) -> bytes:
         """Return the header line, padded to a size [bytes]."""
         return json.dumps(self._header).encode().ljust(size - 1) + b"\n"
 
@@ -136,7 +136,7 @@ class TruthWriter:
         """Write the collected rows, add a summary of the run to the header, and close the file."""
         self.flush()
         self._header.update(summary)
-        head = self._head(_HEAD_SIZE)
+        head = self._header_line(_HEAD_SIZE)
         if len(head) == _HEAD_SIZE:
             self._file.seek(0)
             self._file.write(head)

@@ -39,7 +39,7 @@ TASKS_FOLDER = PACKAGED_HANDS_FOLDER.parents[1] / "tasks"
 def construct_all(hand: Hand) -> None:
     """Construct all objects that a run constructs from a hand before it opens a bus."""
     for name in hand.digit_names:
-        DigitModel.of(hand, name)
+        DigitModel.from_hand(hand, name)
     for motor in hand.motor:
         make_drive(motor, hand.bus_names.index(motor.bus))
     bus_loads(hand)

@@ -149,7 +149,7 @@ def _advance_drive(
     motor: Drive, state: DriveState, t_ns: int, more: int
 ) -> tuple[DriveState, tuple[Frame, ...]]:
     if state.phase == DrivePhase.FAULT:
-        motor.cause(state.error)
+        motor.fault_cause(state.error)
         if more & CLEAR_BIT:
             return motor.clear(state)
     target = DRIVE_TARGETS[more % len(DRIVE_TARGETS)]

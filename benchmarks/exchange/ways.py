@@ -51,7 +51,7 @@ def enabled(motors):
     from handctl.session.tasks import find_task
 
     name = {4: "jamia", 11: "jamia11"}[motors]
-    model = HandModel.of(load_hand(name), Gains(), RATE_HZ)
+    model = HandModel.from_hand(load_hand(name), Gains(), RATE_HZ)
     controller = homed_controller(model, TaskProgram(find_task(Path("grasp"), model.hand)[0]))
     with SimulatorSettings(name, homed=True).against(controller) as run:
         assert run.until(lambda out: out.mode == Mode.ACTIVE, 20.0)
@@ -85,7 +85,9 @@ class Ours:
         np = self.np
         state = self.state
         out = np.zeros(self.shape, dtype=np.uint64)
-        frames = self.controller._send(state, out, 0, self.want, np.array(torques), self.t_ns)
+        frames = self.controller._write_commands(
+            state, out, 0, self.want, np.array(torques), self.t_ns
+        )
         self.bus.send(frames[1:])  # The benchmark sends no SYNC.
 
     def receive(self):
@@ -94,7 +96,7 @@ class Ours:
         self.start(
             state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames)
         )
-        self.controller._receive(state, frames, 0)
+        self.controller._receive_frames(state, frames, 0)
         return frames
 
     def close(self):

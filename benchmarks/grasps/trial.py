@@ -30,7 +30,7 @@ def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
     """Return the model of a hand at its default rate. Each process designs a model only once."""
     described = load_hand(hand)
     rate = default_rate(described)
-    return HandModel.of(described, gains, rate), rate
+    return HandModel.from_hand(described, gains, rate), rate
 
 
 @dataclass

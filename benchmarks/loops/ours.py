@@ -27,7 +27,7 @@ DESIGN_HZ = 1000.0
 class Stay:
     """Program that holds every digit at its present position."""
 
-    def initial(self, model):
+    def initial_progress(self, model):
         return ProgramProgress.initial(len(model.digits), "start")
 
     def advance(self, model, progress, estimate, measured, t):
@@ -95,13 +95,13 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     begin = (
         (lambda state, entry: TimedTick(controller, state, entry, took))
         if rate_hz
-        else controller.begin
+        else controller.begin_tick
     )
     loop = ControlLoop(
         clock, plan.period_ns, [bus], begin, cut, counter.requests, lambda: list(recorder.events()), record, counter,
         urgent=awake_processors,
     )  # fmt: skip
-    state = loop.run(controller.initial())
+    state = loop.run(controller.initial_state())
     recorder.close("done")
     bus.close()
     log.unlink()
@@ -120,7 +120,7 @@ class TimedTick:
 
     def __init__(self, controller, state, entry, took) -> None:
         began = _now()
-        self.step = controller.begin(state, entry)
+        self.step = controller.begin_tick(state, entry)
         self.took = took
         self.spent = _now() - began
 

@@ -46,7 +46,7 @@ def main(hand: str, name: str) -> None:
     take_priority()
     print("ready", flush=True)
     while True:
-        ready, _, _ = select.select(port.readers(), port.writers(), [])
+        ready, _, _ = select.select(port.read_sockets(), port.write_sockets(), [])
         records = b"".join(map(echo.answer, port.receive(ready)))
         if records:
             port._hub.send(records)

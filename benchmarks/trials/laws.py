@@ -102,10 +102,10 @@ class RawTension(Controller):
 
     __slots__ = ()
 
-    def _take_in(
+    def _process_frames(
         self, before: State, state: State, entry: TickIn, frames: Frames
     ) -> tuple[str, ...]:
-        signs = super()._take_in(before, state, entry, frames)
+        signs = super()._process_frames(before, state, entry, frames)
         cell = state.tendon[s.MEASURED_TENSION]
         state.tendon[s.TENSION] = np.where(np.isnan(cell), state.tendon[s.TENSION], cell)
         return signs

@@ -40,9 +40,9 @@ class Script:
 
     steps: tuple[Step, ...]
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the initial progress, see ``Program``."""
-        return LiveProgram().initial(model)
+        return LiveProgram().initial_progress(model)
 
     def advance(
         self,

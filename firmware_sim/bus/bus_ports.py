@@ -39,11 +39,11 @@ class BusPort(Protocol):
         """Return the time at which the port must be served even if no socket is ready [ns]."""
         ...
 
-    def readers(self) -> list[socket.socket]:
+    def read_sockets(self) -> list[socket.socket]:
         """Return the sockets to poll for reading."""
         ...
 
-    def writers(self) -> list[socket.socket]:
+    def write_sockets(self) -> list[socket.socket]:
         """Return the sockets to poll for writing."""
         ...
 

@@ -153,11 +153,11 @@ class Hub:
         """Return the connections of the clients."""
         return self._links
 
-    def readers(self) -> list[socket.socket]:
+    def read_sockets(self) -> list[socket.socket]:
         """Return the sockets to poll for reading."""
         return [self._listener, *(link.socket for link in self._links)]
 
-    def writers(self) -> list[socket.socket]:
+    def write_sockets(self) -> list[socket.socket]:
         """Return the sockets to poll for writing: sockets of clients with a partly sent record."""
         return [link.socket for link in self._links if link.unsent]
 
@@ -172,7 +172,7 @@ class Hub:
         """
         received = self.poll(ready_sockets)
         for link, records in received:
-            self._forward(records, link)
+            self._forward_records(records, link)
         self.drop_closed()
         return b"".join(records for _, records in received)
 
@@ -186,7 +186,7 @@ class Hub:
             Pairs of connection and records, one for each client that sent records.
         """
         if self._listener in ready_sockets:
-            self._accept()
+            self._accept_clients()
         received = []
         for link in self._links:
             if link.unsent:
@@ -197,9 +197,9 @@ class Hub:
 
     def send(self, records: bytes) -> None:
         """Send records of the hub's owner to every client."""
-        self._forward(records, None)
+        self._forward_records(records, None)
 
-    def _accept(self) -> None:
+    def _accept_clients(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionAbortedError):
             while True:
                 link, _ = self._listener.accept()
@@ -208,7 +208,7 @@ class Hub:
                     continue
                 self._links.append(HubConnection(link))
 
-    def _forward(self, records: bytes, sender: HubConnection | None) -> None:
+    def _forward_records(self, records: bytes, sender: HubConnection | None) -> None:
         for link in self._links:
             if link is not sender and not link.closed:
                 link.deliver(records)

@@ -34,13 +34,13 @@ class HubPort:
         """Return the number of frames dropped for slow clients, plus the number of records without a valid frame."""
         return self._hub.dropped + self._unreadable
 
-    def readers(self) -> list[socket.socket]:
-        """See ``bus_ports.BusPort.readers``."""
-        return self._hub.readers()
+    def read_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.read_sockets``."""
+        return self._hub.read_sockets()
 
-    def writers(self) -> list[socket.socket]:
-        """See ``bus_ports.BusPort.writers``."""
-        return self._hub.writers()
+    def write_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.write_sockets``."""
+        return self._hub.write_sockets()
 
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """See ``bus_ports.BusPort.receive``."""
@@ -88,12 +88,12 @@ class JoinedPort:
         """Return the number of frames that the hub did not accept, plus the number of records without a valid frame."""
         return self._link.dropped + self._unreadable
 
-    def readers(self) -> list[socket.socket]:
-        """See ``bus_ports.BusPort.readers``."""
+    def read_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.read_sockets``."""
         return [self._link.socket]
 
-    def writers(self) -> list[socket.socket]:
-        """See ``bus_ports.BusPort.writers``."""
+    def write_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.write_sockets``."""
         return [self._link.socket] if self._link.unsent else []
 
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:

@@ -16,7 +16,7 @@ _CAN_FRAME_STRUCT = struct.Struct("=IB3x8s")
 """``struct can_frame``: identifier, length, 3 bytes of padding, 8 bytes of payload. Source: Linux ``can.h``."""
 _CANFD_FRAME_STRUCT = struct.Struct("=IBB2x64s")
 """``struct canfd_frame``: identifier, length, flags, 2 reserved bytes, 64 bytes of payload. Source: Linux ``can.h``."""
-_MAX_READ = 256
+_MAX_FRAMES_PER_READ = 256
 """Maximum number of frames of one read.
 
 The limit keeps a flooded bus from stopping the simulation.
@@ -61,12 +61,12 @@ class SocketCanPort:
             ) from error
         self._socket.setblocking(False)
 
-    def readers(self) -> list[socket.socket]:
-        """See ``bus_ports.BusPort.readers``."""
+    def read_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.read_sockets``."""
         return [self._socket]
 
-    def writers(self) -> list[socket.socket]:
-        """See ``bus_ports.BusPort.writers``."""
+    def write_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.write_sockets``."""
         return []
 
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
@@ -75,8 +75,8 @@ class SocketCanPort:
         if self._socket not in ready_sockets:
             return frames
         try:
-            while len(frames) < _MAX_READ:
-                frames.append(self._frame(self._socket.recv(_CANFD_FRAME_STRUCT.size)))
+            while len(frames) < _MAX_FRAMES_PER_READ:
+                frames.append(self._frame_from_bytes(self._socket.recv(_CANFD_FRAME_STRUCT.size)))
         except BlockingIOError:
             pass
         except OSError as error:
@@ -85,7 +85,7 @@ class SocketCanPort:
             self.lost += 1  # The interface is down. Reads succeed again once it is up.
         return frames
 
-    def _frame(self, raw: bytes) -> Frame:
+    def _frame_from_bytes(self, raw: bytes) -> Frame:
         # The number of bytes read tells the format of the frame: 16 bytes for classical CAN, 72
         # bytes for CAN FD.
         if len(raw) == _CAN_FRAME_STRUCT.size:

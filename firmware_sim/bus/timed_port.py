@@ -104,13 +104,13 @@ class TimedPort:
         """Return the fraction of the time since the port was opened in which frames occupied the wire."""
         return self.wire.load(0, max(1, self._now_ns() - self._start_ns))
 
-    def readers(self) -> list[socket.socket]:
-        """See ``bus_ports.BusPort.readers``."""
-        return self._hub.readers()
+    def read_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.read_sockets``."""
+        return self._hub.read_sockets()
 
-    def writers(self) -> list[socket.socket]:
-        """See ``bus_ports.BusPort.writers``."""
-        return self._hub.writers()
+    def write_sockets(self) -> list[socket.socket]:
+        """See ``bus_ports.BusPort.write_sockets``."""
+        return self._hub.write_sockets()
 
     def receive(self, ready_sockets: Collection[socket.socket]) -> list[Frame]:
         """Receive the frames that were the next to end on the wire, if any have ended by now.
@@ -161,7 +161,7 @@ class TimedPort:
         received = self._hub.poll(ready_sockets)
         for link in self._hub.links:
             if link not in self._clients:
-                self._clients[link] = self.wire.add(self._deliver(link))
+                self._clients[link] = self.wire.add(self._delivery_function(link))
                 self._queues[link] = 0, -1
                 self._latencies[link] = self._latency(len(self._latencies))
         for link, records in received:
@@ -180,7 +180,7 @@ class TimedPort:
             del self._queues[link], self._latencies[link]
         self._hub.drop_closed()
 
-    def _deliver(self, link: HubConnection) -> Callable[[Frame, int], None]:
+    def _delivery_function(self, link: HubConnection) -> Callable[[Frame, int], None]:
         """Return the function that passes frames from the wire to a client, with the delay of the client's adapter."""
 
         def deliver(frame: Frame, t_ns: int) -> None:

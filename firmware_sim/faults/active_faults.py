@@ -135,13 +135,13 @@ class ActiveFaults:
         for active in [active for active in self._waiting if active.fault.start_ns <= t_ns]:
             self._waiting.remove(active)
             self._acting.append((active, plant_faults.start_plant_fault(self._world, active)))
-            self._index()
+            self._index_faults_by_node()
         for active, undo in [
             (a, u) for a, u in self._acting if a.fault.start_ns + a.fault.duration_ns <= t_ns
         ]:
             undo()
             self._acting.remove((active, undo))
-            self._index()
+            self._index_faults_by_node()
         frames = [
             frame
             for bus, active in self._all_wire
@@ -153,7 +153,7 @@ class ActiveFaults:
             # Generated frames are sent at the ends of whole steps of the plant. A fault can start
             # within a step, so the completed part of this step is subtracted.
             self._turn_ns = t_ns - self._world.plant.part_ns + GENERATION_PERIOD_NS
-            frames += self._generated(t_ns)
+            frames += self._generated_frames(t_ns)
         return frames
 
     def due_ns(self) -> int:
@@ -168,7 +168,7 @@ class ActiveFaults:
                 due.append(self._turn_ns)
         return min(due, default=FOREVER_NS)
 
-    def _index(self) -> None:
+    def _index_faults_by_node(self) -> None:
         """Update the index of faults by node. A node may have another identifier after a reset."""
         self._world.refresh_identifiers()
         self.wire_faults_of = {}
@@ -229,7 +229,7 @@ class ActiveFaults:
         actives = self.wire_faults_of.get(id(node))
         return wire_faults.transmitted_frames(actives, frames, t_ns) if actives else frames
 
-    def _generated(self, t_ns: int) -> list[Frame]:
+    def _generated_frames(self, t_ns: int) -> list[Frame]:
         """Generate the frames of the acting faults: floods, unknown identifiers and commands of a second host."""
         frames = []
         for active, _ in self._acting:

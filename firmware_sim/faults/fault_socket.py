@@ -56,7 +56,7 @@ class FaultSocket:
             self._socket.close()
             raise SimulatorError(f"fault socket {path}: {error.strerror}") from error
 
-    def readers(self) -> list[socket.socket]:
+    def read_sockets(self) -> list[socket.socket]:
         """Return the sockets to poll for reading."""
         return [self._socket]
 
@@ -71,14 +71,16 @@ class FaultSocket:
                 request_bytes, client = self._socket.recvfrom(MAX_REQUEST_BYTES)
             except (BlockingIOError, ConnectionError):
                 return
-            answer = json.dumps(self._answer(request_bytes, pace)).encode()
+            answer = json.dumps(self._answer_request(request_bytes, pace)).encode()
             if client:
                 try:
                     self._socket.sendto(answer, client)
                 except OSError:
                     continue  # The client of this request has gone, or its queue is full.
 
-    def _answer(self, request_bytes: bytes, pace: "PaceCounter | None") -> dict[str, object]:
+    def _answer_request(
+        self, request_bytes: bytes, pace: "PaceCounter | None"
+    ) -> dict[str, object]:
         """Return the answer to one request."""
         try:
             request = json.loads(request_bytes)

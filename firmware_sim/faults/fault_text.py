@@ -162,8 +162,8 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
         if not equals or not value or key in given:
             raise SimulatorError(f"fault {text!r}: {pair!r} is not a new KEY=VALUE")
         given[key] = value
-    component = _component(text, kind, given)
-    instance = _instance(
+    component = _target_component(text, kind, given)
+    instance = _target_instance(
         text, instances_of_component(component, hand, kind), component, given.pop(component), hand
     )
     fault = Fault(
@@ -184,7 +184,7 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
         seed=int(_number_from_text(text, "seed", given.pop("seed", "0"), 0, 1e9)),
         hz=_number_from_text(text, "hz", given.pop("hz", "25"), 0.0, 1e4),
         text=text,
-        other=_other(text, kind, instance, given, hand),
+        other=_second_motor(text, kind, instance, given, hand),
     )
     if given:
         raise SimulatorError(
@@ -193,7 +193,7 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
     return fault
 
 
-def _component(text: str, kind: str, options: dict[str, str]) -> str:
+def _target_component(text: str, kind: str, options: dict[str, str]) -> str:
     """Return the type of the fault's target component."""
     components = [
         key
@@ -217,13 +217,15 @@ def _component(text: str, kind: str, options: dict[str, str]) -> str:
     return components[0]
 
 
-def _other(text: str, kind: str, first_motor: str, options: dict[str, str], hand: Hand) -> str:
+def _second_motor(
+    text: str, kind: str, first_motor: str, options: dict[str, str], hand: Hand
+) -> str:
     """Return the second motor of a fault that acts on two motors, otherwise an empty string."""
     if kind not in TWO_MOTOR_KINDS:
         return ""
     if "with" not in options:
         raise SimulatorError(f"fault {text!r}: {kind} needs with=NAME, the other motor")
-    other = _instance(
+    other = _target_instance(
         text,
         instances_of_component(NODE_TARGET, hand, kind),
         NODE_TARGET,
@@ -257,7 +259,7 @@ def instances_of_component(component: str, hand: Hand, kind: str = "") -> list[s
     }[component]
 
 
-def _instance(text: str, names: list[str], component: str, name: str, hand: Hand) -> str:
+def _target_instance(text: str, names: list[str], component: str, name: str, hand: Hand) -> str:
     """Return the name of a component. A motor may also be given by its node number."""
     if component in (NODE_TARGET, ENCODER_TARGET):
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}

@@ -65,12 +65,12 @@ from firmware_sim.nodes.sensor_node import (
 from firmware_sim.plant.drivetrain import encoded, tensions
 from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 
-FRAME_NS = 135_000
+FRAME_DURATION_NS = 135_000
 """Maximum duration of a classical frame of 8 bytes at 1 Mbit/s [ns].
 
 Answers have this spacing. Source: VCAN.
 """
-FD_FRAME_NS = 57_000
+FD_FRAME_DURATION_NS = 57_000
 """Maximum duration of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
 NEXT_FRAME, ANSWERS, IN_ORDER, SENT, WAKE_NS = range(5)
 """Indices into the array ``progress``.
@@ -88,7 +88,7 @@ frames.
 """
 _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensor_node.TENSION_CODE
 _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET = sensor_node.JOINT_CODE
-_SPECIAL = 0xFFFFFFFFFFFFFF
+_SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
 """Seven bytes of FF as an integer. Special commands of MIT motors start with these bytes."""
 
 
@@ -119,7 +119,7 @@ def table_index(bus: int, can_id: int) -> int:
 
 
 @kernel_helper
-def _word(payload: Any) -> int:
+def _payload_as_integer(payload: Any) -> int:
     """Return eight bytes as an integer, the first byte highest.
 
     The sign of the integer has no meaning.
@@ -161,7 +161,7 @@ def _mit_needs_python(node: Any, rotor: Any, frame: Any, t_ns: int) -> bool:
     if frame.length != 8 or t_ns >= node.wake_ns or rotor.faulty != 0 or node.mode != MODE_MIT:
         return True
     # Only the first seven bytes are compared, without the code of the special command.
-    return _word(frame.data) >> 8 & _SPECIAL == _SPECIAL
+    return _payload_as_integer(frame.data) >> 8 & _SPECIAL_COMMAND_BITS == _SPECIAL_COMMAND_BITS
 
 
 @kernel_helper
@@ -169,7 +169,7 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
     """Apply a command to an MIT drive and write the drive's feedback."""
     node.watchdog_fed_ns = t_ns
     if node.state == ENABLED_STATE:
-        apply_command(node, rotor.servo_row, _word(frame.data))
+        apply_command(node, rotor.servo_row, _payload_as_integer(frame.data))
     temperatures = node.temperatures
     word = feedback_word(
         node, rotor, encoded(rotor.theta), temperatures.mosfet, temperatures.winding
@@ -373,12 +373,14 @@ def _stamp_in_sequence(
     """
     busy_ns = np.zeros(buses, np.int64)
     for i in range(len(frames)):
-        busy_ns[frames[i].bus] += FD_FRAME_NS if frames[i].flags & FDF else FRAME_NS
+        busy_ns[frames[i].bus] += (
+            FD_FRAME_DURATION_NS if frames[i].flags & FDF else FRAME_DURATION_NS
+        )
     in_order = True
     before_ns = t_ns
     for i in range(count):
         answer = answers[i]
-        busy_ns[answer.bus] += FD_FRAME_NS if answer.flags & FDF else FRAME_NS
+        busy_ns[answer.bus] += FD_FRAME_DURATION_NS if answer.flags & FDF else FRAME_DURATION_NS
         at_ns = t_ns + min(busy_ns[answer.bus], last_ns)
         in_order = in_order and at_ns >= before_ns
         answer.t_ns = before_ns = at_ns
@@ -570,7 +572,7 @@ COUNT_DTYPE = np.dtype(np.int64)
 RECEIVER_DTYPE = np.dtype(Receiver)
 MIT_DTYPE = np.dtype(MitStruct)
 ODRIVE_DTYPE = np.dtype(OdriveStruct)
-CIA402S = np.dtype(Cia402Struct)
+CIA402_DTYPE = np.dtype(Cia402Struct)
 SENSOR_DTYPE = np.dtype(SensorStruct)
 TENDON_DTYPE = np.dtype(TendonStruct)
 ROTOR_DTYPE = np.dtype(RotorStruct)
@@ -592,7 +594,7 @@ def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, max_answ
         frames, answers, rows_at(at[0], at[1], COUNT_DTYPE), t_ns, last_ns, rows_at(at[2], at[3], COUNT_DTYPE),
         max_answers,
         rows_at(at[4], at[5], RECEIVER_DTYPE), rows_at(at[6], at[7], MIT_DTYPE), rows_at(at[8], at[9], ODRIVE_DTYPE),
-        rows_at(at[10], at[11], CIA402S), rows_at(at[12], at[13], RECEIVER_DTYPE),
+        rows_at(at[10], at[11], CIA402_DTYPE), rows_at(at[12], at[13], RECEIVER_DTYPE),
         rows_at(at[14], at[15], SENSOR_DTYPE),
         rows_at(at[16], at[17], COUNT_DTYPE), rows_at(at[18], at[19], COUNT_DTYPE), rows_at(at[20], at[21], REAL_DTYPE),
         rows_at(at[22], at[23], REAL_DTYPE), rows_at(at[24], at[25], COUNT_DTYPE),

@@ -40,7 +40,7 @@ JOINT_ZERO_CODE = 2048
 """Joint code of the joint angle zero."""
 JOINT_OFFSET = 0x10
 """Identifier of the first joint frame minus the base identifier."""
-_MAX_CODE = 4095
+_MAX_CHANNEL_CODE = 4095
 """Largest 12-bit code."""
 _NEVER_NS = 1 << 62
 """Time of an event that will not happen [ns]."""
@@ -60,10 +60,10 @@ class SensorStruct(ctypes.Structure):
 
 
 @compiled("real", "real", "real", "count")
-def _code(value: float, low: float, step: float, offset: int) -> int:
+def _encode_value(value: float, low: float, step: float, offset: int) -> int:
     """Return the 12-bit code of a value. The codes 0 and 4095 mean that the value is saturated."""
     # In Python and in compiled code, round() rounds halves to even numbers.
-    return min(_MAX_CODE, max(0, round((value - low) / step) + offset))
+    return min(_MAX_CHANNEL_CODE, max(0, round((value - low) / step) + offset))
 
 
 @kernel_helper
@@ -73,7 +73,7 @@ def payload_size(channels: int) -> int:
 
 
 @compiled("count", "counts", "counts")
-def _pack(counter: int, codes: Any, words: Any) -> None:
+def _pack_codes(counter: int, codes: Any, words: Any) -> None:
     """Pack a counter (low four bits) and up to five codes into each word.
 
     Args:
@@ -92,7 +92,7 @@ def _pack(counter: int, codes: Any, words: Any) -> None:
 def encode(
     values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any
 ) -> None:
-    """Encode values and pack their codes. See ``_code`` and ``_pack``.
+    """Encode values and pack their codes. See ``_encode_value`` and ``_pack_codes``.
 
     Args:
         values: values of the channels, shape (channels,).
@@ -104,8 +104,8 @@ def encode(
         words: payloads as integers, written by the kernel.
     """
     for i in range(len(values)):
-        codes[i] = _code(values[i], low, step, offset)
-    _pack(counter, codes, words)
+        codes[i] = _encode_value(values[i], low, step, offset)
+    _pack_codes(counter, codes, words)
 
 
 @compiled("vector", "vector", "vector", "real", "real", "vector")
@@ -154,12 +154,12 @@ def tension_code(tension: float) -> int:
 
     The codes 0 and 4095 mean that the tension is saturated.
     """
-    return _code(tension, *TENSION_CODE)
+    return _encode_value(tension, *TENSION_CODE)
 
 
 def joint_code(angle: float) -> int:
     """Return the 12-bit code of a joint angle [rad]."""
-    return _code(angle, *JOINT_CODE)
+    return _encode_value(angle, *JOINT_CODE)
 
 
 class PayloadEncoder:
@@ -179,17 +179,17 @@ class PayloadEncoder:
     def of_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
         """Pack a counter (low four bits) and codes into payloads of up to five codes, as short as possible."""
         self._codes[:] = codes
-        _pack(counter, self._codes, self._words)
-        return self._cut()
+        _pack_codes(counter, self._codes, self._words)
+        return self._payload_bytes()
 
     def of_values(
         self, counter: int, values: Any, low: float, step: float, offset: int
     ) -> list[bytes]:
         """Encode values and pack the codes into payloads. See ``encode``."""
         encode(values, low, step, offset, counter, self._codes, self._words)
-        return self._cut()
+        return self._payload_bytes()
 
-    def _cut(self) -> list[bytes]:
+    def _payload_bytes(self) -> list[bytes]:
         """Convert the payloads from integers to bytes, without unused bytes."""
         raw = self._words.astype("<i8", copy=False).tobytes()
         return [raw[8 * g : 8 * g + size] for g, size in enumerate(self._sizes)]
@@ -273,7 +273,9 @@ class SensorNode:
             return []
         spec, counter, (cells, encoders) = self._spec, frame.data[0], self._payloads
         payloads = [
-            *enumerate(cells.of_values(counter, self._sample(t_ns), *TENSION_CODE), spec.base_id)
+            *enumerate(
+                cells.of_values(counter, self._sample_load_cells(t_ns), *TENSION_CODE), spec.base_id
+            )
         ]
         if has_joints(self, len(spec.joints), counter):
             readings = _with_faults(
@@ -284,16 +286,16 @@ class SensorNode:
                 encoders.of_values(counter, readings, *JOINT_CODE), spec.base_id + JOINT_OFFSET
             )
         sent = [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
-        return self._audible(sent) if self.suppressed else sent
+        return self._without_suppressed_frames(sent) if self.suppressed else sent
 
-    def _audible(self, frames: list[Frame]) -> list[Frame]:
+    def _without_suppressed_frames(self, frames: list[Frame]) -> list[Frame]:
         """Return the frames that no fault suppresses."""
         for frame in frames:
             if frame.can_id in self.suppressed:
                 self.suppressed[frame.can_id]()
         return [frame for frame in frames if frame.can_id not in self.suppressed]
 
-    def _sample(self, t_ns: int) -> Any:
+    def _sample_load_cells(self, t_ns: int) -> Any:
         """Sample the load cells and return their readings [N]."""
         drift = drift_since(self, t_ns)
         normal = self.noise.take(2 * len(self.bias))

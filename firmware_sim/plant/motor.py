@@ -74,9 +74,9 @@ class Motor:
             step_s: time step of the plant [s].
         """
         self.servo_row = Servo()
-        self._describe(spec, step_s)
+        self._set_parameters(spec, step_s)
 
-    def _describe(self, spec: MotorSpec, step_s: float) -> None:
+    def _set_parameters(self, spec: MotorSpec, step_s: float) -> None:
         """Set the parameters of the motor, and its state at rest."""
         self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
         self.inertia = spec.inertia
@@ -155,6 +155,6 @@ def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], 
     memory = (MotorRow * len(specs))()
     motors: list[Motor] = list(memory)
     for number, (motor, spec) in enumerate(zip(motors, specs, strict=True)):
-        motor._describe(spec, step_s)
+        motor._set_parameters(spec, step_s)
         motor.number = number
     return motors, array_of(memory, RotorStruct)

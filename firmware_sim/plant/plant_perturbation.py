@@ -55,10 +55,10 @@ def perturbed_hand(hand: Hand, factors: dict[str, float]) -> Hand:
     try:
         return replace(
             hand,
-            digits=[_digit(digit, f) for digit in hand.digits],
-            tendons=[_tendon(tendon, f) for tendon in hand.tendons],
-            motors=[_motor(motor, f) for motor in hand.motors],
-            sensors=_sensors(hand.sensors, f["noise"], factors.get("bias", 0.0))
+            digits=[_perturbed_digit(digit, f) for digit in hand.digits],
+            tendons=[_perturbed_tendon(tendon, f) for tendon in hand.tendons],
+            motors=[_perturbed_motor(motor, f) for motor in hand.motors],
+            sensors=_perturbed_sensors(hand.sensors, f["noise"], factors.get("bias", 0.0))
             if hand.sensors
             else None,
         )
@@ -70,7 +70,7 @@ def _scaled_values(values: tuple[float, ...], factor: float) -> tuple[float, ...
     return tuple(value * factor for value in values)
 
 
-def _digit(digit: Digit, f: dict[str, float]) -> Digit:
+def _perturbed_digit(digit: Digit, f: dict[str, float]) -> Digit:
     return replace(
         digit,
         mass=_scaled_values(digit.mass, f["mass"]),
@@ -80,7 +80,7 @@ def _digit(digit: Digit, f: dict[str, float]) -> Digit:
     )
 
 
-def _tendon(tendon: TendonSpec, f: dict[str, float]) -> TendonSpec:
+def _perturbed_tendon(tendon: TendonSpec, f: dict[str, float]) -> TendonSpec:
     return replace(
         tendon,
         arms={joint: arm * f["moment_arm"] for joint, arm in tendon.arms.items()},
@@ -94,7 +94,7 @@ def _tendon(tendon: TendonSpec, f: dict[str, float]) -> TendonSpec:
     )
 
 
-def _motor(motor: MotorSpec, f: dict[str, float]) -> MotorSpec:
+def _perturbed_motor(motor: MotorSpec, f: dict[str, float]) -> MotorSpec:
     return replace(
         motor,
         inertia=motor.inertia * f["motor_inertia"],
@@ -104,7 +104,7 @@ def _motor(motor: MotorSpec, f: dict[str, float]) -> MotorSpec:
     )
 
 
-def _sensors(sensors: SensorSpec, noise: float, bias: float) -> SensorSpec:
+def _perturbed_sensors(sensors: SensorSpec, noise: float, bias: float) -> SensorSpec:
     return replace(
         sensors,
         tension_noise=sensors.tension_noise * noise,

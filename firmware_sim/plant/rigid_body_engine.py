@@ -98,18 +98,18 @@ class RigidBodyEngine:
 
         The values there have the opposite sign. See ``forces_on``.
         """
-        return [self._sensor(f"{sensor_kind}/{digit}") for digit in digits]
+        return [self._sensor_index(f"{sensor_kind}/{digit}") for digit in digits]
 
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
         """Build a function that returns the sum of the normal forces between each digit and the object [N]."""
-        first = [self._sensor(f"normal/{digit}") for digit in digits]
+        first = [self._sensor_index(f"normal/{digit}") for digit in digits]
         index = np.array(
             [[address + 3 * contact for contact in range(MAX_CONTACTS)] for address in first]
         )
         data = self._data.sensordata
         return lambda: np.abs(data[index]).sum(axis=1).tolist()  # type: ignore[no-any-return,unused-ignore]
 
-    def _sensor(self, name: str) -> int:
+    def _sensor_index(self, name: str) -> int:
         """Return the index in ``sensed`` of a sensor's first value."""
         return int(self._model.sensor_adr[self._model.sensor(name).id])
 

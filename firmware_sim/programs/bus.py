@@ -37,7 +37,7 @@ def run(words: list[str]) -> None:
         while running:
             wait_ns = max(0, port.due_ns - now_ns())
             ready, _, _ = select.select(
-                port.readers(), port.writers(), [], min(_POLL_S, wait_ns * 1e-9)
+                port.read_sockets(), port.write_sockets(), [], min(_POLL_S, wait_ns * 1e-9)
             )
             while port.receive(ready):
                 ready = []

@@ -157,7 +157,7 @@ class SimulatedDriveBench:
         return unsolicited
 
 
-def _parser() -> CommandParser:
+def _argument_parser() -> CommandParser:
     parser = CommandParser(
         prog="python -m firmware_sim drive",
         description="Simulate drives with free shafts, as delivered.",
@@ -199,7 +199,7 @@ def _parser() -> CommandParser:
     return parser
 
 
-def _behaviour(args: argparse.Namespace) -> dict[str, object]:
+def _behaviour_options(args: argparse.Namespace) -> dict[str, object]:
     """Return the command-line options that change how the drives behave.
 
     Raises:
@@ -220,13 +220,13 @@ def _behaviour(args: argparse.Namespace) -> dict[str, object]:
     return {name.removeprefix("--").replace("-", "_"): value for name, value in behaviour.items()}
 
 
-def _specs(args: argparse.Namespace) -> list[MotorSpec]:
+def _drive_specs(args: argparse.Namespace) -> list[MotorSpec]:
     """Build the descriptions of the requested drives.
 
     Raises:
         SimulatorError: an argument is not valid for a drive.
     """
-    options = _behaviour(args)
+    options = _behaviour_options(args)
     if args.fd and (args.protocol != "mit" or MIT_TYPES.get(args.motor_type) == "cubemars"):
         raise SimulatorError("--fd: only for drive mit with Damiao motors")
     if args.motor_type and args.protocol not in (*MIT_TYPES.values(), "robstride"):
@@ -254,8 +254,8 @@ def run(words: list[str]) -> None:
     Raises:
         SimulatorError: the simulator does not support the arguments.
     """
-    args = _parser().parse_args(words)
-    specs = _specs(args)
+    args = _argument_parser().parse_args(words)
+    specs = _drive_specs(args)
     clock = SharedClock(args.time_scale)
     bench = SimulatedDriveBench(specs, clock.now_ns(), args.broken)
     port = open_port(args.bus, 0, timed_port_maker(args.wire, [DEFAULT_BITRATES], clock.now_ns))

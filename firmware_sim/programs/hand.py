@@ -25,16 +25,16 @@ from firmware_sim.socket_paths import clock_path, faults_path, truth_path
 from firmware_sim.truth_file import TruthWriter
 from firmware_sim.wire.wire_options import WIRE_OPTION_KEYS as WIRE_KEYS
 
-_KEYS = "\n".join(f"  {key:16}{text}" for key, text in PERTURBATION_KEYS.items())
-_WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
+_PERTURBATION_KEYS_HELP = "\n".join(f"  {key:16}{text}" for key, text in PERTURBATION_KEYS.items())
+_WIRE_KEYS_HELP = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
 _LOG_SUFFIX = ".mcap"
 """Suffix of log files, which the simulator never overwrites."""
-_EPILOG = f"""
+_HELP_EPILOG = f"""
 factors for --perturb:
-{_KEYS}
+{_PERTURBATION_KEYS_HELP}
 
 values for --wire, and what holds without them:
-{_WIRE_KEYS}
+{_WIRE_KEYS_HELP}
 
 examples:
   python -m firmware_sim --hand jamia --bus local:demo --scene cylinder
@@ -45,11 +45,11 @@ examples:
 """
 
 
-def _parser() -> argparse.ArgumentParser:
+def _argument_parser() -> argparse.ArgumentParser:
     parser = CommandParser(
         prog="python -m firmware_sim",
         description="Simulate a hand on a CAN bus: drives, load cells, tendons, fingers and an object.",
-        epilog=_EPILOG,
+        epilog=_HELP_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
@@ -83,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _factors(words: list[str]) -> dict[str, float]:
+def _perturbation_factors(words: list[str]) -> dict[str, float]:
     """Parse the KEY=FACTOR words of ``--perturb``."""
     factors: dict[str, float] = {}
     for word in words:
@@ -107,11 +107,11 @@ def run(words: list[str]) -> None:
     Raises:
         SimulatorError: the simulator does not support the arguments.
     """
-    args = _parser().parse_args(words)
+    args = _argument_parser().parse_args(words)
     check_time_scale(args.time_scale)
     if args.truth and args.truth.suffix == _LOG_SUFFIX and args.truth.exists():
         raise SimulatorError(f"--truth {args.truth}: is a log; expected another name")
-    factors = _factors(args.perturb)
+    factors = _perturbation_factors(args.perturb)
     hand = perturbed_hand(load_hand(args.hand), factors)
     scene = load_scene(args.scene)
     hand = with_serial_numbers(hand, args.serial)
@@ -144,7 +144,7 @@ def run(words: list[str]) -> None:
             ready_line = (
                 json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
             )
-            _serve(
+            _serve_hand(
                 BusServer(world, ports, clock, faults, RealTimePriority()),
                 world,
                 path,
@@ -157,7 +157,7 @@ def run(words: list[str]) -> None:
             port.close()
 
 
-def _serve(
+def _serve_hand(
     server: BusServer, world: SimulatedWorld, path: Path, header: dict[str, Any], ready_line: str
 ) -> None:
     """Serve a simulated hand and record its truth file."""

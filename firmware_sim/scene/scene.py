@@ -71,7 +71,7 @@ class GrowingLoad:
     start: float
     rate: float
 
-    def at(self, time: float) -> float:
+    def force_at(self, time: float) -> float:
         """Return the force [N] at a time after power-up [s]."""
         return max(0.0, self.rate * (time - self.start))
 
@@ -111,14 +111,14 @@ def load_scene(text: str | None) -> Scene:
     if text is None:
         return Scene("none")
     if text.endswith(".toml"):
-        return _read(Path(text), text)
+        return _read_scene(Path(text), text)
     name, _, diameter = text.partition(":")
     if name not in packaged_scenes():
         packaged_names = ", ".join(packaged_scenes())
         raise SimulatorError(
             f"no such scene: {text}; expected {packaged_names}, NAME:MILLIMETRES or a .toml file"
         )
-    scene = _read(importlib.resources.files("firmware_sim") / "scenes" / f"{name}.toml", name)
+    scene = _read_scene(importlib.resources.files("firmware_sim") / "scenes" / f"{name}.toml", name)
     return _resized_scene(scene, diameter, text) if diameter else scene
 
 
@@ -142,15 +142,15 @@ def _resized_scene(scene: Scene, millimetres: str, text: str) -> Scene:
     )
 
 
-def _read(path: Any, where: str) -> Scene:
+def _read_scene(path: Any, where: str) -> Scene:
     """Read a scene file and check that its parts fit together."""
     try:
         if not path.is_file():
             raise ValueError("no such file")
         raw = tomllib.loads(path.read_text("utf-8"))
-        grasp_object = _grasp_object(raw.get("object"))
-        support = _support(raw.get("support"))
-        load = _load(raw.get("load"))
+        grasp_object = _parse_object(raw.get("object"))
+        support = _parse_support(raw.get("support"))
+        load = _parse_load(raw.get("load"))
         scene = Scene(
             raw["name"],
             grasp_object,
@@ -177,7 +177,7 @@ def _read(path: Any, where: str) -> Scene:
     return scene
 
 
-def _grasp_object(section: dict[str, Any] | None) -> GraspObject | None:
+def _parse_object(section: dict[str, Any] | None) -> GraspObject | None:
     """Build the object from its table in the scene file."""
     if section is None:
         return None
@@ -206,7 +206,7 @@ def _grasp_object(section: dict[str, Any] | None) -> GraspObject | None:
     return GraspObject(shape, size, float(section["mass_kg"]), friction, position)
 
 
-def _support(section: dict[str, Any] | None) -> SinkingTable | None:
+def _parse_support(section: dict[str, Any] | None) -> SinkingTable | None:
     """Build the support from its table in the scene file."""
     if section is None:
         return None
@@ -218,7 +218,7 @@ def _support(section: dict[str, Any] | None) -> SinkingTable | None:
     return SinkingTable(**{keys[key]: value for key, value in section.items()})
 
 
-def _load(section: dict[str, Any] | None) -> GrowingLoad | None:
+def _parse_load(section: dict[str, Any] | None) -> GrowingLoad | None:
     """Build the load from its table in the scene file. The direction is normalised."""
     if section is None:
         return None

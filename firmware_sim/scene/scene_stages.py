@@ -46,13 +46,13 @@ def read_stage(section: dict[str, Any]) -> SceneStage:
     """
     if unknown := section.keys() - STAGE_KEYS:
         raise ValueError(f"stage.{sorted(unknown)[0]}: expected {', '.join(sorted(STAGE_KEYS))}")
-    down = _vector(section["down"], "stage.down") if "down" in section else None
+    down = _parse_vector(section["down"], "stage.down") if "down" in section else None
     if down is not None:
         length = math.hypot(*down)
         if not length > 0.0:
             raise ValueError("stage.down: expected a direction, not zero")
         down = (down[0] / length, down[1] / length, down[2] / length)
-    push = _vector(section.get("push_N", (0.0, 0.0, 0.0)), "stage.push_N")
+    push = _parse_vector(section.get("push_N", (0.0, 0.0, 0.0)), "stage.push_N")
     times = [float(section.get(key, 0.0)) for key in ("turn_s", "last_s", "push_at_s", "push_s")]
     if not all(0.0 <= time <= 3600.0 for time in times) or times[0] + times[1] <= 0.0:
         raise ValueError("stage: expected times from 0 to 3600 s, and last_s above 0")
@@ -62,7 +62,7 @@ def read_stage(section: dict[str, Any]) -> SceneStage:
     return SceneStage(down, times[0], times[1], push, times[2], times[3], friction)
 
 
-def _vector(raw_vector: Any, where: str) -> Vector:
+def _parse_vector(raw_vector: Any, where: str) -> Vector:
     values = tuple(float(value) for value in raw_vector)
     if len(values) != 3 or not all(map(math.isfinite, values)):
         raise ValueError(f"{where}: expected three finite numbers")
@@ -104,7 +104,7 @@ class StageSequence:
         self._gravity = gravity
         self.duration = sum(stage.turn + stage.duration for stage in stages)
 
-    def at(self, time: float) -> StageState:
+    def state_at(self, time: float) -> StageState:
         """Return the state at a time since the table started to sink [s].
 
         After the last stage, its final state remains.

@@ -18,15 +18,15 @@ from collections.abc import Callable
 from firmware_sim.bus.frame import ERROR, Frame
 from firmware_sim.wire.frame_bits import arbitration_number
 
-WARNING_AT = 96
+WARNING_ERROR_COUNT = 96
 """Value of an error counter at which the state becomes WARNING."""
-PASSIVE_AT = 128
+PASSIVE_ERROR_COUNT = 128
 """Value of an error counter at which the state becomes PASSIVE."""
-BUS_OFF_AT = 256
+BUS_OFF_ERROR_COUNT = 256
 """Value of the transmit error counter at which the controller leaves the bus."""
-TX_ERROR_STEP = 8
+TX_ERROR_INCREMENT = 8
 """Increase of the transmit error counter at a transmit error."""
-COUNTER_MAX = 255
+MAX_REPORTED_ERROR_COUNT = 255
 """Largest value of an error counter in an error frame."""
 
 CAN_ERR_CRTL = 0x04
@@ -123,7 +123,7 @@ class CanController:
             self.queue.append((t_ns, arbitration_number(frame.can_id), frame))
             return True
         self.refused += 1
-        self._report(CAN_ERR_CRTL, t_ns, {1: TX_OVERFLOW})
+        self._send_error_frame(CAN_ERR_CRTL, t_ns, {1: TX_OVERFLOW})
         return False
 
     def ready_ns(self) -> int:
@@ -142,15 +142,15 @@ class CanController:
         self._last_error = 0
         if self.tx_errors:
             self.tx_errors -= 1
-            self._update(t_ns)
+            self._update_error_state(t_ns)
 
     def deliver(self, frame: Frame, t_ns: int) -> None:
         """Count a frame of another controller as received, and pass it to the owner."""
         if self.rx_errors:
             # According to ISO 11898-1, a received frame lowers the counter of a passive receiver to
             # below the passive level, and any other counter by one.
-            self.rx_errors = min(self.rx_errors, PASSIVE_AT) - 1
-            self._update(t_ns)
+            self.rx_errors = min(self.rx_errors, PASSIVE_ERROR_COUNT) - 1
+            self._update_error_state(t_ns)
         if self.on_receive:
             self.on_receive(frame, t_ns)
 
@@ -161,37 +161,37 @@ class CanController:
         thus never goes off the bus.
         """
         if self.state < ErrorState.PASSIVE:
-            self.tx_errors += TX_ERROR_STEP
+            self.tx_errors += TX_ERROR_INCREMENT
         self._count_error(CAN_ERR_ACK, t_ns)
 
     def count_destroyed(self, t_ns: int) -> None:
         """Count a transmit error, because the first frame in the queue was destroyed on the wire."""
-        self.tx_errors += TX_ERROR_STEP
+        self.tx_errors += TX_ERROR_INCREMENT
         self._count_error(CAN_ERR_PROT | CAN_ERR_BUSERROR, t_ns)
 
     def count_error_seen(self, t_ns: int) -> None:
         """Count a receive error, because a frame of another controller was destroyed on the wire."""
-        self.rx_errors = min(COUNTER_MAX, self.rx_errors + 1)
-        self._update(t_ns)
+        self.rx_errors = min(MAX_REPORTED_ERROR_COUNT, self.rx_errors + 1)
+        self._update_error_state(t_ns)
 
     def restart(self, t_ns: int) -> None:
         """Restart the controller after bus-off, with all counters at zero."""
         self.tx_errors = self.rx_errors = 0
         self.state = ErrorState.ACTIVE
         self._last_error = 0
-        self._report(CAN_ERR_RESTARTED, t_ns)
+        self._send_error_frame(CAN_ERR_RESTARTED, t_ns)
 
     def _count_error(self, kind: int, t_ns: int) -> None:
         """Update the error state after a transmit error.
 
         Repeated errors of one kind are reported only once, until a frame is sent successfully.
         """
-        changed = self._update(t_ns, kind)
+        changed = self._update_error_state(t_ns, kind)
         if kind != self._last_error and not changed:
-            self._report(kind, t_ns)
+            self._send_error_frame(kind, t_ns)
         self._last_error = kind
 
-    def _update(self, t_ns: int, kind: int = 0) -> bool:
+    def _update_error_state(self, t_ns: int, kind: int = 0) -> bool:
         """Update the error state from the counters. Report a change to the owner.
 
         Args:
@@ -203,30 +203,32 @@ class CanController:
         """
         before = self.state
         highest = max(self.tx_errors, self.rx_errors)
-        if self.tx_errors >= BUS_OFF_AT:
+        if self.tx_errors >= BUS_OFF_ERROR_COUNT:
             self.state = ErrorState.BUS_OFF
             self.queue.clear()
-            self._report(CAN_ERR_BUSOFF | kind, t_ns)
+            self._send_error_frame(CAN_ERR_BUSOFF | kind, t_ns)
         else:
             # The states are ordered so that the sum of these two comparisons is the number of the
             # state.
-            self.state = ErrorState((highest >= WARNING_AT) + (highest >= PASSIVE_AT))
+            self.state = ErrorState(
+                (highest >= WARNING_ERROR_COUNT) + (highest >= PASSIVE_ERROR_COUNT)
+            )
             if self.state != before:
-                self._report(CAN_ERR_CRTL | kind, t_ns, {1: self._status()})
+                self._send_error_frame(CAN_ERR_CRTL | kind, t_ns, {1: self._status_bits()})
         return self.state != before
 
-    def _status(self) -> int:
+    def _status_bits(self) -> int:
         """Return the bits of data[1] in an error frame for the present state."""
         if self.state == ErrorState.ACTIVE:
             return ERROR_ACTIVE
         limit, receive, send = (
-            (WARNING_AT, RX_WARNING, TX_WARNING)
+            (WARNING_ERROR_COUNT, RX_WARNING, TX_WARNING)
             if self.state == ErrorState.WARNING
-            else (PASSIVE_AT, RX_PASSIVE, TX_PASSIVE)
+            else (PASSIVE_ERROR_COUNT, RX_PASSIVE, TX_PASSIVE)
         )
         return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)
 
-    def _report(self, kind: int, t_ns: int, extra: dict[int, int] | None = None) -> None:
+    def _send_error_frame(self, kind: int, t_ns: int, extra: dict[int, int] | None = None) -> None:
         """Send an error frame to the owner.
 
         Args:
@@ -241,6 +243,6 @@ class CanController:
             data[i] = value
         if kind & CAN_ERR_ACK:
             data[3] = LOC_ACK
-        data[6] = min(COUNTER_MAX, self.tx_errors)
+        data[6] = min(MAX_REPORTED_ERROR_COUNT, self.tx_errors)
         data[7] = self.rx_errors
         self.on_receive(Frame(ERROR | CAN_ERR_CNT | kind, bytes(data)), t_ns)

@@ -51,7 +51,7 @@ class BitRates:
         content = bytes(frame.data) if self.actual else bytes(len(frame.data))
         # If the actual stuff bits do not count, content of zeros makes the cache key depend only on
         # the length.
-        slow, fast = _bits(frame.can_id, content, frame.flags & (FDF | BRS), self.actual)
+        slow, fast = _frame_bits(frame.can_id, content, frame.flags & (FDF | BRS), self.actual)
         return round(slow * 1e9 / self.nominal + fast * 1e9 / (self.data or self.nominal))
 
 
@@ -73,28 +73,36 @@ def arbitration_number(can_id: int) -> int:
 
 
 @lru_cache(maxsize=1 << 12)
-def _bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
+def _frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
     """Count the bits of a frame at the nominal and at the fast bit rate."""
-    return _fd(can_id, data, flags, actual) if flags & FDF else _classical(can_id, data, actual)
+    return (
+        _fd_frame_bits(can_id, data, flags, actual)
+        if flags & FDF
+        else _classical_frame_bits(can_id, data, actual)
+    )
 
 
-def _classical(can_id: int, data: bytes, actual: bool) -> tuple[int, int]:
+def _classical_frame_bits(can_id: int, data: bytes, actual: bool) -> tuple[int, int]:
     """Count the bits of a classical frame. All bits have the nominal bit rate."""
-    body = _identifier(can_id) + ("00" if can_id & EXTENDED else "0") + format(len(data), "04b")
+    body = (
+        _identifier_bits(can_id) + ("00" if can_id & EXTENDED else "0") + format(len(data), "04b")
+    )
     body += "" if can_id & REMOTE else "".join(format(byte, "08b") for byte in data)
     exposed = body + _crc15(body)
-    return len(exposed) + (_stuff(exposed) if actual else (len(exposed) - 1) // 4) + TAIL_BITS, 0
+    return len(exposed) + (
+        _stuff_bit_count(exposed) if actual else (len(exposed) - 1) // 4
+    ) + TAIL_BITS, 0
 
 
-def _fd(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
+def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
     """Count the bits of an FD frame at the nominal and at the fast bit rate."""
     size = next(length for length in FD_LENGTHS if length >= len(data))
     fast_bits = bool(flags & BRS)
-    head = _identifier(can_id) + "10" + ("1" if fast_bits else "0")  # FDF, reserved, BRS
+    head = _identifier_bits(can_id) + "10" + ("1" if fast_bits else "0")  # FDF, reserved, BRS
     body = "0" + format(FD_LENGTHS.index(size), "04b")  # ESI, DLC
     body += "".join(format(byte, "08b") for byte in data.ljust(size, b"\0"))
-    in_head = _stuff(head) if actual else (len(head) - 1) // 4
-    in_all = _stuff(head + body) if actual else (len(head) + len(body) - 1) // 4
+    in_head = _stuff_bit_count(head) if actual else (len(head) - 1) // 4
+    in_all = _stuff_bit_count(head + body) if actual else (len(head) + len(body) - 1) // 4
     # The CRC has 17 bits up to 16 bytes of payload, and 21 bits above. Stuff count and CRC have one
     # fixed stuff bit before every four bits.
     check = 4 + (17 if size <= 16 else 21)
@@ -103,7 +111,7 @@ def _fd(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int, int]:
     return (slow, fast) if fast_bits else (slow + fast, 0)
 
 
-def _identifier(can_id: int) -> str:
+def _identifier_bits(can_id: int) -> str:
     """Return the bits from start of frame to IDE, or to the RTR bit of a 29-bit identifier."""
     remote = "1" if can_id & REMOTE else "0"
     if can_id & EXTENDED:
@@ -117,7 +125,7 @@ def _identifier(can_id: int) -> str:
     return "0" + format(can_id & 0x7FF, "011b") + remote + "0"
 
 
-def _stuff(bits: str) -> int:
+def _stuff_bit_count(bits: str) -> int:
     """Count the stuff bits of a bit string.
 
     After five equal bits, the opposite bit is inserted and counts from there on.

@@ -126,9 +126,9 @@ class SimulatedWire:
         elif min(end, restart) > t_ns:
             return False
         elif end <= restart:
-            self._finish(end)
+            self._finish_frame(end)
             return True
-        self._restart(restart)
+        self._restart_controllers(restart)
         return True
 
     def advance(self, t_ns: int) -> None:
@@ -160,7 +160,7 @@ class SimulatedWire:
         # are destroyed.
         identical = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
         self._acknowledged = self._has_receiver()
-        self._intact = identical and self._acknowledged and not self._disturbed()
+        self._intact = identical and self._acknowledged and not self._is_next_frame_disturbed()
         span = max(map(self.rate.frame_ns, frames))
         if not self._intact:
             # An error flag replaces the end of the frame. The flag is longer if several controllers
@@ -178,14 +178,14 @@ class SimulatedWire:
                 return True
         return False
 
-    def _disturbed(self) -> bool:
+    def _is_next_frame_disturbed(self) -> bool:
         """Decide whether the next frame is destroyed, by request or at random."""
         if self.disturbed:
             self.disturbed -= 1
             return True
         return self.options.error_rate > 0.0 and self._rng.random() < self.options.error_rate
 
-    def _finish(self, t_ns: int) -> None:
+    def _finish_frame(self, t_ns: int) -> None:
         """End the frame on the wire: deliver the frame, or keep the frame in the queue for a retry."""
         senders = self._senders
         self._senders = []
@@ -194,18 +194,18 @@ class SimulatedWire:
         if not senders:
             return
         if self._intact:
-            self._deliver(senders, t_ns)
+            self._deliver_frame(senders, t_ns)
         else:
-            self._destroy(senders, t_ns)
+            self._destroy_frame(senders, t_ns)
 
-    def _deliver(self, senders: list[CanController], t_ns: int) -> None:
+    def _deliver_frame(self, senders: list[CanController], t_ns: int) -> None:
         """Deliver the frame of the senders to all other controllers."""
         self.frames += 1
         can_id, data, flags, bus, _ = senders[0].queue[0][2]
         frame = Frame(can_id, data, flags, bus, t_ns)
         for controller in senders:
             controller.count_sent(t_ns)
-            self._suspend(controller, t_ns)
+            self._suspend_sender(controller, t_ns)
         for controller in self._controllers:
             if (
                 (controller.on_receive or controller.rx_errors)
@@ -214,7 +214,7 @@ class SimulatedWire:
             ):
                 controller.deliver(frame, t_ns)
 
-    def _destroy(self, senders: list[CanController], t_ns: int) -> None:
+    def _destroy_frame(self, senders: list[CanController], t_ns: int) -> None:
         """Count the error of a destroyed frame in all controllers.
 
         Senders keep the frame for a retry.
@@ -227,17 +227,17 @@ class SimulatedWire:
             (controller.count_destroyed if self._acknowledged else controller.count_unacknowledged)(
                 t_ns
             )
-            self._suspend(controller, t_ns)
+            self._suspend_sender(controller, t_ns)
             if not controller.on_bus and self.options.restart_ms >= 0.0:
                 wait_ns = round(self.options.restart_ms * 1e6) + self.rate.bits_ns(RECOVERY_BITS)
                 self._restarts.append((t_ns + wait_ns, controller))
 
-    def _suspend(self, controller: CanController, t_ns: int) -> None:
+    def _suspend_sender(self, controller: CanController, t_ns: int) -> None:
         """Delay the next frame of an error-passive sender."""
         if controller.state == ErrorState.PASSIVE:
             controller.retry_ns = t_ns + self.rate.bits_ns(SUSPEND_BITS)
 
-    def _restart(self, t_ns: int) -> None:
+    def _restart_controllers(self, t_ns: int) -> None:
         """Restart the controllers whose restart delay after bus-off has passed."""
         due = [controller for at, controller in self._restarts if at <= t_ns]
         self._restarts = [(at, controller) for at, controller in self._restarts if at > t_ns]

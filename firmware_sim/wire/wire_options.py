@@ -91,25 +91,25 @@ def _updated_spec(spec: WireSpec, word: str) -> WireSpec:
         return replace(spec, adapter=text)
     if key == "error_rate":
         return replace(
-            spec, options=replace(spec.options, error_rate=_number(word, text, 0.0, 1.0))
+            spec, options=replace(spec.options, error_rate=_number_in_range(word, text, 0.0, 1.0))
         )
     if key == "restart_ms":
         return replace(
-            spec, options=replace(spec.options, restart_ms=_number(word, text, 0.0, 1e6))
+            spec, options=replace(spec.options, restart_ms=_number_in_range(word, text, 0.0, 1e6))
         )
     if key == "queue":
         return replace(
-            spec, options=replace(spec.options, queue=int(_number(word, text, 1, 100_000)))
+            spec, options=replace(spec.options, queue=int(_number_in_range(word, text, 1, 100_000)))
         )
     if key == "seed":
         return replace(
-            spec, options=replace(spec.options, seed=int(_number(word, text, 0, 1 << 32)))
+            spec, options=replace(spec.options, seed=int(_number_in_range(word, text, 0, 1 << 32)))
         )
-    rate = int(_number(word, text, 1_000, _MAX_BITRATE))
+    rate = int(_number_in_range(word, text, 1_000, _MAX_BITRATE))
     return replace(spec, bitrate=rate) if key == "bitrate" else replace(spec, data_bitrate=rate)
 
 
-def _number(word: str, text: str, low: float, high: float) -> float:
+def _number_in_range(word: str, text: str, low: float, high: float) -> float:
     """Parse a number that must lie in a range."""
     try:
         value = float(text)

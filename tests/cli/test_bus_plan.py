@@ -43,7 +43,7 @@ def test_every_bus_of_a_split_fits(rate: float) -> None:
     buses = split_motors_over_buses(hand, rate)
     assert sorted(name for names in buses for name in names) == sorted(drives)
     for names in buses:
-        frames = [(size, fd, 1.0) for name in names for size, fd in drives[name].exchange]
+        frames = [(size, fd, 1.0) for name in names for size, fd in drives[name].frames_per_tick]
         assert rate * bus_time_s(frames, 1e6) <= MAX_BUS_LOAD
 
 

@@ -160,7 +160,7 @@ def test_links_in_any_frames_have_the_dynamics_of_pinocchio(place: Path) -> None
     Path("full.toml").write_text(
         text_with_all_values(import_description("--urdf", TRIPOD, *ANSWERS))
     )
-    tree = HandTree.of(load_hand("full.toml"))
+    tree = HandTree.from_hand(load_hand("full.toml"))
     model = pinocchio.buildModelFromUrdf(str(TRIPOD))
     data = model.createData()
     # The first finger of the description flexes towards negative angles.

@@ -33,7 +33,7 @@ FILE = '[[tendon]]\nname = "index_tendon"\nmotion_force_N = 5.0\n'
 @pytest.fixture(scope="module")
 def jamia() -> HandModel:
     """Return the model of the hand jamia with the default gains."""
-    return HandModel.of(load_hand("jamia"), Gains(), 500.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 500.0)
 
 
 def own_force(force: float) -> Gains:

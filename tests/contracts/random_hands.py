@@ -172,11 +172,11 @@ class RandomHand:
             hand, Gains(), RATE_HZ, LiveProgram(), None, arm_at_once=True
         )
         self.protocol = hand.motor[0].protocol
-        self.state: State = self.controller.initial()
+        self.state: State = self.controller.initial_state()
         self.state.decide(progress=replace(self.state.progress, phase="live"))
         self.period_ns = round(1e9 / RATE_HZ)
         for n, drive in enumerate(self.controller.drives):
-            self.controller.keep(self.state, n, _enabled(drive, self.protocol))
+            self.controller.store_drive_state(self.state, n, _enabled(drive, self.protocol))
         self.state.mode = Mode.ACTIVE
         self.position, self.tension = np.zeros(tendons), np.zeros(tendons)
         self.speed = self.random.normal(0.0, 2.0, tendons)
@@ -200,9 +200,9 @@ class RandomHand:
                 Quantity.TORQUE: float(random.normal(0.1, 0.05)), Quantity.STATUS: _status(drive, self.protocol),
                 Quantity.TEMPERATURE: float(random.integers(20, 90)),
             }  # fmt: skip
-            messages += [(one, drive.bus, given) for one in drive.cyclic.feedback]
+            messages += [(one, drive.bus, given) for one in drive.cyclic_messages.feedback]
         sensors = self.controller.sensors
-        counter = self.state.whole(s.SYNC_COUNTER) & 0xF
+        counter = self.state.run_integer(s.SYNC_COUNTER) & 0xF
         for message in sensors.messages:
             late = random.random() < CORRUPT_FRACTION
             given = {
@@ -296,7 +296,7 @@ def _status(drive: Any, protocol: str) -> int:
 
 def _enabled(drive: Any, protocol: str) -> DriveState:
     """Return the state of a drive that is configured and obeys commands."""
-    state: DriveState = drive.initial()
+    state: DriveState = drive.initial_state()
     private: Any = state.private
     if protocol != "odrive":
         private = private._replace(enable_sent=True, check=readback.first_recheck(drive.node_id, 0))

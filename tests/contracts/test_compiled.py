@@ -44,7 +44,7 @@ def hash_of_execution(log: Path) -> str:
     digest = hashlib.blake2b(digest_size=16)
     with RunLog(log) as run, np.errstate(all="ignore"):
         controller = rebuild_controller(run)
-        state = controller.initial()
+        state = controller.initial_state()
         for one in run.ticks():
             state, out = controller.tick(state, one.tick_in)
             digest.update(out.state_hash)

@@ -138,8 +138,8 @@ def controller(model: HandModel, program: Program, arm: bool = True) -> Controll
     hand, n = model.hand, model.tendon_count
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
-    drives = tuple(MitDrive.of(motor, buses.index(motor.bus)) for motor in motors)
-    sensors = SensorNode.of(hand.sensor_node, 0, hand.tendon_names, hand.joints)
+    drives = tuple(MitDrive.from_motor(motor, buses.index(motor.bus)) for motor in motors)
+    sensors = SensorNode.from_description(hand.sensor_node, 0, hand.tendon_names, hand.joints)
     return Controller(model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arm)
 
 
@@ -161,7 +161,7 @@ class Bench:
     history: list[tuple[State, TickIn, TickOut]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.state, self.k, self.waiting = self.controller.initial(), 0, list[Frame]()
+        self.state, self.k, self.waiting = self.controller.initial_state(), 0, list[Frame]()
         self.period_ns = round(self.controller.model.period * 1e9)
 
     def tick(

@@ -16,13 +16,13 @@ DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
 @pytest.fixture(scope="session")
 def jamia() -> HandModel:
     """Return the model of ``jamia``, a hand with one tendon per digit, at its default rate."""
-    return HandModel.of(load_hand("jamia"), Gains(), DEFAULT_RATES["jamia"])
+    return HandModel.from_hand(load_hand("jamia"), Gains(), DEFAULT_RATES["jamia"])
 
 
 @pytest.fixture(scope="session")
 def jamia11() -> HandModel:
     """Return the model of ``jamia11``, which has a tendon and an encoder at each joint, at its default rate."""
-    return HandModel.of(load_hand("jamia11"), Gains(), DEFAULT_RATES["jamia11"])
+    return HandModel.from_hand(load_hand("jamia11"), Gains(), DEFAULT_RATES["jamia11"])
 
 
 @pytest.fixture(params=["jamia", "jamia11"])
@@ -35,7 +35,7 @@ def model(request: pytest.FixtureRequest) -> HandModel:
 @pytest.fixture(scope="module")
 def active() -> Bench:
     """Return a bench whose hand is active and holds a tension."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(1.0)
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 5}')

@@ -88,10 +88,10 @@ def write_filter_state(state: State, filtered: FilterState) -> None:
     for name, row in ROWS.items():
         state.view(row)[...] = getattr(filtered, name)
     state.view("kind")[...] = state.view("regime") + 3 * (filtered.wary > 0.0)
-    state.set_whole(s.COVARIANCE_PROPAGATED, filtered.covariance is not None)
+    state.set_run_integer(s.COVARIANCE_PROPAGATED, filtered.covariance is not None)
     if filtered.covariance is not None:
         state.view("covariance")[...] = filtered.covariance.reshape(-1, STATE_COUNT**2).T
-    state.set_whole(s.FILTER_STARTED, filtered.started)
+    state.set_run_integer(s.FILTER_STARTED, filtered.started)
 
 
 def filter_state_of(state: State) -> FilterState:
@@ -104,7 +104,7 @@ def filter_state_of(state: State) -> FilterState:
         for name, row in ROWS.items()
     }
     carried = None
-    if state.whole(s.COVARIANCE_PROPAGATED):
+    if state.run_integer(s.COVARIANCE_PROPAGATED):
         carried = state.view("covariance").T.reshape(-1, STATE_COUNT, STATE_COUNT).copy()
     x = state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT].T.copy().ravel()
     return FilterState(x, **found, covariance=carried, started=state.started)
@@ -145,7 +145,7 @@ def tick(
     run.view("planned_contact")[...] = contact
     if friction_state is not None:
         run.view("friction_state")[...] = friction_state
-    run.set_whole(s.MISSED_TICKS, missed)
+    run.set_run_integer(s.MISSED_TICKS, missed)
     tick_stages.correct_estimate(run.block, run.layout.places, *constants(model))
     if run.started:
         predict_filter_states(model, run.layout, run.block, missed)

@@ -110,14 +110,14 @@ def step(
         state.view(name)[...] = getattr(law, name)
     if law.trim is not None:
         state.view("trim")[...] = law.trim
-        state.set_whole(s.TRIMMED, 1)
+        state.set_run_integer(s.TRIMMED, 1)
     if law.friction_state is not None:
         state.view("friction_state")[...] = law.friction_state
     if most is not None:
         state.view("temperature")[...] = warm(model, most)
     if held is not None:
         state.view("limit_held")[...] = held
-        state.set_whole(s.HOLDING, 1)
+        state.set_run_integer(s.HOLDING, 1)
     run_control_law(model, state, goals, t, Action.PASS if held is None else Action.HOLD)
     return law_state_of(state), command_of(state)
 
@@ -127,8 +127,8 @@ def law_state_of(state: State) -> LawState:
     kept = {
         name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")
     }
-    trim = state.view("trim").copy() if state.whole(s.TRIMMED) else None
-    held = state.view("limit_held").copy() if state.whole(s.HOLDING) else None
+    trim = state.view("trim").copy() if state.run_integer(s.TRIMMED) else None
+    held = state.view("limit_held").copy() if state.run_integer(s.HOLDING) else None
     return LawState(**kept, trim=trim, held=held)
 
 

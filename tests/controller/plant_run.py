@@ -21,7 +21,7 @@ GONE_M = 0.05
 @cache
 def model_of(hand: str) -> HandModel:
     """Return the model of a packaged hand. Its gains are designed once for all calls."""
-    return HandModel.of(load_hand(hand), Gains(), RATE_HZ)
+    return HandModel.from_hand(load_hand(hand), Gains(), RATE_HZ)
 
 
 @dataclass

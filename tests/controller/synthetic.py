@@ -50,29 +50,32 @@ class Estimate(NamedTuple):
     """Estimate of the present state of a hand, under the names of ``handctl.core.hand_estimate.Estimate``."""
 
     tension: np.ndarray
-    sigma: np.ndarray
+    tension_sigma: np.ndarray
     travel: np.ndarray
-    speed: np.ndarray
+    tendon_speed: np.ndarray
     excursion: np.ndarray
-    rate: np.ndarray
-    disturbance: np.ndarray
-    external: np.ndarray
-    offset: np.ndarray
+    excursion_rate: np.ndarray
+    motor_disturbance: np.ndarray
+    external_tension: np.ndarray
+    stretch_offset: np.ndarray
     cell_error: np.ndarray
     innovation: np.ndarray
     nis: np.ndarray
-    slack: np.ndarray
+    is_slack: np.ndarray
     q: np.ndarray
     dq: np.ndarray
     q_sigma: np.ndarray
     contact_force: np.ndarray
     grip_opening: np.ndarray
-    grip: np.ndarray
+    grip_travel: np.ndarray
 
 
-FIELDS = {"rate": "excursion_rate", "offset": "stretch_offset", "contact_force": "grown"}
+FIELDS = {
+    "tension_sigma": "sigma", "tendon_speed": "speed", "motor_disturbance": "disturbance",
+    "external_tension": "external", "contact_force": "grown",
+}  # fmt: skip
 """Field of the state block for each attribute of an estimate that is named differently there."""
-DERIVED = ("slack", "grip_opening", "grip")
+DERIVED = ("is_slack", "grip_opening", "grip_travel")
 
 
 @functools.cache
@@ -83,9 +86,9 @@ def controller_of(model: HandModel) -> Controller:
 
 @functools.cache
 def _blank(model: HandModel) -> State:
-    state = controller_of(model).initial()
+    state = controller_of(model).initial_state()
     state.mode = Mode.ACTIVE
-    state.set_whole(s.FILTER_STARTED, 1)
+    state.set_run_integer(s.FILTER_STARTED, 1)
     for name in ("regime", "kind", "kind_before", "stopped"):
         state.view(name)[...] = 0
     return state
@@ -123,7 +126,7 @@ def state_with_estimate(model: HandModel, estimate: Estimate) -> State:
     for name, value in estimate._asdict().items():
         if name not in DERIVED:
             state.view(FIELDS.get(name, name))[...] = value
-    state.view("regime")[estimate.slack] = SLACK
+    state.view("regime")[estimate.is_slack] = SLACK
     return state
 
 
@@ -206,24 +209,24 @@ def exact_estimate(model: HandModel, x: np.ndarray) -> Estimate:
     nothing = np.zeros(n)
     return Estimate(
         tension=np.maximum(tension, 0.0),
-        sigma=nothing,
+        tension_sigma=nothing,
         travel=x[:, X].copy(),
-        speed=x[:, V].copy(),
+        tendon_speed=x[:, V].copy(),
         excursion=x[:, S].copy(),
-        rate=x[:, W].copy(),
-        disturbance=nothing,
-        external=nothing,
-        offset=nothing,
+        excursion_rate=x[:, W].copy(),
+        motor_disturbance=nothing,
+        external_tension=nothing,
+        stretch_offset=nothing,
         cell_error=nothing,
         innovation=nothing,
         nis=nothing,
-        slack=np.zeros(n, dtype=bool),
+        is_slack=np.zeros(n, dtype=bool),
         q=q,
         dq=dq,
         q_sigma=np.full(len(q), np.nan),
         contact_force=np.zeros(len(model.digits)),
         grip_opening=nothing,
-        grip=nothing,
+        grip_travel=nothing,
     )
 
 
@@ -248,7 +251,7 @@ def estimate_under_tension(
 def slack(model: HandModel) -> Estimate:
     """Return the estimate of a hand whose tendons are all slack."""
     return estimate_under_tension(model, 0.0)._replace(
-        slack=np.ones(model.tendon_count, dtype=bool)
+        is_slack=np.ones(model.tendon_count, dtype=bool)
     )
 
 
@@ -269,8 +272,10 @@ def detect_contacts(model: HandModel, state: State, estimate: Estimate) -> Estim
     for name, value in estimate._asdict().items():
         if name not in (*DERIVED, "grown"):
             state.view(FIELDS.get(name, name))[...] = value
-    state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.slack, SLACK, 0)
-    borne = estimate.tension - model.space.damping * (estimate.speed - estimate.rate)
+    state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.is_slack, SLACK, 0)
+    borne = estimate.tension - model.space.damping * (
+        estimate.tendon_speed - estimate.excursion_rate
+    )
     state.view("stretch_offset")[...] = (
         estimate.travel - estimate.excursion - borne / model.space.stiffness
     )
@@ -279,5 +284,5 @@ def detect_contacts(model: HandModel, state: State, estimate: Estimate) -> Estim
     return estimate._replace(
         contact_force=seen.contact_force.copy(),
         grip_opening=seen.grip_opening,
-        grip=seen.grip.copy(),
+        grip_travel=seen.grip_travel.copy(),
     )

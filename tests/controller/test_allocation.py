@@ -31,7 +31,7 @@ def arms_of(case: str) -> np.ndarray:
     if case == "N + 1":
         return EXTENSOR
     hand, digit = DIGITS[case]
-    return DigitModel.of(hand, digit).reduced_moment_arms
+    return DigitModel.from_hand(hand, digit).reduced_moment_arms
 
 
 CASES = [*DIGITS, "N + 1"]

@@ -19,7 +19,7 @@ from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.hand.readiness import reasons_not_ready
 from handctl.programs.calibration import Calibration
-from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
+from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.program import Program
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
@@ -80,7 +80,7 @@ def two_n() -> Hand:
 @cache
 def model() -> HandModel:
     """Return the model of the hand at the control rate of these tests."""
-    return HandModel.of(n_plus_1(), Gains(), RATE_HZ)
+    return HandModel.from_hand(n_plus_1(), Gains(), RATE_HZ)
 
 
 def moves(*angles: tuple[float, float]) -> Task:
@@ -108,7 +108,7 @@ def ticks_of(
     run = SimulatedRun.of(controller, peer)
     run.k = first
     run.record = False
-    run.state.set_whole(s.K, first - 1)
+    run.state.set_run_integer(s.K, first - 1)
     return run, (None for _ in run.ticks(first / RATE_HZ + 120.0))
 
 
@@ -141,7 +141,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
             run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00"
         )
         for row in calibration.tendon.values():
-            assert row.answer_N == pytest.approx(PULL_N, abs=0.8)
+            assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
         # The motor encoder reads its offset where the tendon is just taut and the digit open. An
         # error of 0.1 mm is one degree of a finger.
         offset = [peer.world.encoder_offset[name] for name in hand.motor_names]

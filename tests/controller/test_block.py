@@ -55,11 +55,11 @@ def names_of(of: list[BlockField]) -> list[str]:
 def small_schema() -> tuple[BlockSchema, dict[str, int]]:
     """Return a schema of three tables, and the lengths of its axes."""
     schema = BlockSchema("tendon", "joint*tendon", "run", "tendon_int")
-    schema.real("tension", "tendon", "N", "of a tendon", initial=2.5)
-    schema.real("past", "tendon", "N", "the last ones", rows=3)
-    schema.real("arms", "joint*tendon", "m", "moment arms")
-    schema.real("t", "run", "s", "time")
-    schema.whole("regime", "tendon", "", "of a tendon", initial=-1)
+    schema.real_field("tension", "tendon", "N", "of a tendon", initial=2.5)
+    schema.real_field("past", "tendon", "N", "the last ones", rows=3)
+    schema.real_field("arms", "joint*tendon", "m", "moment arms")
+    schema.real_field("t", "run", "s", "time")
+    schema.integer_field("regime", "tendon", "", "of a tendon", initial=-1)
     return schema, {"tendon": 4, "joint": 2, "run": 1}
 
 
@@ -78,7 +78,7 @@ def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
 def test_new_field_needs_one_line() -> None:
     """A new field gets the next row of its table. The existing fields of the table keep their names and shapes."""
     (before, axes), (after, _) = small_schema(), small_schema()
-    row = after.real("speed", "tendon", "m/s", "of a tendon", initial=7.0)
+    row = after.real_field("speed", "tendon", "m/s", "of a tendon", initial=7.0)
     old, new = before.layout(axes), after.layout(axes)
     assert row == before.rows("tendon") == after.rows("tendon") - 1
     assert new.size == old.size + axes["tendon"]
@@ -232,7 +232,9 @@ def random_hand(seed: int) -> HandModel:
     raw["sensor_node"] = node | {
         key: [name for name in node[key] if own(name)] for key in ("tendons", "joints")
     }
-    return HandModel.of(hand_from_content(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0)
+    return HandModel.from_hand(
+        hand_from_content(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0
+    )
 
 
 VARIED = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
@@ -288,7 +290,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
     model = (
         random_hand(hand)
         if isinstance(hand, int)
-        else HandModel.of(load_hand(hand), Gains(), 200.0)
+        else HandModel.from_hand(load_hand(hand), Gains(), 200.0)
     )
     found, values = packed_constants(model, monkeypatch)
     assert values.keys() == set(names_of(HAND.fields)), "every field is packed"
@@ -468,7 +470,7 @@ def test_everything_that_is_known_of_a_drive_changes_the_digest(active: Bench, n
     for n, drive in enumerate(state.drives):
         for value in other_values(getattr(drive, name)):
             changed = state.copy()
-            active.controller.keep(changed, n, drive._replace(**{name: value}))
+            active.controller.store_drive_state(changed, n, drive._replace(**{name: value}))
             digest = changed.digest()
             assert digest not in seen, (n, value)
             seen.add(digest)

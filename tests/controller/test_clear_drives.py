@@ -19,7 +19,7 @@ CLEAR = '{"do": "clear"}'
 @pytest.fixture
 def hand_after_crash() -> Bench:
     """Return a bench whose hand was armed when its previous controller died."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     for motor in run.peer.motors:
         motor.nibble = COMMUNICATION_LOST
     return run

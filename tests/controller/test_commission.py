@@ -18,7 +18,7 @@ from handctl.programs.calibration import Calibration, load_calibration
 from handctl.programs.commission import (
     MAX_CROSSTALK_FRACTION,
     PULL_FORCE_LIMIT_N,
-    PULL_N,
+    PULL_TENSION_N,
     CommissionProgram,
     calibration_of_result,
 )
@@ -34,12 +34,12 @@ def jamia() -> HandModel:
 
     The low rate makes the tests fast, and all times are in seconds.
     """
-    return HandModel.of(load_hand("jamia"), Gains(), 50.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 50.0)
 
 
 @pytest.fixture(scope="module")
 def jamia11() -> HandModel:
-    return HandModel.of(load_hand("jamia11"), Gains(), 50.0)
+    return HandModel.from_hand(load_hand("jamia11"), Gains(), 50.0)
 
 
 BIAS_N, JUST_TAUT_M = 0.7, 1.2e-3
@@ -50,7 +50,7 @@ Cells = Callable[[int], np.ndarray]
 
 
 def good(model: HandModel) -> Cells:
-    return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_N, 0.0)
+    return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_TENSION_N, 0.0)
 
 
 def run_commissioning(
@@ -69,7 +69,7 @@ def run_commissioning(
     The zero of each load cell drifts as a random walk of ``drift`` [N] rms in 100 s.
     """
     rng, program = np.random.default_rng(seed), CommissionProgram()
-    progress, n = program.initial(model), model.tendon_count
+    progress, n = program.initial_progress(model), model.tendon_count
     walked, step = np.zeros(n), drift * np.sqrt(model.period / 100.0)
     for k in range(round(60.0 / model.period)):
         walked += step * rng.normal(size=n) if drift else 0.0
@@ -83,7 +83,7 @@ def run_commissioning(
             measured = empty_readings(model)
         estimate = slack(model)
         if pulled and i != never and k * model.period - progress.since > 0.2:
-            estimate = estimate_under_tension(model, PULL_N)
+            estimate = estimate_under_tension(model, PULL_TENSION_N)
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
         if pulled and not progress.finished and progress.phase.startswith("pull"):
             pulls = [d for d, goal in enumerate(progress.goals) if goal.kind != GoalKind.LIMP]
@@ -93,7 +93,9 @@ def run_commissioning(
             goal = progress.goals[pulls[0]]
             assert goal.force_limit == PULL_FORCE_LIMIT_N
             assert goal.tension is not None
-            assert goal.tension.sum() == goal.tension.max() == PULL_N, "one tendon at a time"
+            assert goal.tension.sum() == goal.tension.max() == PULL_TENSION_N, (
+                "one tendon at a time"
+            )
         if progress.finished:
             return progress
     raise AssertionError("commissioning does not end")
@@ -107,7 +109,7 @@ def test_tares_and_zeros_are_found(model: HandModel, loss: float) -> None:
     np.testing.assert_allclose(found.tare(model.hand), BIAS_N, atol=0.15)
     np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, JUST_TAUT_M, atol=5e-6)
     for row in found.tendon.values():
-        assert row.answer_N == pytest.approx(PULL_N, abs=0.25)
+        assert row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.25)
         assert row.crosstalk_N < 0.3, "noise is no crosstalk"
     assert (found.hand, found.identity) == (model.hand.name, model.hand.identity)
 
@@ -136,7 +138,7 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
     def cells(i: int) -> np.ndarray:
         tension = good(model)(i)
         if i == 1:
-            tension[0] = 0.5 * PULL_N
+            tension[0] = 0.5 * PULL_TENSION_N
         return tension
 
     progress = run_commissioning(model, cells)
@@ -146,7 +148,9 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
 
 @pytest.fixture(scope="module")
 def fifteen() -> HandModel:
-    return HandModel.of(hand_from_content(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0)
+    return HandModel.from_hand(
+        hand_from_content(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -160,8 +164,8 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(
     progress = run_commissioning(fifteen, good(fifteen), drift=2.0, seed=seed)
     assert not progress.failure
     found = calibration_of_result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
-    assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_N
-    assert [row.answer_N for row in found.values()] == pytest.approx([PULL_N] * 15, abs=1.0)
+    assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_TENSION_N
+    assert [row.answer_N for row in found.values()] == pytest.approx([PULL_TENSION_N] * 15, abs=1.0)
 
 
 def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
@@ -190,7 +194,7 @@ def test_each_tare_is_measured_just_before_its_pull(jamia: HandModel) -> None:
 def test_crosstalk_is_found_while_load_cells_drift(fifteen: HandModel) -> None:
     def cells(i: int) -> np.ndarray:
         tension = good(fifteen)(i)
-        tension[2] += 0.6 * PULL_N * (i == 9)
+        tension[2] += 0.6 * PULL_TENSION_N * (i == 9)
         return tension
 
     progress = run_commissioning(fifteen, cells, drift=1.0)
@@ -207,7 +211,7 @@ def test_tension_that_friction_holds_after_a_pull_is_no_crosstalk(jamia: HandMod
 
     def cells(i: int) -> np.ndarray:
         held[:] = np.maximum(
-            held - 2.0 * jamia.period, PULL_N * (np.arange(jamia.tendon_count) == i)
+            held - 2.0 * jamia.period, PULL_TENSION_N * (np.arange(jamia.tendon_count) == i)
         )
         return held.copy()
 
@@ -221,7 +225,9 @@ def test_a_load_cell_that_falls_below_its_tare_in_another_pull_is_refused(jamia:
     """The tension of a relaxing tendon cannot fall by more than the last pull has left in it."""
 
     def cells(i: int) -> np.ndarray:
-        return good(jamia)(i) - 0.5 * PULL_N * (i == 2) * (np.arange(jamia.tendon_count) == 0)
+        return good(jamia)(i) - 0.5 * PULL_TENSION_N * (i == 2) * (
+            np.arange(jamia.tendon_count) == 0
+        )
 
     progress = run_commissioning(jamia, cells)
     assert progress.failure.startswith(jamia.hand.tendon_names[2])
@@ -236,7 +242,7 @@ def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
 @pytest.fixture(scope="module")
 def faster() -> HandModel:
     """Return the model of ``jamia`` at a control rate at which its tension loop does not oscillate."""
-    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
@@ -297,7 +303,7 @@ def test_a_tare_too_near_to_an_end_of_the_range_is_refused(
 
 def program_after_tare(model: HandModel, cells: Cells) -> ProgramProgress:
     """Return the progress of the commissioning program just after its tare."""
-    program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
+    program, progress, k = CommissionProgram(), CommissionProgram().initial_progress(model), 0
     while progress.step == 0 and not progress.finished:
         measured = empty_readings(model)._replace(tension=cells(-1) + BIAS_N)
         progress, _ = program.advance(model, progress, slack(model), measured, k * model.period)

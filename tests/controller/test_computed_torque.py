@@ -65,7 +65,7 @@ def test_torque_is_within_its_limits_for_any_finite_input(
         **{name: data.draw(column) for name in names}
     )
     estimate = estimate._replace(
-        slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n)))
+        is_slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n)))
     )
     state = LawState(*(data.draw(column) for _ in range(5)))
     angle = st.floats(-0.5, 2.6)
@@ -148,12 +148,14 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
 def test_no_integral_while_the_tendon_is_slack(model: HandModel) -> None:
     law = LawState.initial(model.tendon_count)
     slack = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
-        slack=np.ones(model.tendon_count, dtype=bool)
+        is_slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(50):
         law, _ = step(model, law, slack, holding_goals(model, 20.0), k * model.period)
     assert not law.integral.any()
-    law, _ = step(model, law, slack._replace(slack=~slack.slack), holding_goals(model, 20.0), 0.0)
+    law, _ = step(
+        model, law, slack._replace(is_slack=~slack.is_slack), holding_goals(model, 20.0), 0.0
+    )
     assert (law.integral > 0).all()
 
 
@@ -161,7 +163,7 @@ def test_a_slack_tendon_is_wound_against_the_friction_of_its_motor(model: HandMo
     """Even with a soft tension loop, a commanded tension of 3 N makes a slack tendon taut."""
     law = LawState.idle(np.zeros(model.tendon_count))
     loose = exact_estimate(model, np.zeros((model.tendon_count, STATE_COUNT)))._replace(
-        slack=np.ones(model.tendon_count, dtype=bool)
+        is_slack=np.ones(model.tendon_count, dtype=bool)
     )
     for k in range(round(0.1 / model.period)):
         law, command = step(model, law, loose, holding_goals(model, 3.0), k * model.period)
@@ -272,7 +274,7 @@ def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
     )
     for k in range(round(1.2 / jamia.period)):
         plant.tick(goals, k)
-        wanted = goals[0].trajectory.at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
+        wanted = goals[0].trajectory.motion_at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
         worst = max(worst, float(np.abs(plant.angles() - wanted).max()))
         assert (plant.command.tension >= jamia.floor).all()
     assert math.degrees(worst) < 1.0

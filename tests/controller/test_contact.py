@@ -120,7 +120,7 @@ def closing_hand(
     state, unit = (
         active_state(model),
         exact_estimate(model, balanced_state(model, 0.3))._replace(
-            external=np.ones(model.tendon_count)
+            external_tension=np.ones(model.tendon_count)
         ),
     )
     state.view("closing")[...] = 1
@@ -130,7 +130,7 @@ def closing_hand(
         state.view(name)[...] = value
     state.view("closing")[closing:] = 0
     for _ in range(ticks):
-        detect_contacts(model, state, unit._replace(external=each[list(model.digit_of)]))
+        detect_contacts(model, state, unit._replace(external_tension=each[list(model.digit_of)]))
     return state
 
 

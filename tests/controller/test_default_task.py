@@ -34,7 +34,7 @@ def test_the_default_task_suits_every_hand_and_reads_back_from_text(
         assert isinstance(close.angle_deg, dict)
         assert isinstance(hold.tension_N, dict)
         angle = np.array(close.angle_deg[digit.name])
-        sideways = DigitModel.of(hand, digit.name).sideways_coordinates
+        sideways = DigitModel.from_hand(hand, digit.name).sideways_coordinates
         assert (sideways | ((angle > 0.5 * np.minimum(high, 120.0)) & (angle < high))).all()
         assert (angle[sideways] == 0.0).all()
         limits = [tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[digit.name]]]

@@ -133,14 +133,14 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         return after
 
     held = restrained(state, Action.HOLD, tension)
-    assert held.whole(s.HOLDING)
+    assert held.run_integer(s.HOLDING)
     assert held.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
     again = restrained(held, Action.HOLD, tension + 50.0)
     np.testing.assert_array_equal(again.view("limit_held"), held.view("limit_held"))
     assert (limit_of(controller.model, again) <= held.view("limit_held")).all()
     for action in (Action.PASS, Action.WARN, Action.RELAX):
-        assert not restrained(again, action, tension).whole(s.HOLDING)
-    assert not restrained(again, Action.HOLD, tension, Mode.RELAX).whole(s.HOLDING)
+        assert not restrained(again, action, tension).run_integer(s.HOLDING)
+    assert not restrained(again, Action.HOLD, tension, Mode.RELAX).run_integer(s.HOLDING)
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
@@ -152,7 +152,7 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     before, seen = warm_grasp.peer.truth()["tension"], []
     for _ in range(300):
         out = warm_grasp.tick()
-        seen.append((out.action, bool(warm_grasp.state.whole(s.HOLDING))))
+        seen.append((out.action, bool(warm_grasp.state.run_integer(s.HOLDING))))
         if out.mode != Mode.ACTIVE:
             break
     held = [kept for action, kept in seen if action == Action.HOLD]

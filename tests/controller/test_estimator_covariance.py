@@ -57,7 +57,7 @@ def plain_hand(name: str, rate_hz: float) -> HandModel:
     content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
     for tendon in content["tendon"]:
         tendon["friction_coefficient"] = 0.0
-    return HandModel.of(hand_from_content(content, "plain"), Gains(), rate_hz)
+    return HandModel.from_hand(hand_from_content(content, "plain"), Gains(), rate_hz)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def monte_carlo(
         inputs = np.column_stack((force, rate))
         truth = (F @ truth[..., None])[..., 0] + (B @ inputs[..., None])[..., 0] + noise
         error = estimate.tension - (tension_rows * truth).sum(axis=1)
-        rows.append((error, estimate.sigma, estimate.innovation, estimate.nis))
+        rows.append((error, estimate.tension_sigma, estimate.innovation, estimate.nis))
         regimes.add(state.regimes)
     kept = rows[ticks // 10 :]
     return Course(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
@@ -192,7 +192,7 @@ def test_the_covariance_is_updated_only_until_it_is_steady(model: HandModel) -> 
         state, estimate = step(model, state, measured, force, no_contact(model))
         if state.covariance is not None:
             assert k == 20 + len(sigma), "in one piece, from the first that is missing on"
-            sigma.append(estimate.sigma)
+            sigma.append(estimate.tension_sigma)
     steady = np.sqrt(parts(model, state.regimes, "tension_variance"))
     assert 5 < len(sigma) < 200
     assert sigma[4][0] > 1.01 * steady[0]

@@ -200,4 +200,4 @@ def test_occasional_positions_do_not_make_the_filter_oscillate(
     for _ in range(200):
         estimate = held.sample(TENSION)
     np.testing.assert_allclose(estimate.travel, held.travel, atol=1e-4)
-    np.testing.assert_allclose(estimate.speed, 0.0, atol=2e-3)
+    np.testing.assert_allclose(estimate.tendon_speed, 0.0, atol=2e-3)

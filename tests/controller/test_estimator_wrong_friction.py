@@ -97,7 +97,7 @@ def test_the_warning_uses_the_original_model_in_doubt(hand: str) -> None:
     assert after.nis == pytest.approx(after_doubt.nis)
     assert after.lately == pytest.approx(after_doubt.lately)
     assert (estimate_doubt.nis < estimate.nis).all()
-    assert (estimate_doubt.sigma > estimate.sigma).all()
+    assert (estimate_doubt.tension_sigma > estimate.tension_sigma).all()
     assert (estimate_doubt.tension > estimate.tension + 0.05).all(), "the load cell counts for more"
 
 
@@ -128,7 +128,7 @@ def averages_and_doubts(
 
 def test_a_slow_loop_does_not_adapt() -> None:
     lately, wary = np.full(4, 2.0), np.zeros(4)
-    model = HandModel.of(load_hand("jamia"), Gains(), 100.0)
+    model = HandModel.from_hand(load_hand("jamia"), Gains(), 100.0)
     for _ in range(300):
         lately, wary = averages_and_doubts(model, lately, wary, np.full(4, 50.0))
     assert not wary.any()

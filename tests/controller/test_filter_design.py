@@ -200,8 +200,8 @@ def test_transitions_of_many_regimes_use_bounded_memory(jamia: HandModel) -> Non
 
 def test_asking_for_other_gains_gives_other_filters() -> None:
     hand = load_hand("jamia")
-    calm = HandModel.of(hand, Gains(), 500.0)
-    wild = HandModel.of(hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0)
+    calm = HandModel.from_hand(hand, Gains(), 500.0)
+    wild = HandModel.from_hand(hand, Gains(filter=FilterGains(free_rate_N_per_s=900.0)), 500.0)
     free = [m.filter.blocks[0][TendonRegime.FREE].tension_variance for m in (calm, wild)]
     assert free[1] > free[0], "who trusts the model less knows the tension less"
 

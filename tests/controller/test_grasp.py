@@ -74,7 +74,7 @@ class ProgramRun:
 
     def __init__(self, model: HandModel, task: dict[str, object] = TASK) -> None:
         self.model, self.program = model, TaskProgram(Task.model_validate_json(json.dumps(task)))
-        self.progress: ProgramProgress = self.program.initial(model)
+        self.progress: ProgramProgress = self.program.initial_progress(model)
         self.events: list[TickEvent] = []
         self.t, self.state = 0.0, active_state(model)
 
@@ -124,7 +124,7 @@ def hand_in_contact(
     force = np.zeros(model.tendon_count)
     for name, value in external.items():
         force[model.digit_tendons[model.hand.digit_names.index(name)]] = value
-    return estimate._replace(external=force)
+    return estimate._replace(external_tension=force)
 
 
 def test_phases_come_in_the_order_of_the_task_and_last_as_long(
@@ -154,7 +154,7 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(
 
 def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) -> None:
     loose = estimate_under_tension(model, 5.0)
-    loose.slack[1] = True
+    loose.is_slack[1] = True
     run = ProgramRun(model)
     while not run.progress.finished:
         run.tick(loose)
@@ -237,7 +237,9 @@ def tension_for_tip_force(model: HandModel, newtons: float) -> float:
     """Return the unexplained tension of each index tendon [N] that shows a force at the index tip [N]."""
     found = felt(
         model,
-        estimate_under_tension(model, 15.0, 0.5)._replace(external=np.ones(model.tendon_count)),
+        estimate_under_tension(model, 15.0, 0.5)._replace(
+            external_tension=np.ones(model.tendon_count)
+        ),
     )
     return newtons / float(found[model.hand.digit_names.index("index")])
 
@@ -286,7 +288,7 @@ def test_tip_force_estimate_equals_the_applied_force(model: HandModel) -> None:
     x = np.zeros((model.tendon_count, STATE_COUNT))
     x[:, S] = x[:, X] = model.hand.moment_arms @ q
     np.testing.assert_allclose(
-        felt(model, exact_estimate(model, x)._replace(external=balance)), forces
+        felt(model, exact_estimate(model, x)._replace(external_tension=balance)), forces
     )
 
 

@@ -89,11 +89,11 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(hand: Bench) -> 
     """
     known = hand_in_inventory(hand, INVENTORY_TIMEOUT_S + 0.1)
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
-    hand.controller.keep(unread, 1, blind)
-    unread.set_whole(s.FILTER_STARTED, 0)
+    hand.controller.store_drive_state(unread, 1, blind)
+    unread.set_run_integer(s.FILTER_STARTED, 0)
     assert decided(hand, unread) == (Mode.DONE, "no position from middle_motor")
     late = unread.copy()
-    hand.controller.keep(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
+    hand.controller.store_drive_state(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
     assert decided(hand, late) == (Mode.DONE, "middle_motor: not configured in time")
     unread.mode_since = 0.0
     assert decided(hand, unread)[0] == Mode.INVENTORY

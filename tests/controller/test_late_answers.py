@@ -17,7 +17,7 @@ from tests.controller.bench import Bench, bench
 
 def test_replies_that_a_busy_host_reads_late_are_no_second_node() -> None:
     """The host reads the replies of one tick two ticks later, together with replies of the following ticks."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(0.5)
     held: list[list[Frame]] = []
@@ -44,7 +44,7 @@ def test_late_replies_without_time_stamps_are_no_second_node() -> None:
 
     After a pause, the simulator replies to two ticks at once.
     """
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
     waiting: list[Frame] = []
 
@@ -85,7 +85,7 @@ def test_replies_after_a_pause_longer_than_the_reply_limit_are_no_second_node(be
 
 def active_on_a_bus_without_stamps() -> Bench:
     """Return a bench whose hand is active. Its frames get their time stamps only when the host reads them."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 500.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.to_host = lambda frames: stamped(run, frames)
     run.run(0.5)

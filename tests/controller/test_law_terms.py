@@ -68,7 +68,9 @@ def test_the_planned_acceleration_is_fed_forward(
     other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
     acceleration = np.zeros(model.tendon_count)
     for digit, tendons, goal in zip(model.digits, model.digit_tendons, way, strict=True):
-        acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(EVALUATED_S)[2]
+        acceleration[tendons] = (
+            digit.reduced_moment_arms @ goal.trajectory.motion_at(EVALUATED_S)[2]
+        )
     found = force(model, estimate, way) - force(other, estimate, way)
     assert (acceleration > 0.0).all()
     np.testing.assert_allclose(
@@ -78,7 +80,7 @@ def test_the_planned_acceleration_is_fed_forward(
 
 def test_the_disturbance_estimate_is_subtracted_in_a_hold(model: HandModel) -> None:
     estimate = estimate_under_tension(model, 20.0)
-    off = estimate._replace(disturbance=np.full(model.tendon_count, 0.5))
+    off = estimate._replace(motor_disturbance=np.full(model.tendon_count, 0.5))
     change = force(model, off, holding_goals(model, 20.0)) - force(
         model, estimate, holding_goals(model, 20.0)
     )
@@ -100,8 +102,8 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     ):
         state.view(name)[...] = 7.0
     state.view("tension")[...] = tension
-    state.set_whole(s.TRIMMED, 1)
-    state.set_whole(s.HOLDING, 1)
+    state.set_run_integer(s.TRIMMED, 1)
+    state.set_run_integer(s.HOLDING, 1)
     state.mode = Mode.READY
     tick_stages.compute_motor_torques(
         state.block, state.layout.places, *constants(model), 0.0, 0, 1
@@ -162,7 +164,7 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
     speed, acceleration = np.zeros((2, model.tendon_count))
     for digit, tendons, one in zip(model.digits, model.digit_tendons, ways, strict=True):
         speed[tendons], acceleration[tendons] = (
-            one.at(EVALUATED_S - since)[1:] @ digit.reduced_moment_arms.T
+            one.motion_at(EVALUATED_S - since)[1:] @ digit.reduced_moment_arms.T
         )
     needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
     needed += (model.motion.tension_speed + space.motor_damping) * speed
@@ -180,7 +182,7 @@ def test_a_slack_tendon_with_a_small_setpoint_still_gets_friction_compensation(
     model: HandModel,
 ) -> None:
     slack_estimate = slack(model)
-    taut_estimate = slack_estimate._replace(slack=np.zeros(model.tendon_count, dtype=bool))
+    taut_estimate = slack_estimate._replace(is_slack=np.zeros(model.tendon_count, dtype=bool))
     state = LawState.idle(np.full(model.tendon_count, 0.5))
     goals = holding_goals(model, 0.5)
     loose = step(model, state, slack_estimate, goals, EVALUATED_S)[1].torque

@@ -33,7 +33,7 @@ ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 @pytest.fixture(scope="module")
 def quick() -> HandModel:
     """Return a model at a low control rate. The low rate makes the tests fast, and all times are in seconds."""
-    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
 
 @pytest.fixture
@@ -376,9 +376,9 @@ def test_the_time_of_a_program_stops_during_a_hold_by_safety(
     hand.until(Mode.ACTIVE)
     hand.run(1.0)
     before = hand.state
-    real = Controller._judge
+    real = Controller._judge_faults
     monkeypatch.setattr(
-        Controller, "_judge", lambda self, *words: (Action.HOLD, real(self, *words)[1])
+        Controller, "_judge_faults", lambda self, *words: (Action.HOLD, real(self, *words)[1])
     )
     hand.run(0.5)
     assert hand.state.mode == Mode.ACTIVE

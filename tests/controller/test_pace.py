@@ -41,7 +41,7 @@ FOLLOW = {"kind": "follow", "time_s": (0.0, 1.0), "angle_deg": {"index": (0.0, 6
 )  # fmt: skip
 def test_a_move_without_time_is_refused(phases: tuple[dict[str, Any], ...], line: str) -> None:
     with pytest.raises(ConfigError, match=line):
-        check_speed(task(*phases), DigitModel.all_of(ELEVEN), "t")
+        check_speed(task(*phases), DigitModel.all_from_hand(ELEVEN), "t")
 
 
 def test_the_time_that_is_named_is_enough() -> None:
@@ -52,7 +52,7 @@ def test_the_time_that_is_named_is_enough() -> None:
         move(65.0, 0.05),
     )
     check_speed(
-        task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), DigitModel.all_of(ELEVEN), "t"
+        task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), DigitModel.all_from_hand(ELEVEN), "t"
     )
 
 

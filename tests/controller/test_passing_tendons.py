@@ -57,7 +57,7 @@ def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
 
     The result is None if a fault ended the run.
     """
-    model = HandModel.of(known, Gains(), RATE_HZ)
+    model = HandModel.from_hand(known, Gains(), RATE_HZ)
     # In a digit with one tendon, only the mean angle of the joints is controlled.
     along = hand.own_arms / np.abs(hand.own_arms).sum(axis=1, keepdims=True)
     apart = list[np.ndarray]()

@@ -64,7 +64,7 @@ def loop_hand(name: str = "jamia", protocol: str = "mit", kp: float | None = STI
     if protocol != "moteus":
         return hand
     other = loop_hand(name, "mit", kp)
-    gains = servo_constants(HandModel.of(other, packaged_gains(name), RATE_HZ))
+    gains = servo_constants(HandModel.from_hand(other, packaged_gains(name), RATE_HZ))
     stiffness, damping = (
         [float(gains[key][0])] * len(hand.motor) for key in ("servo_stiffness", "servo_damping")
     )
@@ -449,7 +449,7 @@ def test_a_moteus_without_gains_is_refused(key: str) -> None:
 def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: float) -> None:
     """An identified torque per command below 1 requires more than the gains in the drive: kp and kd are limited."""
     hand = loop_hand(protocol="moteus")
-    model = HandModel.of(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
+    model = HandModel.from_hand(hand, packaged_gains("jamia"), rate_hz, np.full(4, gain))
     controller = make_controller(
         hand, packaged_gains("jamia"), rate_hz, to_and_fro(hand, 1, 1.0), None, True
     )

@@ -76,7 +76,7 @@ def with_encoders(folder: Path, joints: int | None = None) -> Path:
 
 def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureTick]:
     """Yield the values of each tick of a simulated grasp."""
-    model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
+    model = HandModel.from_hand(load_hand(str(path)), Gains(), RATE_HZ)
     program = TaskProgram(find_task(Path(task), model.hand)[0])
     with SimulatorSettings(path, scene, seed, homed=True).against(
         homed_controller(model, program)
@@ -144,15 +144,15 @@ def angles_of_tick(
     The state then contains the tick.
     """
     state.view("touch")[...] = touched
-    state.set_whole(s.K, k)
-    detect_contacts(model, state, estimate._replace(external=touched[list(model.digit_of)]))
+    state.set_run_integer(s.K, k)
+    detect_contacts(model, state, estimate._replace(external_tension=touched[list(model.digit_of)]))
     np.testing.assert_allclose(state.view("touch"), touched, err_msg="it lasts")
     return Angles(state.view("q").copy(), state.view("q_sigma").copy())
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia_bench", "jamia11"])
 def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
-    model = HandModel.of(load_hand(hand), Gains(), RATE_HZ)
+    model = HandModel.from_hand(load_hand(hand), Gains(), RATE_HZ)
     estimate, state = estimate_under_tension(model, 30.0, 0.6), active_state(model)
     touched = np.full(len(model.digits), 15.0)
     for k in range(200):
@@ -220,7 +220,7 @@ def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     Covariances weight its prior and its reading. The angles of other joints follow by their
     correlation.
     """
-    model = HandModel.of(load_hand(str(with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ)
+    model = HandModel.from_hand(load_hand(str(with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ)
     joints, state = len(model.hand.joints), active_state(model)
     noise = constant_tables_of(model).joint[h.ENCODER_VARIANCE]
     columns = np.zeros((2, joints))
@@ -250,7 +250,7 @@ def test_sequential_encoder_updates_equal_one_matrix_update(tmp_path: Path, seed
 
     The result is that of the matrix form, although some frames are too old.
     """
-    model = HandModel.of(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
+    model = HandModel.from_hand(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
     rng, of, state = np.random.default_rng(seed), constant_tables_of(model), active_state(model)
     joints, now = len(model.hand.joints), 10**9
     columns, spread = (

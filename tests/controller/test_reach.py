@@ -32,7 +32,7 @@ def task(kind: str, angle: object, **more: object) -> Task:
 )
 def test_angle_beyond_the_joint_range_is_refused(hand, kind, angle, said):
     with pytest.raises(ConfigError) as refused:
-        check_joint_range(task(kind, angle), hand, "t.toml", DigitModel.all_of(hand))
+        check_joint_range(task(kind, angle), hand, "t.toml", DigitModel.all_from_hand(hand))
     assert str(refused.value) == f"t.toml: phase[0].angle_deg: {said}"
 
 
@@ -40,21 +40,24 @@ def test_curve_point_beyond_the_joint_range_is_refused():
     curve = {"index": (0.0, 50.0, 100.1)}
     with pytest.raises(ConfigError, match=r"100\.1 deg for index"):
         check_joint_range(
-            task("follow", curve, time_s=(0.0, 1.0, 2.0)), JAMIA, "t.toml", DigitModel.all_of(JAMIA)
+            task("follow", curve, time_s=(0.0, 1.0, 2.0)),
+            JAMIA,
+            "t.toml",
+            DigitModel.all_from_hand(JAMIA),
         )
 
 
 @pytest.mark.parametrize("angle", [0.0, 100.0, {"index": 50.0}, {"thumb": 100.0}])
 def test_the_ends_of_the_range_are_within_it(angle):
-    check_joint_range(task("move", angle), JAMIA, "t.toml", DigitModel.all_of(JAMIA))
-    check_joint_range(task("close", angle), ELEVEN, "t.toml", DigitModel.all_of(ELEVEN))
+    check_joint_range(task("move", angle), JAMIA, "t.toml", DigitModel.all_from_hand(JAMIA))
+    check_joint_range(task("close", angle), ELEVEN, "t.toml", DigitModel.all_from_hand(ELEVEN))
 
 
 def test_reach_is_that_of_the_mean_angle_where_one_tendon_moves_three_joints():
-    low, high = DigitModel.of(JAMIA, "index").reach
+    low, high = DigitModel.from_hand(JAMIA, "index").reach
     assert np.degrees(low) == pytest.approx([0.0], abs=1e-9)
     assert np.degrees(high) == pytest.approx([100.0])
-    assert DigitModel.of(ELEVEN, "index").reach[1].shape == (3,)
+    assert DigitModel.from_hand(ELEVEN, "index").reach[1].shape == (3,)
 
 
 def test_a_run_is_refused_before_its_bus_is_opened(

@@ -164,11 +164,11 @@ def test_a_change_makes_no_step_in_torque(
     calls = record_law_calls(monkeypatch)
     out = desk.tick()
     assert any(event.name == "gain" for event in out.events)
-    assert desk.state.whole(s.TRIMMED)
+    assert desk.state.run_integer(s.TRIMMED)
     (_, before, _, action, ticks), (other, _, without, *_) = calls
     with_trim = before.copy()
     with_trim.view("trim")[...] = desk.state.view("trim")
-    with_trim.set_whole(s.TRIMMED, 1)
+    with_trim.set_run_integer(s.TRIMMED, 1)
     other._compute_torques(with_trim, action, ticks)
     np.testing.assert_allclose(
         with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12
@@ -183,9 +183,9 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     desk = noiseless_hand(jamia)
     desk.tick(MOVE)
     desk.run(0.05)
-    judge = Controller._judge
+    judge = Controller._judge_faults
     monkeypatch.setattr(
-        Controller, "_judge", lambda self, *words: (Action.HOLD, judge(self, *words)[1])
+        Controller, "_judge_faults", lambda self, *words: (Action.HOLD, judge(self, *words)[1])
     )
     calls = record_law_calls(monkeypatch)
     desk.tick(change({"motion.force_N": 60.0}))
@@ -194,7 +194,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
         desk.tick()
     (own, _, old, *_), (other, _, new, *_) = calls
     assert own is not other
-    assert old.whole(s.HOLDING) == new.whole(s.HOLDING) == 1
+    assert old.run_integer(s.HOLDING) == new.run_integer(s.HOLDING) == 1
     np.testing.assert_array_equal(new.view("limit_held"), old.view("limit_held"))
     limit = old.view("limit_held")
     for state in (old, new):
@@ -207,7 +207,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
 def test_the_trim_fades_and_the_goal_is_reached(holding: Bench) -> None:
     holding.tick(change({"tension.tension_error_N": 1.4}))
     holding.run(2.5)
-    assert not holding.state.whole(s.TRIMMED)
+    assert not holding.state.run_integer(s.TRIMMED)
     assert not holding.state.view("trim").any()
     tension = np.array([out.telemetry.tension for *_, out in holding.history[-200:]])
     np.testing.assert_allclose(tension.mean(axis=0), 14.0, atol=1.0)
@@ -256,7 +256,7 @@ def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -
     desk.tick(change({"motion.force_N": 40.0}))
     desk.run(0.1)
     assert desk.state.decisions.gains is not None
-    assert not desk.state.whole(s.TRIMMED)
+    assert not desk.state.run_integer(s.TRIMMED)
     assert not desk.state.view("trim").any()
 
 

@@ -39,16 +39,16 @@ class GraspRun:
         self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
         self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
         self.t = 0.0
-        self.grip = GripState.of(model, self.goals, self.quiet, self.t)
+        self.grip = GripState.at_hold_start(model, self.goals, self.quiet, self.t)
         self.state = active_state(model)
         detect_contacts(model, self.state, self.quiet)
-        self.state.set_whole(s.GRIPPING, 1)
+        self.state.set_run_integer(s.GRIPPING, 1)
         self.events: list[TickEvent] = []
 
     def tick(self, estimate: Estimate, seconds: float) -> None:
         for _ in range(round(seconds / self.model.period)):
             self.state.goal_time = self.t
-            self.state.set_number(s.SLIP_JUDGED_FROM, self.grip.ready)
+            self.state.set_run_number(s.SLIP_JUDGED_FROM, self.grip.ready)
             felt = detect_contacts(self.model, self.state, estimate)
             self.t += self.model.period
             self.grip, self.goals, events = advance_grip(

@@ -32,7 +32,7 @@ WEIGHTS = [
 def test_solver_failure_is_one_line(key: str) -> None:
     gains = with_values(Gains(), {key: ODD[key]}, "test")
     with pytest.raises(ConfigError, match=f"gains: {key.partition('.')[0]}: no controller follows"):
-        HandModel.of(load_hand("jamia"), gains, 500.0)
+        HandModel.from_hand(load_hand("jamia"), gains, 500.0)
 
 
 @settings(max_examples=12)
@@ -43,7 +43,7 @@ def test_gains_within_bounds_are_designed_or_refused(powers: dict[str, float]) -
         Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test"
     )
     with suppress(ConfigError):
-        model = HandModel.of(load_hand("jamia_bench"), gains, 500.0)
+        model = HandModel.from_hand(load_hand("jamia_bench"), gains, 500.0)
         found = [
             model.motion.stiffness,
             model.motion.damping,

@@ -29,7 +29,7 @@ from handctl.log.topics.message_streams import TopicRegistry
 from handctl.log.topics.state_topics import SPOOL_PAIRS_TOPIC, StateTopics
 from handctl.log.topics.topic_set import TopicSet
 from handctl.programs.calibration import Calibration
-from handctl.programs.commission import PULL_N, CommissionProgram, calibration_of_result
+from handctl.programs.commission import PULL_TENSION_N, CommissionProgram, calibration_of_result
 from handctl.programs.default_task import default_task
 from handctl.programs.program import Program, ProgramProgress, ProgressAndEvents
 from handctl.programs.task import ClosePhase, HoldPhase, Task
@@ -121,7 +121,7 @@ def run_of(
     run = SimulatedRun.of(controller, peer)
     run.k = first
     run.record = False
-    run.state.set_whole(s.K, first - 1)
+    run.state.set_run_integer(s.K, first - 1)
     return run
 
 
@@ -157,7 +157,8 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
             run.controller.model, run.state.progress, "2026-01-01T00:00:00+00:00"
         )
         assert all(
-            row.answer_N == pytest.approx(PULL_N, abs=0.8) for row in calibration.tendon.values()
+            row.answer_N == pytest.approx(PULL_TENSION_N, abs=0.8)
+            for row in calibration.tendon.values()
         )
         # Without load cells and joint encoders, friction leaves each motor zero uncertain by 0.1
         # mm, which is half a degree.
@@ -187,7 +188,7 @@ class Pull:
 
     tension: float
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         return ProgramProgress.initial(len(model.digits), "pull")
 
     def advance(
@@ -334,10 +335,10 @@ def test_orca_like_closes_its_fingers_and_does_not_spread_them() -> None:
     assert isinstance(close.angle_deg, dict)
     assert set(close.angle_deg) == {"index", "middle", "ring", "pinky", "thumb"}
     for name in ("index", "middle", "ring", "pinky"):
-        digit = DigitModel.of(hand, name)
+        digit = DigitModel.from_hand(hand, name)
         assert tendon_directions(digit, hand.is_pair[digit.tendons]).tolist() == [0.0, 1.0, 1.0]
         assert close.angle_deg[name] == (0.0, 85.0, 91.0)
-    thumb = DigitModel.of(hand, "thumb")
+    thumb = DigitModel.from_hand(hand, "thumb")
     assert tendon_directions(thumb, hand.is_pair[thumb.tendons]).tolist() == [1.0, 0.0, 1.0, 1.0]
 
 

@@ -195,7 +195,7 @@ def check_ticks_repeat(run: SimulatedRun, middle: bytes, at: int) -> None:
     """Check that the recorded ticks repeat to the last bit, from the start and from a snapshot after ``at`` ticks."""
     controller = run.controller
     for state, ticks in (
-        (controller.initial(), run.recorded),
+        (controller.initial_state(), run.recorded),
         (restore_state(controller.layout, middle), run.recorded[at:]),
     ):
         for entry, out in ticks:
@@ -430,7 +430,7 @@ def test_a_long_move_of_a_fast_digit_stays_within_the_range() -> None:
     reference = np.radians([[90.0], [300.0], [0.0]])
     reach = np.radians([0.0]), np.radians([100.0])
     move = continued_move(reference, np.radians([10.0]), 5.0, reach)
-    way = np.degrees([move.at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
+    way = np.degrees([move.motion_at(t)[:, 0] for t in np.linspace(0.0, 5.0, 5001)])
     assert way[:, 0].max() <= 100.5
     assert way[0] == pytest.approx([90.0, 300.0, 0.0])
     assert way[-1] == pytest.approx([10.0, 0.0, 0.0], abs=1e-9)

@@ -34,7 +34,7 @@ STREAM_HZ = 100.0
 def model_of(name: str) -> HandModel:
     """Return the model of a packaged hand at its own rate."""
     hand = load_hand(name)
-    return HandModel.of(hand, Gains(), min(default_rate(hand), 500.0))
+    return HandModel.from_hand(hand, Gains(), min(default_rate(hand), 500.0))
 
 
 def noise(rng: np.random.Generator, low: Array, high: Array, t: Array) -> Array:

@@ -18,5 +18,5 @@ def test_the_flood_limit_grows_with_the_number_of_motors(protocol: str, tmp_path
     drives, node = make_drives(hand), make_sensors(hand)
     assert max_frames_per_tick(drives, node) == 64
     many = drives * 10
-    answers = sum(len(drive.exchange) // 2 for drive in many) + len(node.node_ids)
+    answers = sum(len(drive.frames_per_tick) // 2 for drive in many) + len(node.node_ids)
     assert 1.5 * answers < max_frames_per_tick(many, node) < 4 * answers

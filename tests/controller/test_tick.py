@@ -27,7 +27,7 @@ def run_session(name: str) -> Bench:
     The hand is armed, moves, holds, loses a frame, has a fault, and relaxes.
     """
     rate = {"jamia": 200.0, "jamia11": 200.0}[name]
-    run = bench(HandModel.of(load_hand(name), Gains(), rate), LiveProgram())
+    run = bench(HandModel.from_hand(load_hand(name), Gains(), rate), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(1.0)
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 0.3}')
@@ -68,9 +68,9 @@ def test_equal_inputs_give_equal_outputs(session: Bench) -> None:
 def test_another_controller_of_the_same_hand_repeats_the_run(session: Bench) -> None:
     model = session.controller.model
     other = bench(
-        HandModel.of(model.hand, model.gains, 1.0 / model.period), LiveProgram()
+        HandModel.from_hand(model.hand, model.gains, 1.0 / model.period), LiveProgram()
     ).controller
-    state = other.initial()
+    state = other.initial_state()
     for _, entry, out in session.history:
         state, again = other.tick(state, entry)
         assert again.state_hash == out.state_hash, entry.k
@@ -109,12 +109,12 @@ def test_the_origin_of_time_does_not_matter() -> None:
 
     Only its SYNC counter and its order of register reads may differ.
     """
-    model = HandModel.of(load_hand("jamia"), Gains(), 200.0)
+    model = HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
     runs = []
     for first in (0, 2560):
         run = bench(model, LiveProgram())
         run.k = first
-        run.state.set_whole(s.K, first - 1)
+        run.state.set_run_integer(s.K, first - 1)
         run.state.mode_since = first * model.period
         run.until(Mode.ACTIVE)
         run.run(0.5)
@@ -159,7 +159,7 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Bench)
 
 def test_old_values_have_no_new_time_stamp() -> None:
     """In a tick without frames the telemetry shows NaN for every measurement. The age of the last one grows."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(0.5)
     run.to_host = lambda frames: []
@@ -182,7 +182,7 @@ def test_old_values_have_no_new_time_stamp() -> None:
 
 
 def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.until(Mode.ACTIVE)
     run.run(0.5)
     assert run.tick(skip=1).action == Action.WARN
@@ -202,7 +202,9 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     """
     content = hand_content("jamia11")
     content["sensor_node"]["tendons"] = content["sensor_node"]["tendons"][::-1]
-    run = bench(HandModel.of(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram())
+    run = bench(
+        HandModel.from_hand(hand_from_content(content, "reversed"), Gains(), 200.0), LiveProgram()
+    )
     run.peer.order = list(range(11))[::-1]
     run.peer.bias[:] = np.linspace(0.0, 2.0, 11)
     run.until(Mode.ACTIVE)
@@ -271,7 +273,7 @@ def test_no_request_event_or_delay_can_stop_the_tick(
 
 def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     """The tension loop starts at the tension that tendons have when they are armed, for example from a held object."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.peer.x[:] = 0.3e-3 + 20.0 / run.peer.stiffness
     run.peer.braked = True
     run.until(Mode.ACTIVE)

@@ -24,7 +24,7 @@ from tests.controller.synthetic import (
 def estimate_with_unexplained_tension(model: HandModel, external: float) -> Estimate:
     """Return the estimate of a hand at rest. All its tendons have the unexplained tension ``external`` [N]."""
     return exact_estimate(model, balanced_state(model, 0.5))._replace(
-        external=np.full(model.tendon_count, external)
+        external_tension=np.full(model.tendon_count, external)
     )
 
 

@@ -58,7 +58,7 @@ def _arm(
 
 @cache
 def model_of(name: str, fraction: float = 0.3) -> HandModel:
-    return HandModel.of(with_varying_arms(name, fraction), Gains(), RATE_HZ)
+    return HandModel.from_hand(with_varying_arms(name, fraction), Gains(), RATE_HZ)
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -81,7 +81,7 @@ def test_the_structure_tables_are_those_at_the_present_angles(name: str) -> None
         free = view["excursion_to_joints"] @ state.view("excursion") + view["angle_offset"]
         np.testing.assert_allclose(free, q, atol=1e-9)
         for digit in model.digits:
-            here = digit.at(q[digit.joints])
+            here = digit.at_angles(q[digit.joints])
             block = np.ix_(
                 range(*digit.joints.indices(len(q))),
                 range(*digit.tendons.indices(model.tendon_count)),
@@ -162,7 +162,7 @@ def test_arms_by_angle_track_better_than_constant_arms(name: str, seed: int) -> 
     """
     hand = with_varying_arms(name, 0.3, encoders=False)
     constant = with_varying_arms(name, 0.0, encoders=False)
-    with_arms = tracking_error_deg(HandModel.of(hand, Gains(), RATE_HZ), hand, seed)
-    with_mean = tracking_error_deg(HandModel.of(constant, Gains(), RATE_HZ), hand, seed)
+    with_arms = tracking_error_deg(HandModel.from_hand(hand, Gains(), RATE_HZ), hand, seed)
+    with_mean = tracking_error_deg(HandModel.from_hand(constant, Gains(), RATE_HZ), hand, seed)
     assert with_arms < 1.0
     assert with_mean > 3.0 * with_arms

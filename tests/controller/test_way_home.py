@@ -26,7 +26,7 @@ MOVE = '{"do": "move", "angle_deg": {"index": 60}}'
 @pytest.fixture(scope="module")
 def quick() -> HandModel:
     """Return a model of ``jamia`` at a low control rate, which makes the tests fast."""
-    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+    return HandModel.from_hand(load_hand("jamia"), Gains(), 200.0)
 
 
 def acting(model: HandModel) -> Bench:

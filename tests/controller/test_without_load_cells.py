@@ -48,7 +48,7 @@ def without(*tendons: str) -> Hand:
 @cache
 def model_of(*tendons: str) -> HandModel:
     """Return the model of the hand that ``without(*tendons)`` returns."""
-    return HandModel.of(without(*tendons), Gains(), RATE_HZ)
+    return HandModel.from_hand(without(*tendons), Gains(), RATE_HZ)
 
 
 TASK = Task.model_validate(
@@ -201,7 +201,7 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
         for motor in content["motor"]
     ]
     hand = hand_from_content(content, "cia402")
-    model = HandModel.of(hand, Gains(), 250.0)
+    model = HandModel.from_hand(hand, Gains(), 250.0)
     with SimulatorSettings(hand, None, 0, homed=True).against(
         homed_controller(model, TaskProgram(TASK))
     ) as run:

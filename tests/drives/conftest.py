@@ -68,9 +68,9 @@ class MotorRig:
 
 @pytest.fixture
 def rig() -> MotorRig:
-    drive = MitDrive.of(Section(), 0)
-    return MotorRig(drive, ScriptedMotor(), drive.initial())
+    drive = MitDrive.from_motor(Section(), 0)
+    return MotorRig(drive, ScriptedMotor(), drive.initial_state())
 
 
 def drive_of(**changes: object) -> MitDrive:
-    return MitDrive.of(replace(Section(), **changes), 0)  # type: ignore[arg-type]
+    return MitDrive.from_motor(replace(Section(), **changes), 0)  # type: ignore[arg-type]

@@ -77,9 +77,9 @@ class Bench:
         buses = self.hand.bus_names
         motors = [self.hand.motor_of(name) for name in self.hand.tendon_names]
         self.drives: list[Drive] = [make_drive(motor, buses.index(motor.bus)) for motor in motors]
-        self.states: list[DriveState] = [drive.initial() for drive in self.drives]
+        self.states: list[DriveState] = [drive.initial_state() for drive in self.drives]
         node = self.hand.sensor_node
-        self.node = SensorNode.of(
+        self.node = SensorNode.from_description(
             node, buses.index(node.bus), self.hand.tendon_names, self.hand.joints
         )
         self.incoming: list[Frame] = []

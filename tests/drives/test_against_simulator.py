@@ -28,8 +28,8 @@ class Bench:
         self.drives: list[Drive] = [
             make_drive(HAND.motor_of(name), 0) for name in HAND.tendon_names
         ]
-        self.states: list[DriveState] = [drive.initial() for drive in self.drives]
-        self.node = SensorNode.of(HAND.sensor_node, 0, HAND.tendon_names, HAND.joints)
+        self.states: list[DriveState] = [drive.initial_state() for drive in self.drives]
+        self.node = SensorNode.from_description(HAND.sensor_node, 0, HAND.tendon_names, HAND.joints)
         self.sensors = Wired((), self.node)
         self.tensions: dict[int, float] = {}
         self.incoming: list[Frame] = []

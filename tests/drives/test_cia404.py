@@ -62,7 +62,7 @@ def with_amplifiers(name: str = "jamia", **changed: Any) -> Hand:
 
 
 def test_hand_made_frames_become_newtons() -> None:
-    cells = Cia404LoadCells.of(Section(), 0, TENDONS)
+    cells = Cia404LoadCells.from_description(Section(), 0, TENDONS)
     assert cells.ids == (0x1A1, 0x1A2)
     wired = Wired((), cells)
     assert wired.sync(7) == Frame(0x080, b"")
@@ -75,7 +75,7 @@ def test_hand_made_frames_become_newtons() -> None:
 
 
 def test_a_float_is_read_as_it_is() -> None:
-    wired = Wired((), Cia404LoadCells.of(Section(process_value="real32"), 0, TENDONS))
+    wired = Wired((), Cia404LoadCells.from_description(Section(process_value="real32"), 0, TENDONS))
     wired.sync(0)
     first, second = struct.pack("<ff", 12.5, -0.25), struct.pack("<f", math.nan)
     wired.receive([Frame(0x1A1, first, t_ns=ANSWER_NS), Frame(0x1A2, second, t_ns=ANSWER_NS)])
@@ -85,14 +85,14 @@ def test_a_float_is_read_as_it_is() -> None:
 
 @pytest.mark.parametrize("data", [b"", bytes(4), bytes(7)])
 def test_a_frame_of_another_length_is_malformed(data: bytes) -> None:
-    wired = Wired((), Cia404LoadCells.of(Section(), 0, TENDONS))
+    wired = Wired((), Cia404LoadCells.from_description(Section(), 0, TENDONS))
     wired.sync(0)
     wired.receive([Frame(0x1A1, data, t_ns=ANSWER_NS)])
     assert (wired.tensions, wired.misread) == ({}, True)
 
 
 def test_a_frame_before_any_answer_to_the_sync_is_stale() -> None:
-    cells = Cia404LoadCells.of(Section(), 0, TENDONS)
+    cells = Cia404LoadCells.from_description(Section(), 0, TENDONS)
     wired = Wired((), cells)
     wired.view("t_ns")[...] = 10_000_000
     wired.sync(0)
@@ -105,7 +105,7 @@ def test_a_frame_before_any_answer_to_the_sync_is_stale() -> None:
 def test_channels_go_to_further_tpdos() -> None:
     names = tuple(f"t{i}" for i in range(7))
     section = Section(tendons=names, node_ids=(5, 6), amplifier_channels=(5, 2))
-    cells = Cia404LoadCells.of(section, 0, names)
+    cells = Cia404LoadCells.from_description(section, 0, names)
     assert cells.ids == (0x185, 0x285, 0x385, 0x186)
     assert cells.channels == ((0, 1), (2, 3), (4,), (5, 6))
     assert cells.lengths == (8, 8, 4, 8)
@@ -134,7 +134,7 @@ class Bench:
         """Start the simulator of a hand file."""
         self.rig = LockstepHand(path, seed=1, period_ns=PERIOD_NS)
         self.sensors = make_sensors(hand)
-        self.states = [one.initial() for one in self.sensors.amplifiers]
+        self.states = [one.initial_state() for one in self.sensors.amplifiers]
         self.k = 0
         self.sent: list[Frame] = []
         self.answers: list[Frame] = []
@@ -204,7 +204,7 @@ def test_a_unit_that_is_right_already_is_not_written(bench: Bench) -> None:
         if frame.can_id == 0x621 and frame.data[0] & 0xE0 == 0x20
     ]
     assert bytes.fromhex("316101") in written
-    bench.states = [one.initial() for one in bench.sensors.amplifiers]
+    bench.states = [one.initial_state() for one in bench.sensors.amplifiers]
     bench.sent.clear()
     bench.until(DrivePhase.READY)
     written = [

@@ -169,7 +169,7 @@ def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
     due = drive.due_ns(state)
     assert due > t_ns - PERIOD_NS
     for silent in (
-        drive.initial(),
+        drive.initial_state(),
         state._replace(phase=DrivePhase.READY),
         state._replace(phase=DrivePhase.FAULT),
     ):
@@ -184,15 +184,15 @@ def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
     """
     drive, _, _, _ = enable_drive(name)
     command_layouts = sorted(
-        (message.length, bool(message.flags)) for message in drive.cyclic.commands
+        (message.length, bool(message.flags)) for message in drive.cyclic_messages.commands
     )
-    asked = len(drive.cyclic.commands) - 1 if isinstance(drive, OdriveDrive) else 1
-    planned = list(drive.exchange)
+    asked = len(drive.cyclic_messages.commands) - 1 if isinstance(drive, OdriveDrive) else 1
+    planned = list(drive.frames_per_tick)
     for one in command_layouts:
         planned.remove(one)
     assert len(planned) == asked
-    assert {message.can_id for message in drive.cyclic.feedback} <= drive.node_ids
-    assert {message.can_id for message in drive.cyclic.commands} - {
+    assert {message.can_id for message in drive.cyclic_messages.feedback} <= drive.node_ids
+    assert {message.can_id for message in drive.cyclic_messages.commands} - {
         0x080
     } <= drive.host_ids | drive.node_ids
 

@@ -65,7 +65,7 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
     owners = {
         one.can_id: (i, one)
         for i, drive in enumerate(bench.drives)
-        for one in drive.cyclic.feedback
+        for one in drive.cyclic_messages.feedback
     }
     for k in range(TICKS):
         torque = 0.04 * math.sin(0.3 * k)
@@ -98,7 +98,7 @@ def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
 def is_torque_command(dbc: Database, frame: Frame, bench: Bench, torque: float) -> bool:
     """Return True if a frame is a command with a torque. Check that its torque is that sent, within one count."""
     for drive in bench.drives:
-        for message in drive.cyclic.commands:
+        for message in drive.cyclic_messages.commands:
             signals = [signal for signal in message.signals if signal.quantity == Quantity.TORQUE]
             same = message.can_id == frame.can_id and message.length == len(frame.data)
             # A write of a setting may have the identifier and length of a torque command, but other

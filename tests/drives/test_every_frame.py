@@ -60,7 +60,7 @@ def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:
 def states_of(bench: Bench) -> list[DriveState]:
     """Return a silent, a ready and an enabled state of the first drive. The enabled state comes from the bench."""
     ready = bench.states[0]._replace(phase=DrivePhase.READY)
-    return [bench.drives[0].initial(), ready, bench.states[0]]
+    return [bench.drives[0].initial_state(), ready, bench.states[0]]
 
 
 @pytest.mark.parametrize("number", range(3), ids=["silent", "ready", "enabled"])

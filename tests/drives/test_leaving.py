@@ -25,7 +25,7 @@ def run_again(course: SimulatedRun) -> SimulatedRun:
         course.controller,
         course.peer,
         course.period_ns,
-        course.controller.initial(),
+        course.controller.initial_state(),
         course.k + k + 1,
     )
 

@@ -206,7 +206,7 @@ def test_any_frame_is_survived_in_any_state(
 
 
 def test_every_identifier_and_length() -> None:
-    drive, state = drive_of(), drive_of().initial()
+    drive, state = drive_of(), drive_of().initial_state()
     for can_id in range(2048):
         for length in range(65):
             after = drive.receive(state, Frame(can_id, b"\x01" * length))
@@ -216,9 +216,9 @@ def test_every_identifier_and_length() -> None:
 def test_options_set_reply_identifier_and_can_fd() -> None:
     drive = drive_of(options={"reply_id": 0x55, "fd": True})
     assert drive.node_ids == {0x55}
-    assert drive.cut()[0].flags & FDF
-    assert drive.exchange == ((8, True), (8, True))
-    assert drive_of().exchange == ((8, False), (8, False))
+    assert drive.cut_frames()[0].flags & FDF
+    assert drive.frames_per_tick == ((8, True), (8, True))
+    assert drive_of().frames_per_tick == ((8, False), (8, False))
     assert drive_of().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}
 
 

@@ -158,7 +158,7 @@ def test_the_load_is_that_of_the_table(
     With CiA 402, it counts an empty SYNC too.
     """
     bench = Bench(hand_file(tmp_path, [protocol], extra))
-    frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [
+    frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.frames_per_tick] + [
         (8, False, 1.0)
     ]
     frames += (

@@ -41,7 +41,7 @@ NAN_ITEMS = ("servo.default_velocity_limit", "servo.default_accel_limit", "servo
 def drive_with_loop(**changes: object) -> MoteusDrive:
     """Return a drive that closes the position loop."""
     given = {"control": "position", "kp_N_m_per_rad": KP, "kd_N_m_s_per_rad": KD} | changes
-    return MoteusDrive.of(motor_on_bench("moteus", NODE, 0.5, {}, **given), 0)
+    return MoteusDrive.from_motor(motor_on_bench("moteus", NODE, 0.5, {}, **given), 0)
 
 
 def armed_rig(place: VirtualBench) -> DriveRig:
@@ -57,9 +57,9 @@ def node_of(place: VirtualBench) -> MoteusNode:
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_frame_has_the_registers_of_the_fact_sheet(direction: int) -> None:
     drive = drive_with_loop(direction=direction, zero_rad=0.3, watchdog_ms=50)
-    message = drive.cyclic.position
+    message = drive.cyclic_messages.position
     assert message is not None
-    assert drive.cyclic.moves_target
+    assert drive.cyclic_messages.moves_target
     table = SignalTable(message._replace(limit=math.inf))
     can_id, data = table.pack_frame(
         1.7, -4.0, 0.25 * GAINS_PER_RAD[0], 0.5 * GAINS_PER_RAD[1], 0.2, 0.4
@@ -82,9 +82,9 @@ GAINS_PER_RAD = tuple(gain / math.tau for gain in GAINS.values())
 
 
 def test_a_motor_with_torque_commands_has_no_position_command_and_the_settings_of_before() -> None:
-    drive = MoteusDrive.of(motor_on_bench("moteus", NODE, 0.5, {}), 0)
-    assert drive.cyclic.position is None
-    assert not drive.cyclic.moves_target
+    drive = MoteusDrive.from_motor(motor_on_bench("moteus", NODE, 0.5, {}), 0)
+    assert drive.cyclic_messages.position is None
+    assert not drive.cyclic_messages.moves_target
     assert [setting.name for setting in drive.configuration] == [
         "servopos.position_min", "servo.fixed_voltage_mode", "servo.timeout_mode", "servopos.position_max",
     ]  # fmt: skip
@@ -196,7 +196,7 @@ def sent_frames(block, layout, tables, torque) -> list[bytes]:
 
 
 def test_every_signal_has_its_range() -> None:
-    message = drive_with_loop().cyclic.position
+    message = drive_with_loop().cyclic_messages.position
     assert message is not None
     ends = {signal.quantity: signal.ends for signal in message.signals}
     assert ends[Quantity.STIFFNESS] == (0.0, GAINS_PER_RAD[0])

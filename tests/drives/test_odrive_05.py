@@ -114,4 +114,4 @@ def test_the_heartbeat_of_odrive_05_has_the_vendors_layout():
 def test_a_heartbeat_of_the_new_kind_is_not_taken_for_an_old_one_with_flags():
     drive = make_drive(motor_on_bench("odrive", NODE, 0.1, {}), 0)
     beat = Frame(NODE << 5 | 1, struct.pack("<IBBBB", 0, 1, 3, 0, 0), 0, 0, 10)
-    assert drive.receive(drive.initial(), beat).phase != DrivePhase.FAULT
+    assert drive.receive(drive.initial_state(), beat).phase != DrivePhase.FAULT

@@ -85,5 +85,5 @@ def test_the_filter_counts_with_the_drive_s_encoder(
         path.read_text().replace("counts_per_turn = 65536", f"counts_per_turn = {counts}")
     )
     hand = load_hand(path)
-    space = tendon_space(hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names))
+    space = tendon_space(hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names))
     np.testing.assert_allclose(space.encoder_step, step * space.spool)

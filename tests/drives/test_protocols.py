@@ -79,7 +79,9 @@ def test_a_cut_removes_the_torque_in_the_same_tick_and_disarms(bench: Bench) -> 
     bench.until(DriveTarget.ENABLE, DrivePhase.ENABLED)
     bench.tick(DriveTarget.ENABLE, 0.05)
     assert 0.0 not in servo_torques(bench)
-    bench.tick(DriveTarget.LISTEN, extra=[frame for drive in bench.drives for frame in drive.cut()])
+    bench.tick(
+        DriveTarget.LISTEN, extra=[frame for drive in bench.drives for frame in drive.cut_frames()]
+    )
     assert servo_torques(bench) == [0.0] * 4
     for _ in range(200):
         bench.tick(DriveTarget.DISABLE)
@@ -92,7 +94,7 @@ def test_a_cut_removes_the_torque_before_the_node_leaves_operational(bench: Benc
     CiA 402-2 requires no reaction of a drive that leaves this state.
     """
     for drive in bench.drives:
-        orders = [frame.can_id for frame in drive.cut()]
+        orders = [frame.can_id for frame in drive.cut_frames()]
         assert 0 not in orders[:1], "an NMT order comes after the control word"
 
 

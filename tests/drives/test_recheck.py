@@ -30,7 +30,7 @@ def enabled(node_id: int) -> tuple[MitDrive, object]:
         "m", 0, node_id, node_id + 0x100, codec.MotorRanges(12.5, 50.0, 0.8), 1, 0.0, 1000
     )
     check = readback.first_recheck(node_id, 0)
-    state = drive.initial()._replace(
+    state = drive.initial_state()._replace(
         phase=DrivePhase.ENABLED,
         private=MitProgress(configured=True, enable_sent=True, check=check),
     )
@@ -89,7 +89,7 @@ def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
     drive, state = enabled(node_id)
     state, asked = run(drive, state, 600, GOOD | lost)
     assert state.phase == DrivePhase.FAULT
-    assert drive.cause(state.error) == DriveFaultCause.MISMATCH
+    assert drive.fault_cause(state.error) == DriveFaultCause.MISMATCH
     assert "while enabled" in state.error_text
     assert asked[-1][0] <= 500
 

@@ -78,7 +78,7 @@ def test_faults_are_read_before_torque_and_await_a_clear(
         bench.tick(DriveTarget.POLL)
     drive, state = bench.drives[0], bench.states[0]
     assert (state.phase, state.error_text) == (DrivePhase.FAULT, words)
-    assert drive.cause(state.error) == cause
+    assert drive.fault_cause(state.error) == cause
     for _ in range(20):
         bench.tick(DriveTarget.ENABLE)
     assert bench.states[0].phase == DrivePhase.FAULT
@@ -111,7 +111,7 @@ def test_only_a_disabled_motor_is_asked_for_its_faults(bench: Bench) -> None:
 
 def test_feedback_at_the_freezing_point_is_no_fault() -> None:
     drive = drive_of()
-    state = drive.initial()
+    state = drive.initial_state()
     frozen = bytes((5, 0x80, 0, 0x80, 0x08, 0, 0, 0))
     for k in range(5):
         state, _ = drive.advance(state, k * MS, DriveTarget.POLL, 0.0)

@@ -51,7 +51,7 @@ DBC = read_dbc()
 
 @pytest.fixture
 def node() -> SensorNode:
-    return SensorNode.of(Section(), 0, TENDONS, JOINTS)
+    return SensorNode.from_description(Section(), 0, TENDONS, JOINTS)
 
 
 def encode_frames(
@@ -112,7 +112,7 @@ def node_state(node: SensorNode, k: int) -> Wired:
     st.integers(0, 2**40),
 )
 def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int], k: int) -> None:
-    node = SensorNode.of(
+    node = SensorNode.from_description(
         Section(tendons=TENDONS[: len(tensions)], joints=JOINTS[: len(joints)]), 0, TENDONS, JOINTS
     )
     wired, sync = node_state(node, k), node.sync(k)
@@ -138,7 +138,9 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
     0 N is 96 = 0x060, 10 N is 256 = 0x100, the upper end of the range is 0xFFF, 0 rad is 0x800, and
     the counter is 7.
     """
-    node = SensorNode.of(Section(tendons=TENDONS[:3], joints=("j4",)), 0, TENDONS, JOINTS)
+    node = SensorNode.from_description(
+        Section(tendons=TENDONS[:3], joints=("j4",)), 0, TENDONS, JOINTS
+    )
     sync = node.sync(tick_of(node, 7))
     assert sync == Frame(0x080, sync.data)
     assert sync.data[0] & 0xF == 7
@@ -150,7 +152,7 @@ def test_sensor_frames_are_decoded_to_known_values() -> None:
 
 @given(st.integers(0, 255), st.integers(0, 15))
 def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
-    node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
+    node = SensorNode.from_description(Section(), 0, TENDONS, JOINTS)
     wired = node_state(node, k).receive(encode_frames(0x1A0, "tension", counter, [100] * CHANNELS))
     fresh = counter == node.sync(k).data[0] % 16
     assert len(wired.tensions) == (CHANNELS if fresh else 0)
@@ -202,7 +204,7 @@ def test_reading_is_new_once_and_missing_stays_missing(node: SensorNode) -> None
 
 
 def test_times_are_in_the_order_of_the_hand() -> None:
-    node = SensorNode.of(
+    node = SensorNode.from_description(
         Section(tendons=("t2", "t0", "t1", "t5", "t4", "t3")), 0, TENDONS[:7], JOINTS
     )
     wired = node_state(node, tick_of(node, 0))
@@ -215,7 +217,7 @@ def test_times_are_in_the_order_of_the_hand() -> None:
 
 
 def test_a_hand_without_load_cells_has_no_reading() -> None:
-    node = SensorNode.of(Section(tendons=()), 0, TENDONS[:3], JOINTS)
+    node = SensorNode.from_description(Section(tendons=()), 0, TENDONS[:3], JOINTS)
     assert [node.group_of_tendon(i) for i in range(3)] == [-1, -1, -1]
     assert node.tension_frames == 0
 
@@ -235,7 +237,7 @@ def without_unknown_counters(wired: Wired) -> bytes:
     st.integers(0, 2),
 )
 def test_any_sensor_frame_is_survived(can_id: int, mark: int, data: bytes, bus: int) -> None:
-    node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
+    node = SensorNode.from_description(Section(), 0, TENDONS, JOINTS)
     wired = node_state(node, 5)
     before, here = without_unknown_counters(wired), bus == 0 and can_id in node.node_ids
     wired.receive([Frame(can_id | mark, data, bus=bus)])
@@ -258,8 +260,8 @@ def test_the_exchange_is_what_the_frames_take(node: SensorNode) -> None:
     frames = encode_frames(0x1A0, "tension", 0, [0] * CHANNELS) + encode_frames(
         0x1B0, "joint", 0, [0] * CHANNELS
     )
-    assert [size for size, _ in node.exchange] == [1, *(len(frame.data) for frame in frames)]
-    assert sum(rate for _, rate in node.exchange) == 1 + 3 + 3 / 4
+    assert [size for size, _ in node.frames_per_tick] == [1, *(len(frame.data) for frame in frames)]
+    assert sum(rate for _, rate in node.frames_per_tick) == 1 + 3 + 3 / 4
 
 
 def test_a_saturated_load_cell_is_beyond_the_rail_after_any_tare(node: SensorNode) -> None:
@@ -290,7 +292,7 @@ def test_a_frame_group_counts_its_frames(node: SensorNode) -> None:
     assert wired.view("group_frames").tolist() == [2, 2, 2, 0, 0, 0]
     assert wired.view("group_ns").tolist() == [6, 6, 6, -1, -1, -1]
     assert wired.view("group_answered").tolist() == [1, 1, 1, 0, 0, 0]
-    other = SensorNode.of(Section(), 1, TENDONS, JOINTS)
+    other = SensorNode.from_description(Section(), 1, TENDONS, JOINTS)
     assert other.sync(0x1FF) == Frame(0x080, other.counters[0x1FF:0x200], bus=1)
     assert sync.bus == 0
 
@@ -348,6 +350,6 @@ def test_each_joint_frame_has_its_joints_and_the_time_when_it_came_last(node: Se
 
 
 def test_lost_frames_are_those_that_never_came(node: SensorNode) -> None:
-    assert node.lost(0, 0, 0) == 0
-    assert node.lost(10, 27, 0) == 0, "the last ones may be on their way"
-    assert node.lost(10, 20, 3) == 4
+    assert node.lost_frame_count(0, 0, 0) == 0
+    assert node.lost_frame_count(10, 27, 0) == 0, "the last ones may be on their way"
+    assert node.lost_frame_count(10, 20, 3) == 4

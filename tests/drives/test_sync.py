@@ -45,7 +45,7 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     path = on_two_buses(hand_file(tmp_path, ["cia402"]))
     hand = load_hand(str(path))
     assert senders(hand) == ["thumb_motor"], "the last drive of the bus without the sensor node"
-    model = HandModel.of(hand, Gains(), 250.0)
+    model = HandModel.from_hand(hand, Gains(), 250.0)
     with SimulatorSettings(str(path), None, 0, homed=True).against(
         homed_controller(model, LiveProgram())
     ) as run:
@@ -102,4 +102,4 @@ def test_each_bus_of_a_split_has_room_for_its_sync() -> None:
         hand = hand_with_protocol("jamia11", "cia402")
         changed = with_more_buses(hand, rate)
         loads = bus_loads(hand_from_content(tomllib.loads(changed.to_toml()), "split"))
-        assert max(load.at(rate) for load in loads) <= MAX_BUS_LOAD, rate
+        assert max(load.load_at(rate) for load in loads) <= MAX_BUS_LOAD, rate

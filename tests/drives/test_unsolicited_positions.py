@@ -39,7 +39,7 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
 
     This ended the default task with N14b.
     """
-    model = HandModel.of(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
+    model = HandModel.from_hand(hand_with_protocol("n_plus_1", "odrive"), Gains(), RATE_HZ)
     with SimulatorSettings(model.hand, None, seed, homed=True).against(
         homed_controller(model, TaskProgram(TASK))
     ) as run:

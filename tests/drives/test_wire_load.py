@@ -18,7 +18,9 @@ PERIOD_NS = 4_000_000
 
 def planned_tick_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
     """Return the planned bus time of a tick on each bus [s], including frames that a timer sends."""
-    return [load.at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))]
+    return [
+        load.load_at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))
+    ]
 
 
 def measured_tick_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:

@@ -44,7 +44,7 @@ class Wired:
         self.owners = {
             (drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids
         }
-        self.states: list[DriveState] = [drive.initial() for drive in drives]
+        self.states: list[DriveState] = [drive.initial_state() for drive in drives]
         self.seen: list[Frame] = []
         self.foreign: list[Frame] = []
         for i, state in enumerate(self.states):

@@ -44,7 +44,7 @@ def hub() -> Iterator[Hub]:
 def settle(hub: Hub) -> bytes:
     """Let the hub serve until no socket is ready, and return the records for the owner of the hub."""
     received = b""
-    while ready := select.select(hub.readers(), [], [], 0.0)[0]:
+    while ready := select.select(hub.read_sockets(), [], [], 0.0)[0]:
         received += hub.serve(ready)
     return received
 
@@ -161,7 +161,7 @@ def test_an_incomplete_record_is_completed_before_the_next(
 ) -> None:
     idle = client()
     batch = b"".join(record(number, number.to_bytes(4, "little")) for number in range(2000))
-    while not hub.writers():
+    while not hub.write_sockets():
         hub.send(batch)
         assert hub.dropped < 1_000_000, "the kernel accepted no part of a record"
         batch += record(0, b"")  # so that the kernel cuts at another byte
@@ -171,7 +171,7 @@ def test_an_incomplete_record_is_completed_before_the_next(
     first_part = read_all(idle)
     assert len(first_part) % SIZE
     hub.serve([])
-    assert hub.writers() == []
+    assert hub.write_sockets() == []
     hub.send(record(0x7FF, b"next"))
     data = first_part + read_all(idle)
     assert len(data) % SIZE == 0

@@ -45,7 +45,7 @@ class Lab:
         self.settle()
 
     def settle(self) -> None:
-        while ready := select.select(self.port.readers(), [], [], 0.0)[0]:
+        while ready := select.select(self.port.read_sockets(), [], [], 0.0)[0]:
             self.port.receive(ready)
 
     def at(self, ms: float) -> list[Frame]:

@@ -30,7 +30,7 @@ def hand(request: pytest.FixtureRequest) -> Hand:
 @pytest.fixture
 def digits(hand: Hand) -> tuple[DigitModel, ...]:
     """Return all digits of the hand."""
-    return tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+    return tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
 
 
 @pytest.fixture

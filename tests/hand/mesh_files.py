@@ -108,7 +108,7 @@ def corners_by_link(model: mujoco.MjModel, q: np.ndarray) -> dict[str, np.ndarra
 def corners_of_hand(hand, folder: Path, q: np.ndarray) -> dict[str, np.ndarray]:
     """Return the corners of each link's mesh in the palm frame [m], as the kinematics of handctl places them."""
     poses = {PALM_LINK: (np.zeros(3), np.eye(3))}
-    tree = HandTree.of(hand)
+    tree = HandTree.from_hand(hand)
     all_poses = tree.poses(q)
     for digit in tree.digits:
         own = all_poses[digit.joints]

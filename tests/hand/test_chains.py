@@ -27,7 +27,7 @@ from tests.hand.test_dynamics import TOLERANCE, agree, pinocchio_by_hand, states
 def chains(request: pytest.FixtureRequest) -> tuple[Hand, tuple[DigitModel, ...]]:
     """Return a random hand and its digits. A test with this fixture runs once for each random hand."""
     hand = random_hand(request.param)
-    return hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names)
+    return hand, tuple(DigitModel.from_hand(hand, name) for name in hand.digit_names)
 
 
 def test_random_hands_have_all_counts_of_links():
@@ -182,7 +182,7 @@ def tree(request: pytest.FixtureRequest) -> tuple[Hand, HandTree]:
     hand = (
         load_hand(request.param) if isinstance(request.param, str) else random_tree(request.param)
     )
-    return hand, HandTree.of(hand)
+    return hand, HandTree.from_hand(hand)
 
 
 def test_random_trees_have_digits_on_digits_on_digits():
@@ -269,7 +269,7 @@ def test_a_digit_on_a_resting_carrier_moves_like_that_digit_alone(tree, rng):
 def test_each_number_of_a_table_matters(rng):
     """If a number of the middle link changes by a thousandth, the torque leaves the tolerance of these tests."""
     hand = random_hand(3, 3)
-    digit = DigitModel.of(hand, "d0")
+    digit = DigitModel.from_hand(hand, "d0")
     q, dq, ddq = next(iter(states(rng, 3, 1)))
     right = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
     for row in range(rigid_body.LENGTH_ROW):

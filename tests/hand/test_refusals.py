@@ -185,5 +185,5 @@ def usable_or_refused(content):
         hand = hand_from_content(content, "f")
     except ConfigError as error:
         return "\n" not in str(error)
-    digits = [DigitModel.of(hand, name) for name in hand.digit_names]
+    digits = [DigitModel.from_hand(hand, name) for name in hand.digit_names]
     return len(hand.identity) == 64 and len(digits) > 0 and urdf_text(hand).startswith("<robot")

@@ -154,7 +154,7 @@ def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_transforms_equal_the_kinematics_of_the_hand(tmp_path: Path, hand: str) -> None:
     run, described = synthetic.header(hand, rate_hz=50), load_hand(hand)
-    digits = [DigitModel.of(described, name) for name in run.digits]
+    digits = [DigitModel.from_hand(described, name) for name in run.digits]
     ticks = list(synthetic.Synthetic(run, 1.0))
     topics = by_topic(
         _write(

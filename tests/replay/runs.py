@@ -152,7 +152,7 @@ def run(
         clock,
         plan.period_ns,
         [LockstepBus(clock)],
-        controller.begin,
+        controller.begin_tick,
         controller.cut_frames(),
         lambda: (requests or {}).get(clock.k, ()),
         lambda: [*recorder.events(), *(io_events or {}).get(clock.k, ())],
@@ -161,7 +161,7 @@ def run(
         snapshot_recorder(recorder),
     )
     try:
-        return loop.run(controller.initial())
+        return loop.run(controller.initial_state())
     finally:
         recorder.close("done")
         peer.close()

@@ -90,7 +90,7 @@ def test_the_curve_passes_through_the_actions(dataset: Path) -> None:
 
 
 def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
-    jamia = HandModel.of(HAND, Gains(), 1.0 / PERIOD)
+    jamia = HandModel.from_hand(HAND, Gains(), 1.0 / PERIOD)
     program = PlaybackProgram(find_episode(dataset, 1, HAND, jamia.period, 200.0))
     controller = homed_controller(jamia, program)
     errors, faults = [], set()

@@ -93,7 +93,7 @@ def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
     with RunLog(fresh) as log:
         controller, columns = rebuild_controller(log), TelemetryColumns.of(log.header)
         logged, numbers = next(zip(log.ticks(), log.packed(), strict=True))
-        _, out = controller.tick(controller.initial(), logged.tick_in)
+        _, out = controller.tick(controller.initial_state(), logged.tick_in)
         assert are_outputs_equal(logged, numbers, out)
         assert list(differing_fields(columns, logged, numbers, out)) == []
         bent = np.frombuffer(numbers, "<f8").copy()
@@ -146,14 +146,14 @@ def calibration(hand_name: str) -> Calibration:
 def test_every_program_is_rebuilt_from_its_setup(program: Program) -> None:
     hand, gains, rate = load_hand("jamia"), Gains(), 333.3
     first = make_controller(hand, gains, rate, program, calibration("jamia"), arm_at_once=False)
-    text = RunSetup.of(first, rate).model_dump_json(by_alias=True)
+    text = RunSetup.from_controller(first, rate).model_dump_json(by_alias=True)
     again = RunSetup.model_validate_json(text).controller(hand, gains)
     assert again.program == program
     assert again.arm_at_once is False
     assert again.model.period == first.model.period
     assert again.tare.tobytes() == first.tare.tobytes()
     assert again.zero.tobytes() == first.zero.tobytes()
-    assert again.initial().digest() == first.initial().digest()
+    assert again.initial_state().digest() == first.initial_state().digest()
 
 
 def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:

@@ -74,7 +74,7 @@ def test_a_snapshot_restores_the_state_unchanged(fresh: Path) -> None:
     """The bytes, the hash and the next tick agree in every tick of a run with faults and requests."""
     with RunLog(fresh) as log:
         controller = rebuild_controller(log)
-        state = controller.initial()
+        state = controller.initial_state()
         for logged in log.ticks():
             again = restore_state(controller.layout, snapshot_bytes(state))
             assert (again.digest(), snapshot_bytes(again)) == (
@@ -133,7 +133,7 @@ def test_the_first_field_of_the_state_that_differs_is_named(both: Both) -> None:
 
 def test_a_decision_that_differs_is_named(fresh: Path) -> None:
     with RunLog(fresh) as log:
-        state, logged = rebuild_controller(log).initial(), next(log.ticks())
+        state, logged = rebuild_controller(log).initial_state(), next(log.ticks())
         other = state.copy()
         other.decide(unconfirmed=("index_motor",))
         assert state_difference(log.header, logged, state, state) is None
@@ -189,7 +189,7 @@ def test_a_wrong_snapshot_is_not_used_as_a_start(
 def test_a_snapshot_with_other_objects_than_decisions_is_refused(fresh: Path, text: str) -> None:
     with RunLog(fresh) as log:
         controller = rebuild_controller(log)
-        state = controller.initial()
+        state = controller.initial_state()
         head = snapshot_bytes(state)[: 8 + state.block.nbytes]
         with pytest.raises(ValueError, match=r"."):
             restore_state(controller.layout, head + text.encode())

@@ -130,7 +130,7 @@ class Range:
         calibration = folder / "c.toml"
         task.write_text(LONG)
         write_homed(calibration, hand)
-        load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
+        load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
         self.plan = RunPlan(
             hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), time_scale=scale, clear=True
         )

@@ -266,12 +266,12 @@ def test_a_hub_accepts_only_its_own_user(shared):
             return "joined"
 
     assert as_nobody(join) == "joined"
-    hub.serve(hub.readers())
+    hub.serve(hub.read_sockets())
     assert hub.clients == 0
     for path in (folder.parent, folder):
         path.chmod(0o700)
     link = connect_to_hub("x")
-    hub.serve(hub.readers())
+    hub.serve(hub.read_sockets())
     assert hub.clients == 1
     link.close()
     hub.close()

@@ -119,7 +119,7 @@ def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
 
 def test_the_load_model_balances_every_joint() -> None:
     """With the tension that the load model computes, the torques of every joint are in balance."""
-    digit = DigitModel.of(load_hand("jamia"), "index")
+    digit = DigitModel.from_hand(load_hand("jamia"), "index")
     load = DigitLoad.of(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
     seen = SignalBins(

@@ -83,7 +83,7 @@ def test_intervals_cover_the_parameters_of_twenty_hands(tmp_path: Path, hand: st
 def test_the_excitation_of_antagonists_keeps_within_the_limits(name: str) -> None:
     hand = load_hand(name)
     steps = excitation_steps(hand, hand.digit_names)
-    for digit in map(DigitModel.of, [hand] * len(hand.digit_names), hand.digit_names):
+    for digit in map(DigitModel.from_hand, [hand] * len(hand.digit_names), hand.digit_names):
         own = [step for step in steps if step.digit == digit.name]
         assert sum(step.duration_s for step in own) < 35.0
         low, high = sweep_range(digit)
@@ -109,7 +109,7 @@ def test_a_stretched_tendon_does_not_lift_its_digit_off_the_stops() -> None:
     hand = load_hand("n_plus_1")
     for step in excitation_steps(hand, hand.digit_names):
         if step.name == "stretch":
-            digit = DigitModel.of(hand, step.digit)
+            digit = DigitModel.from_hand(hand, step.digit)
             assert (digit.reduced_moment_arms.T @ np.array(step.targets) < 0.0).all()
 
 

@@ -42,9 +42,9 @@ SPEED_BAND = 0.1
 
 An assumption.
 """
-_INT16 = (1 << 15) - 1
+_MAX_INT16 = (1 << 15) - 1
 """Maximum value of a signed object of two bytes."""
-_INT32 = (1 << 31) - 1
+_MAX_INT32 = (1 << 31) - 1
 """Maximum value of a signed object of four bytes."""
 
 
@@ -105,11 +105,11 @@ def measure(node: Any, power: Any, angle: float, velocity: float, torque: float)
         word = word & ~0x3C00 | node.mode_bits
     values[STATUS_WORD] = word
     # The position is in encoder counts at the motor shaft.
-    values[POSITION] = _saturated(round(shaft / TURN_RAD * node.counts), _INT32)
+    values[POSITION] = _saturated(round(shaft / TURN_RAD * node.counts), _MAX_INT32)
     # In this drive, object 0x606C (velocity) is in revolutions per minute.
-    values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN_RAD * 60.0), _INT32)
+    values[VELOCITY] = _saturated(round(sign * gear * velocity / TURN_RAD * 60.0), _MAX_INT32)
     values[TORQUE] = values[CURRENT] = _saturated(
-        round(sign * torque / gear / node.rated * 1000.0), _INT16
+        round(sign * torque / gear / node.rated * 1000.0), _MAX_INT16
     )
 
 

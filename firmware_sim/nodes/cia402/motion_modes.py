@@ -162,7 +162,7 @@ class MotionModes:
         if word & RELATIVE_BIT:
             target += self._target
         if word & CHANGE_IMMEDIATELY_BIT or self._bits & TARGET_REACHED_BIT:
-            self._target = self._limited(target)
+            self._target = self._within_position_limits(target)
             self._next = None
         elif self._next is None:
             self._next = target
@@ -206,29 +206,29 @@ class MotionModes:
         node.motion_due_ns = t_ns + PERIOD_NS
         self._bits &= ~INTERNAL_LIMIT_BIT
         if step_s:
-            self._generate(step_s)
-        if self._watch_error(t_ns):
+            self._generate_demand(step_s)
+        if self._check_following_error(t_ns):
             return
-        self._regulate(step_s)
+        self._regulate_servo(step_s)
         node.mode_bits = self._status_bits()
         node.objects[0x6062, 0] = round(self._demand.position)
 
-    def _generate(self, step_s: float) -> None:
+    def _generate_demand(self, step_s: float) -> None:
         """Compute the next demand of the active mode."""
         if self._mode == CYCLIC_VELOCITY:
             self._demand.jump(self._position(), self._rate_of(0x60FF) + self._rate_of(0x60B1))
         elif self._mode == CYCLIC_POSITION:
             self._interpolate(step_s)
         elif self._mode == HOMING_MODE:
-            self._approach(step_s, 0x6099, 2, 0x609A, 0x609A)
-            if self._homing and not self._attained and self._is_reached():
+            self._approach_target(step_s, 0x6099, 2, 0x609A, 0x609A)
+            if self._homing and not self._attained and self._is_target_reached():
                 self._finish_homing()
         else:
-            if self._approach(step_s, 0x6081, 0, 0x6083, 0x6084) and self._next is not None:
-                self._target = self._limited(self._next)
+            if self._approach_target(step_s, 0x6081, 0, 0x6083, 0x6084) and self._next is not None:
+                self._target = self._within_position_limits(self._next)
                 self._next = None
 
-    def _approach(
+    def _approach_target(
         self,
         step_s: float,
         speed: int,
@@ -240,17 +240,17 @@ class MotionModes:
 
         Return True at the target.
         """
-        slope = max(1.0, self._counts(self._node.objects[deceleration_index, 0]))
+        slope = max(1.0, self._counts_per_s(self._node.objects[deceleration_index, 0]))
         if self._control & HALT_BIT:
             self._demand.ramp(0.0, slope, slope, step_s)
             return False
-        fastest = self._counts(
+        fastest = self._counts_per_s(
             min(self._node.objects[speed, subindex], self._node.objects[0x6080, 0])
         )
         return self._demand.trapezoid(
             self._target,
             fastest,
-            max(1.0, self._counts(self._node.objects[acceleration_index, 0])),
+            max(1.0, self._counts_per_s(self._node.objects[acceleration_index, 0])),
             slope,
             step_s,
         )
@@ -258,13 +258,13 @@ class MotionModes:
     def _interpolate(self, step_s: float) -> None:
         """Move the demand linearly, to reach the cyclic target at the end of the interpolation period."""
         objects = self._node.objects
-        self._target = self._limited(float(objects[0x607A, 0] + objects[0x60B0, 0]))
+        self._target = self._within_position_limits(float(objects[0x607A, 0] + objects[0x60B0, 0]))
         part = step_s / self._rest_s if self._rest_s > step_s else 1.0
         self._rest_s = max(0.0, self._rest_s - step_s)
         change = part * (self._target - self._demand.position)
         self._demand.jump(self._demand.position + change, change / step_s + self._rate_of(0x60B1))
 
-    def _limited(self, target: float) -> float:
+    def _within_position_limits(self, target: float) -> float:
         """Return the target, clamped to the software position limits (object 0x607D)."""
         objects = self._node.objects
         inside = min(float(objects[0x607D, 2]), max(float(objects[0x607D, 1]), target))
@@ -272,7 +272,7 @@ class MotionModes:
             self._bits |= INTERNAL_LIMIT_BIT
         return inside
 
-    def _watch_error(self, t_ns: int) -> bool:
+    def _check_following_error(self, t_ns: int) -> bool:
         """Check the following error. Return True if the error has caused a fault."""
         node = self._node
         error = self._demand.position - self._position()
@@ -288,7 +288,7 @@ class MotionModes:
         node.trip(FOLLOWING_ERROR)
         return True
 
-    def _is_reached(self) -> bool:
+    def _is_target_reached(self) -> bool:
         """Return True if both the demand and the measured position have reached the target."""
         window = self._node.objects[0x6067, 0]
         arrived = self._demand.position == self._target and self._next is None
@@ -304,7 +304,7 @@ class MotionModes:
                 self._bits | TARGET_REACHED_BIT if stopped else self._bits & ~TARGET_REACHED_BIT
             )
             return self._bits
-        reached = self._attained if self._mode == HOMING_MODE else self._is_reached()
+        reached = self._attained if self._mode == HOMING_MODE else self._is_target_reached()
         self._bits = (
             self._bits | TARGET_REACHED_BIT if reached else self._bits & ~TARGET_REACHED_BIT
         )
@@ -317,7 +317,7 @@ class MotionModes:
         self._bits = self._bits | DRIVE_FOLLOWS_BIT if follows else self._bits & ~DRIVE_FOLLOWS_BIT
         return self._bits
 
-    def _regulate(self, step_s: float) -> None:
+    def _regulate_servo(self, step_s: float) -> None:
         """Set the servo to the demand, converted from counts at the shaft to radians at the spool."""
         node = self._node
         objects = node.objects
@@ -353,10 +353,10 @@ class MotionModes:
         node = self._node
         return float(node.direction * node.gear * node.motor.velocity / TURN_RAD * node.counts)
 
-    def _counts(self, per_minute: float) -> float:
+    def _counts_per_s(self, per_minute: float) -> float:
         """Convert a speed from 1/min to count/s, or an acceleration from 1/min/s to count/s2."""
         return float(per_minute / 60.0 * self._node.counts)
 
     def _rate_of(self, object_index: int) -> float:
         """Return the value of a velocity object in count/s."""
-        return self._counts(self._node.objects[object_index, 0])
+        return self._counts_per_s(self._node.objects[object_index, 0])

@@ -210,12 +210,12 @@ class Cia402Node:
         elif can_id == 0x600 + self.node_id:
             handled = self.nmt != STOPPED_STATE
             if handled:
-                self._sdo(data)
+                self._answer_sdo_request(data)
         elif can_id == self.master_id:
             handled = True
             self.watchdog_fed_ns = t_ns
         else:
-            handled = self._rpdo(can_id, data)
+            handled = self._process_rpdo(can_id, data)
         schedule(self, t_ns, bool(self._unsolicited))
         return self._take_unsolicited() if handled else None
 
@@ -255,7 +255,7 @@ class Cia402Node:
         self.power.fail()
         self.objects[0x603F, 0] = error_code
         self.objects[0x1001, 0] = 0x11 if error_code == HEARTBEAT_LOST else 0x01
-        self._emergency(error_code)
+        self._send_emergency(error_code)
         self._apply_torque()
 
     def lose_settings(self) -> None:
@@ -267,13 +267,13 @@ class Cia402Node:
         self._update_derived()
         self._apply_torque()
 
-    def _emergency(self, error_code: int) -> None:
+    def _send_emergency(self, error_code: int) -> None:
         """Send an emergency message, unless the node is in the NMT state stopped."""
         if self.nmt != STOPPED_STATE:
             data = error_code.to_bytes(2, "little") + bytes((self.objects[0x1001, 0],)) + bytes(5)
             self._unsolicited.append(Frame(0x80 + self.node_id, data))
 
-    def _sdo(self, data: bytes) -> None:
+    def _answer_sdo_request(self, data: bytes) -> None:
         """Answer a request to the SDO server.
 
         Numbers have up to four bytes and are transferred in one frame.
@@ -282,9 +282,11 @@ class Cia402Node:
             self.malformed += 1
             return
         if data[0] != CLIENT_ABORTS:
-            self._unsolicited.append(Frame(0x580 + self.node_id, sdo_reply(data, self._access)))
+            self._unsolicited.append(
+                Frame(0x580 + self.node_id, sdo_reply(data, self._execute_sdo_request))
+            )
 
-    def _access(self, data: bytes, key: tuple[int, int]) -> bytes:
+    def _execute_sdo_request(self, data: bytes, key: tuple[int, int]) -> bytes:
         """Execute an SDO request.
 
         Returns:
@@ -299,7 +301,7 @@ class Cia402Node:
         if specifier >> 5 == 2 and key in self.objects.texts:
             return self._first_segment(data[1:4], self.objects.texts[key])
         if specifier >> 5 == 2:
-            self._measure()
+            self._update_measured_objects()
             raw = self.objects.read(key)
             return bytes((0x43 | (4 - len(raw)) << 2,)) + data[1:4] + raw.ljust(4, b"\0")
         # Command 1 is a download request. Bit 1 is set if the transfer is expedited (in one frame).
@@ -308,7 +310,7 @@ class Cia402Node:
         # Bit 0 tells whether the request gives a size, by the number of unused bytes in bits 3..2.
         # Otherwise the size of the object counts.
         size = 4 - (specifier >> 2 & 3) if specifier & 1 else self.objects.size(key)
-        self._write(key, data[4 : 4 + size])
+        self._write_object(key, data[4 : 4 + size])
         return b"\x60" + data[1:4] + bytes(4)
 
     def _first_segment(self, name: bytes, text: bytes) -> bytes:
@@ -333,7 +335,7 @@ class Cia402Node:
         head = toggle << 4 | (7 - len(segment)) << 1 | (not self._segments)
         return bytes((head,)) + segment.ljust(7, b"\0")
 
-    def _write(self, key: tuple[int, int], value_bytes: bytes) -> None:
+    def _write_object(self, key: tuple[int, int], value_bytes: bytes) -> None:
         """Write an object as a host requests it, and apply the new value."""
         # These are the communication and mapping objects of RPDOs (0x1400, 0x1600) and TPDOs
         # (0x1800, 0x1A00).
@@ -359,30 +361,30 @@ class Cia402Node:
     def _apply_object(self, key: tuple[int, int]) -> None:
         """Apply the new value of an object that a host has written."""
         if key == (0x6040, 0):
-            self._control(self.objects[key])
+            self._apply_control_word(self.objects[key])
         elif key == (0x6060, 0):
             mode = self.objects[key]
             self.objects[0x6061, 0] = mode if mode in (CYCLIC_TORQUE_MODE, *MOTION_MODES) else 0
         self.motion.take(key[0])
         self._apply_torque()
 
-    def _control(self, word: int) -> None:
+    def _apply_control_word(self, word: int) -> None:
         """Apply a control word to the power stage."""
         before = self.power.state
         self.power.command(word)
         if before == FAULT_STATE != self.power.state:
             self.objects[0x603F, 0] = self.objects[0x1001, 0] = 0
-            self._emergency(0)
+            self._send_emergency(0)
         if self.power.state != before:
             self._send_event_pdos()
 
     def _send_event_pdos(self) -> None:
         """Send the TPDOs whose transmission type is *on a change*."""
         if self.nmt == OPERATIONAL_STATE:
-            self._measure()
+            self._update_measured_objects()
             self._unsolicited += self.pdos.on_event()
 
-    def _rpdo(self, can_id: int, data: bytes) -> bool:
+    def _process_rpdo(self, can_id: int, data: bytes) -> bool:
         """Process an RPDO of this node. Other frames are left alone.
 
         Returns:
@@ -395,7 +397,7 @@ class Cia402Node:
         keys = self.pdos.unpack(can_id, data)
         if keys is None:
             self.malformed += 1
-            self._emergency(RPDO_SHORT)
+            self._send_emergency(RPDO_SHORT)
         for key in keys or ():
             self._apply_object(key)
         return True
@@ -410,12 +412,12 @@ class Cia402Node:
             return False
         for key in self.pdos.synchronise():
             self._apply_object(key)
-        self._measure()
+        self._update_measured_objects()
         self.syncs += 1
         self._unsolicited += self.pdos.on_sync(self.syncs)
         return True
 
-    def _measure(self) -> None:
+    def _update_measured_objects(self) -> None:
         """Update the objects of the drive with measured values."""
         measure(self, self.power, self.motor.encoder(), self.motor.velocity, self.motor.torque)
 

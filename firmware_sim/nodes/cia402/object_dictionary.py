@@ -108,10 +108,10 @@ class ObjectDictionary:
             if int(parser[name]["DataType"], 16) == VISIBLE_STRING_TYPE:
                 self.texts[int(name, 16), 0] = parser[name]["DefaultValue"].encode("ascii")
             else:
-                self._add(name, parser[name], node_id)
+                self._add_object(name, parser[name], node_id)
         self._indices = {index for index, _ in self._sizes}
 
-    def _add(self, name: str, section: configparser.SectionProxy, node_id: int) -> None:
+    def _add_object(self, name: str, section: configparser.SectionProxy, node_id: int) -> None:
         """Add the object described by a section of the EDS file."""
         index, _, sub = name.partition("sub")
         key = (int(index, 16), int(sub or "0", 16))

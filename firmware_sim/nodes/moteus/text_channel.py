@@ -60,7 +60,8 @@ class TextChannel:
         for line in lines:
             if line:
                 self.out += (
-                    self._execute(line.decode("latin-1").split()).encode("latin-1") + b"\r\n"
+                    self._execute_command_line(line.decode("latin-1").split()).encode("latin-1")
+                    + b"\r\n"
                 )
         if len(self._line) > LONGEST_LINE:
             self._line = b""
@@ -76,13 +77,13 @@ class TextChannel:
         self.items = dict(self.saved)
         self.out = self._line = b""
 
-    def _execute(self, words: list[str]) -> str:
+    def _execute_command_line(self, words: list[str]) -> str:
         """Execute a command line and return the answer without its line end."""
         match words:
             case ["conf", "get", name]:
-                return self._shown(name) if name in self.items else "ERR error reading"
+                return self._item_text(name) if name in self.items else "ERR error reading"
             case ["conf", "set", name, value]:
-                return self._set(name, value)
+                return self._set_item(name, value)
             case ["conf", "write"]:
                 self.saved = dict(self.items)
             case ["conf", "load"]:
@@ -97,12 +98,12 @@ class TextChannel:
                 return "ERR unknown command"
         return "OK"
 
-    def _shown(self, name: str) -> str:
+    def _item_text(self, name: str) -> str:
         """Return the value of a configuration item as the drive prints it."""
         value = self.items[name]
         return f"{int(value)}" if name in INTEGER_ITEMS else f"{value:f}"
 
-    def _set(self, name: str, text: str) -> str:
+    def _set_item(self, name: str, text: str) -> str:
         """Set a configuration item and return the answer to the host."""
         try:
             value = float(text)

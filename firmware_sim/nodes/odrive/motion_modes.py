@@ -78,7 +78,7 @@ class MotionSettings(NamedTuple):
     integral_gain: float = 0.333
 
 
-_FIELDS = {
+_FIELDS_BY_MESSAGE = {
     0x11: ("velocity_limit",),
     0x12: ("acceleration", "deceleration"),
     0x13: ("inertia",),
@@ -86,7 +86,7 @@ _FIELDS = {
     0x1B: ("velocity_gain", "integral_gain"),
 }
 """Settings that each message changes, by command number."""
-_MAY_BE_ZERO = {0x13, 0x1A, 0x1B}
+_MESSAGES_THAT_ALLOW_ZERO = {0x13, 0x1A, 0x1B}
 """Command numbers of the messages whose values may be 0."""
 
 
@@ -116,10 +116,10 @@ class MotionModes:
 
     def set(self, command: int, values: tuple[float, ...]) -> None:
         """Apply the settings of a message, if all its values are possible."""
-        lowest = 0.0 if command in _MAY_BE_ZERO else math.ulp(0.0)
+        lowest = 0.0 if command in _MESSAGES_THAT_ALLOW_ZERO else math.ulp(0.0)
         if all(lowest <= value < math.inf for value in values):
             self.settings = self.settings._replace(
-                **dict(zip(_FIELDS[command], values, strict=True))
+                **dict(zip(_FIELDS_BY_MESSAGE[command], values, strict=True))
             )
 
     def take(self, with_position: bool, position: float, velocity: float) -> None:
@@ -173,8 +173,8 @@ class MotionModes:
             follow_torque(node, node.motor.servo, self._torque)
             return
         if step_s or node.input_mode == PASSTHROUGH_MODE:
-            self._generate(step_s)
-        self._regulate(step_s)
+            self._generate_setpoint(step_s)
+        self._regulate_servo(step_s)
 
     def _ramp_torque(self, step_s: float) -> None:
         """Move the torque towards the torque input, if the input mode is the torque ramp."""
@@ -183,7 +183,7 @@ class MotionModes:
             largest = node.endpoint_float(TORQUE_RAMP_RATE) * step_s
             self._torque += min(largest, max(-largest, node.setpoint - self._torque))
 
-    def _generate(self, step_s: float) -> None:
+    def _generate_setpoint(self, step_s: float) -> None:
         """Compute the setpoint that the input mode generates."""
         node = self._node
         setpoint = self._setpoint
@@ -206,7 +206,7 @@ class MotionModes:
         if mode in (VELOCITY_RAMP, POSITION_FILTER, TRAPEZOID):
             self._torque = setpoint.acceleration * settings.inertia
 
-    def _regulate(self, step_s: float) -> None:
+    def _regulate_servo(self, step_s: float) -> None:
         """Set the servo to the setpoint, converted from turns at the shaft to radians at the spool."""
         node = self._node
         settings = self.settings

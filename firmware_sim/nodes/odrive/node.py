@@ -217,7 +217,7 @@ class OdriveNode:
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
         self.calibrated = not options.get("uncalibrated", False)
         self.busy_until_ns = 0
-        self._factory = self._settings()
+        self._factory = self._storable_settings()
         self._saved = self._factory
         self.setpoint = 0.0
         self.heartbeat_period_ns = HEARTBEAT_MS * 1_000_000
@@ -237,11 +237,11 @@ class OdriveNode:
     def _update_derived(self) -> None:
         """Update the attributes that are derived from endpoints."""
         self.torque_min, self.torque_max = (
-            self._limit("torque_min", -math.inf),
-            self._limit("torque_max", math.inf),
+            self._endpoint_limit("torque_min", -math.inf),
+            self._endpoint_limit("torque_max", math.inf),
         )
         enabled = self.endpoints.get(self._numbers["enable_watchdog"])
-        seconds = self._limit("watchdog_timeout", 0.0)
+        seconds = self._endpoint_limit("watchdog_timeout", 0.0)
         self.timeout_ns = int(seconds * 1e9) if enabled == b"\1" and 0.0 < seconds < 1e6 else 0
 
     @property
@@ -272,7 +272,7 @@ class OdriveNode:
         if len(frame.data) < _MIN_PAYLOAD_BYTES[command]:
             self.malformed += 1
             return []
-        return self._execute(command, frame.data, t_ns)
+        return self._execute_message(command, frame.data, t_ns)
 
     def _answer_remote(self, node: int, command: int) -> list[Frame]:
         """Answer a request for a Get message.
@@ -310,12 +310,12 @@ class OdriveNode:
         }
         return struct.pack("<ff", *pairs[command]) if command in pairs else b""
 
-    def _execute(self, command: int, data: bytes, t_ns: int) -> list[Frame]:
+    def _execute_message(self, command: int, data: bytes, t_ns: int) -> list[Frame]:
         """Execute a message from the host."""
         if command == 0x02:
             self.disarm(ESTOP_ERROR)
         elif command == 0x04:
-            return self._sdo(data)
+            return self._execute_sdo_request(data)
         elif command == 0x07:
             self._set_state(int.from_bytes(data[:4], "little"), t_ns)
         elif command == 0x0B:
@@ -341,7 +341,7 @@ class OdriveNode:
     def _set_state(self, state: int, t_ns: int) -> None:
         """Set the axis state as the host requests. With an error, the axis refuses closed loop."""
         if state == IDLE_STATE:
-            self._release(CANCELLED_RESULT if self.busy_until_ns else SUCCESS_RESULT)
+            self._release_axis(CANCELLED_RESULT if self.busy_until_ns else SUCCESS_RESULT)
         elif self._can_calibrate(state):
             self.state = state
             self.result = BUSY_RESULT
@@ -403,7 +403,7 @@ class OdriveNode:
         set_torque(self, self.motor.servo, values[2], t_ns)
         self.motion.advance(t_ns, update_now=True)
 
-    def _limit(self, name: str, default: float) -> float:
+    def _endpoint_limit(self, name: str, default: float) -> float:
         """Return the float of a named endpoint, or the default if the hand file does not give its number."""
         raw = self.endpoints.get(self._numbers[name])
         return float(struct.unpack("<f", raw)[0]) if raw else default
@@ -418,7 +418,7 @@ class OdriveNode:
         (value,) = struct.unpack("<f", self.endpoints[endpoint])
         return max(0.0, float(value)) if math.isfinite(value) else 0.0
 
-    def _sdo(self, data: bytes) -> list[Frame]:
+    def _execute_sdo_request(self, data: bytes) -> list[Frame]:
         """Read or write an endpoint. A write is not answered, as in firmware before 0.6.11."""
         operation = data[0]
         endpoint = int.from_bytes(data[1:3], "little")
@@ -441,7 +441,7 @@ class OdriveNode:
         if math.isfinite(position):
             self.offset = position * TURN_RAD - self.direction * self.gear * self.motor.encoder()
 
-    def _settings(self) -> dict[str, Any]:
+    def _storable_settings(self) -> dict[str, Any]:
         """Return the settings that Reboot(save) stores."""
         return {
             "endpoints": dict(self.endpoints),
@@ -457,8 +457,8 @@ class OdriveNode:
 
         Action 1 saves the present settings first, and action 2 erases them.
         """
-        self._saved = {1: self._settings(), 2: self._factory}.get(action, self._saved)
-        self._release(SUCCESS_RESULT)
+        self._saved = {1: self._storable_settings(), 2: self._factory}.get(action, self._saved)
+        self._release_axis(SUCCESS_RESULT)
         self.active_errors = self.disarm_reason = 0
         self._set_modes(*self._saved["modes"])
         self.lose_settings()
@@ -474,7 +474,7 @@ class OdriveNode:
         self.endpoints = dict(saved["endpoints"])
         self._update_derived()
 
-    def _release(self, result: int) -> None:
+    def _release_axis(self, result: int) -> None:
         """Enter the axis state idle with a procedure result. The motor turns freely."""
         self.motor.servo.release()
         self.motion_due_ns = 0
@@ -486,7 +486,7 @@ class OdriveNode:
     def disarm(self, error_bit: int) -> None:
         """Enter the axis state idle because of an error. The motor turns freely."""
         self.disarm_reason |= error_bit
-        self._release(DISARMED_RESULT)
+        self._release_axis(DISARMED_RESULT)
 
     def wake(self, t_ns: int) -> list[Frame]:
         """Do the work that is due: temperatures, watchdog, calibration, motion and cyclic messages.
@@ -500,11 +500,11 @@ class OdriveNode:
             self.disarm(WATCHDOG_ERROR)
         if 0 < self.busy_until_ns <= t_ns:
             self.calibrated = True
-            self._release(SUCCESS_RESULT)
+            self._release_axis(SUCCESS_RESULT)
         self.motion.advance(t_ns)
         frames = []
         if t_ns >= self.heartbeat_due_ns:
-            frames.append(Frame(self.node_id << 5 | 0x01, self._heartbeat()))
+            frames.append(Frame(self.node_id << 5 | 0x01, self._heartbeat_payload()))
             self.heartbeat_due_ns = next_due(self.heartbeat_due_ns, t_ns, self.heartbeat_period_ns)
         if t_ns >= self.encoder_due_ns:
             frames.append(Frame(self.node_id << 5 | 0x09, self._get_payload(0x09)))
@@ -512,7 +512,7 @@ class OdriveNode:
         schedule(self)
         return frames
 
-    def _heartbeat(self) -> bytes:
+    def _heartbeat_payload(self) -> bytes:
         """Return the payload of a heartbeat."""
         if self.legacy:
             errors = sum(

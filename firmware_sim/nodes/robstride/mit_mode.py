@@ -91,16 +91,18 @@ class RobstrideMitNode(RobstrideNode):
             self.malformed += 1
             return []
         if frame.can_id >> 8:
-            return [self._answer(frame)]
+            return [self._feedback_frame(frame)]
         if data[:6] == _SPECIAL_COMMAND_START and data[6:] != b"\xff\xff":
-            return self._special(data[6], data[7], frame, t_ns)
+            return self._process_special_command(data[6], data[7], frame, t_ns)
         self.watchdog_fed_ns = t_ns
         if self.mode == RUN_MODE:
             self.follow_command(data)
         self._schedule()
-        return [self._answer(frame)]
+        return [self._feedback_frame(frame)]
 
-    def _special(self, data_area: int, command_code: int, frame: Frame, t_ns: int) -> list[Frame]:
+    def _process_special_command(
+        self, data_area: int, command_code: int, frame: Frame, t_ns: int
+    ) -> list[Frame]:
         """Execute a special command.
 
         Byte 6 of the frame is FF, or a value that belongs to the command.
@@ -125,15 +127,15 @@ class RobstrideMitNode(RobstrideNode):
         elif command_code == 0xFE and plain:
             self.offset = -self._direction * self.motor.encoder()
         else:
-            return self._set_up(data_area, command_code)
-        return [self._answer(frame)]
+            return self._change_configuration(data_area, command_code)
+        return [self._feedback_frame(frame)]
 
     def _set_run_mode(self, mode: int) -> None:
         """Set the mode of operation, unless the motor is in run mode."""
         if self.mode != RUN_MODE:
             self.parameters[0x7005] = bytes(((0, 5, 2)[mode], 0, 0, 0))
 
-    def _set_up(self, data_area: int, command_code: int) -> list[Frame]:
+    def _change_configuration(self, data_area: int, command_code: int) -> list[Frame]:
         """Change the protocol, or the number of the motor or host.
 
         The motor replies with its identity.
@@ -171,7 +173,7 @@ class RobstrideMitNode(RobstrideNode):
         servo.torque = sign * max(-limit, min(limit, command.torque))
         servo.limit = limit
 
-    def _answer(self, frame: Frame) -> Frame:
+    def _feedback_frame(self, frame: Frame) -> Frame:
         """Return the frame with the present feedback."""
         motor = self.motor
         sign = self._direction

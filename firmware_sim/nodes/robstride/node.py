@@ -192,34 +192,36 @@ class RobstrideNode:
             self.malformed += 1
             return []
         if kind == 1:
-            self._control(number >> 8 & 0xFFFF, frame.data, t_ns)
-            return [self._feedback(frame)]
+            self._follow_control_command(number >> 8 & 0xFFFF, frame.data, t_ns)
+            return [self._feedback_frame(frame)]
         self._host = number >> 8 & 0xFF
-        return self._execute(kind, number >> 16 & 0xFF, frame, t_ns)
+        return self._execute_request(kind, number >> 16 & 0xFF, frame, t_ns)
 
-    def _execute(self, frame_type: int, data_area: int, frame: Frame, t_ns: int) -> list[Frame]:
+    def _execute_request(
+        self, frame_type: int, data_area: int, frame: Frame, t_ns: int
+    ) -> list[Frame]:
         """Execute a request of a host and answer it."""
         if frame_type in (0, 7):
             # A new motor number takes effect at once, and the answer is the identity.
             if frame_type == 7 and 0 < data_area < 0x80:
                 self.node_id = data_area
-            return [self._identity(frame)]
+            return [self._identity_frame(frame)]
         if frame_type == 0x11:
-            return [self._read(frame.data, frame)]
+            return [self._read_parameter(frame.data, frame)]
         requests = {
             3: self._enable,
             4: self._stop_on_request,
             6: self._set_zero,
-            0x12: self._write,
-            0x16: self._save,
+            0x12: self._write_parameter,
+            0x16: self._save_parameters,
         }
         if frame_type not in requests:
             self.malformed += 1
             return []
         requests[frame_type](frame.data, t_ns)
-        return [self._feedback(frame)]
+        return [self._feedback_frame(frame)]
 
-    def _identity(self, frame: Frame) -> Frame:
+    def _identity_frame(self, frame: Frame) -> Frame:
         """Return the frame with the identity of the motor."""
         return Frame(
             EXTENDED | self.node_id << 8 | 0xFE, self._serial.to_bytes(8, "big"), 0, frame.bus
@@ -244,7 +246,7 @@ class RobstrideNode:
         if data[0] == 1:
             self.offset = -self._direction * self.motor.encoder()
 
-    def _save(self, data: bytes, _t_ns: int) -> None:
+    def _save_parameters(self, data: bytes, _t_ns: int) -> None:
         """Save the present parameters."""
         if data == bytes(range(1, 9)):
             self._saved = dict(self.parameters)
@@ -257,7 +259,7 @@ class RobstrideNode:
             self.fault = 0
         self._schedule()
 
-    def _control(self, torque: int, data: bytes, t_ns: int) -> None:
+    def _follow_control_command(self, torque: int, data: bytes, t_ns: int) -> None:
         """Follow a control command in run mode."""
         self.watchdog_fed_ns = t_ns
         if self.mode == RUN_MODE:
@@ -278,16 +280,16 @@ class RobstrideNode:
         servo.torque = sign * max(-limit, min(limit, feedforward))
         servo.limit = limit
 
-    def _read(self, data: bytes, frame: Frame) -> Frame:
+    def _read_parameter(self, data: bytes, frame: Frame) -> Frame:
         """Return the reply to a request that reads a parameter."""
         number = int.from_bytes(data[:2], "little")
         value = self.parameters.get(number)
         if value is None and number in READ_ONLY_PARAMETERS:
-            value = struct.pack("<f", self._measured(number))
+            value = struct.pack("<f", self._measured_parameter(number))
         head = EXTENDED | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
         return Frame(head, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
 
-    def _measured(self, parameter: int) -> float:
+    def _measured_parameter(self, parameter: int) -> float:
         """Return the present value of a measured parameter."""
         sign = self._direction
         values = {
@@ -298,7 +300,7 @@ class RobstrideNode:
         }
         return values[parameter]
 
-    def _write(self, data: bytes, _t_ns: int) -> None:
+    def _write_parameter(self, data: bytes, _t_ns: int) -> None:
         """Write a parameter. Unknown parameters and values out of range are ignored."""
         number = int.from_bytes(data[:2], "little")
         coding = WRITABLE_PARAMETERS.get(number)
@@ -311,7 +313,7 @@ class RobstrideNode:
             return
         self.parameters[number] = struct.pack(f"<{coding}", value).ljust(4, b"\0")
 
-    def _feedback(self, frame: Frame) -> Frame:
+    def _feedback_frame(self, frame: Frame) -> Frame:
         """Return the frame with the feedback, to the host that sent the latest request."""
         motor = self.motor
         sign = self._direction
@@ -373,12 +375,12 @@ class RobstrideNode:
             self._thermal_ns = t_ns
             if self.thermal.winding > HOT_C and not self.fault & HOT_FAULT:
                 self.trip(HOT_FAULT)
-        reports = [self._report(fault) for fault in self._reports]
+        reports = [self._fault_report_frame(fault) for fault in self._reports]
         self._reports.clear()
         self._schedule()
         return reports
 
-    def _report(self, fault: int) -> Frame:
+    def _fault_report_frame(self, fault: int) -> Frame:
         """Return the frame that reports faults."""
         bits = (
             sum(reported for bit, reported in FAULT_REPORT_BITS.items() if fault & bit)

@@ -76,7 +76,7 @@ def apply_requests(
     events = list[TickEvent]()
     for text in requests:
         if is_target(text):
-            events += apply_target(model, state, parse_target(text), state.whole(s.T_NS))
+            events += apply_target(model, state, parse_target(text), state.run_integer(s.T_NS))
             continue
         request = parse_request(text)
         if isinstance(request, str):

@@ -57,11 +57,11 @@ class BusLoad:
         """Return the fraction of bus time that is taken by frames whose number does not depend on the control rate."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
-    def at(self, rate_hz: float) -> float:
+    def load_at(self, rate_hz: float) -> float:
         """Return the bus load at a control rate [Hz], as a fraction."""
         return rate_hz * self.tick_s + self.timed_fraction
 
-    def highest(self, load_limit: float) -> float:
+    def highest_rate_hz(self, load_limit: float) -> float:
         """Return the control rate at which the bus load is ``load_limit`` [Hz], or infinity if no tick has frames."""
         return (
             max(0.0, load_limit - self.timed_fraction) / self.tick_s
@@ -86,7 +86,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
     Raises:
         ConfigError: if the motor is set to CAN FD and the bus is not.
     """
-    kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.exchange]
+    kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.frames_per_tick]
     kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background_frames]
     if bus.data_bitrate is None and any(fd for _, fd, _, _ in kinds):
         raise ConfigError(
@@ -116,7 +116,8 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
         + ["joint angles"] * (len(node.ids) - node.tension_frames)
     )
     kinds = [
-        (name, size, number, 0.0) for name, (size, number) in zip(names, node.exchange, strict=True)
+        (name, size, number, 0.0)
+        for name, (size, number) in zip(names, node.frames_per_tick, strict=True)
     ]
     kinds += [("heartbeats", size, 0.0, number) for size, number in node.background_frames]
     return tuple(
@@ -143,7 +144,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     """
     first = hand.bus[0]
     # The first bus also carries SYNC and the load-cell frames, so it has less capacity for motors.
-    capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz)
+    capacity = MAX_BUS_LOAD - BusLoad("", 0, sensor_rows(hand, first)).load_at(rate_hz)
     # CiA 402 drives reply to SYNC. A bus without the sensor node's SYNC needs another SYNC.
     has_sync = SYNC in make_sensors(hand).host_ids
     sync_load = rate_hz * frame_time_s(0, False, first.bitrate)
@@ -151,7 +152,7 @@ def split_motors_over_buses(hand: Hand, rate_hz: float) -> list[list[str]]:
     for drive in make_drives(hand):
         listens = isinstance(drive, Cia402Drive)
         alone = replace(drive, sync=False) if isinstance(drive, Cia402Drive) else drive
-        load = BusLoad("", 1, drive_rows(alone, first)).at(rate_hz)
+        load = BusLoad("", 1, drive_rows(alone, first)).load_at(rate_hz)
         with_sync = load + sync_load * listens
         if with_sync > MAX_BUS_LOAD:
             return []

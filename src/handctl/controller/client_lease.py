@@ -25,7 +25,7 @@ def begin_lease(state: State, request: CommandBase) -> None:
     """
     lease = None
     if request.lease_s is not None and not isinstance(request, LeaveRequest):
-        lease = ClientLease(request.client, round(1e9 * request.lease_s), state.whole(s.T_NS))
+        lease = ClientLease(request.client, round(1e9 * request.lease_s), state.run_integer(s.T_NS))
     state.decide(lease=lease)
 
 
@@ -38,7 +38,7 @@ def renew_lease(state: State, client: str) -> tuple[TickEvent, ...]:
     lease = state.decisions.lease
     if lease is None or lease.client != client:
         return ()
-    state.decide(lease=lease._replace(renewed_ns=state.whole(s.T_NS), resting=False))
+    state.decide(lease=lease._replace(renewed_ns=state.run_integer(s.T_NS), resting=False))
     return (TickEvent("info", "lease", "", f"{client} answers again"),) if lease.resting else ()
 
 
@@ -64,8 +64,8 @@ def expire_lease(model: HandModel, state: State) -> tuple[TickEvent, ...]:
     heard_ns = lease.renewed_ns
     stream = state.decisions.stream
     if stream is not None and stream.client == lease.client:
-        heard_ns = max(heard_ns, state.whole(s.STREAM_SENT_NS))
-    silence_ns = state.whole(s.T_NS) - heard_ns
+        heard_ns = max(heard_ns, state.run_integer(s.STREAM_SENT_NS))
+    silence_ns = state.run_integer(s.T_NS) - heard_ns
     text = f"client {lease.client or 'without a name'} has been silent for {silence_ns / 1e9:.2f} s"
     if silence_ns > RELAX_FACTOR * lease.duration_ns:
         state.decide(lease=None, progress=replace(state.progress, finished=True, failure=text))

@@ -187,76 +187,76 @@ class State:
         """Return a field of the state block by its name."""
         return self.layout.view(self.block, name)
 
-    def number(self, row: int) -> float:
+    def run_number(self, row: int) -> float:
         """Return a real number that is stored once per run, by its row."""
         return float(self._run[row])
 
-    def set_number(self, row: int, value: float) -> None:
+    def set_run_number(self, row: int, value: float) -> None:
         """Set a real number that is stored once per run."""
         self._run[row] = value
 
-    def whole(self, row: int) -> int:
+    def run_integer(self, row: int) -> int:
         """Return an integer that is stored once per run, by its row."""
         return int(self._run_int[row])
 
-    def set_whole(self, row: int, value: int) -> None:
+    def set_run_integer(self, row: int, value: int) -> None:
         """Set an integer that is stored once per run."""
         self._run_int[row] = value
 
     @property
     def k(self) -> int:
         """Return the number of the last tick, -1 before the first."""
-        return self.whole(s.K)
+        return self.run_integer(s.K)
 
     @property
     def mode(self) -> Mode:
         """Return the mode of the hand."""
-        return _MODE_BY_NUMBER[self.whole(s.MODE)]
+        return _MODE_BY_NUMBER[self.run_integer(s.MODE)]
 
     @mode.setter
     def mode(self, mode: Mode) -> None:
-        self.set_whole(s.MODE, mode)
+        self.set_run_integer(s.MODE, mode)
 
     @property
     def mode_since(self) -> float:
         """Return the time at which the present mode began [s]."""
-        return self.number(s.MODE_SINCE)
+        return self.run_number(s.MODE_SINCE)
 
     @mode_since.setter
     def mode_since(self, t: float) -> None:
-        self.set_number(s.MODE_SINCE, t)
+        self.set_run_number(s.MODE_SINCE, t)
 
     @property
     def goal_time(self) -> float:
         """Return the program's time [s]. The time stops while the safety monitor holds the hand."""
-        return self.number(s.GOAL_TIME)
+        return self.run_number(s.GOAL_TIME)
 
     @goal_time.setter
     def goal_time(self, t: float) -> None:
-        self.set_number(s.GOAL_TIME, t)
+        self.set_run_number(s.GOAL_TIME, t)
 
     @property
     def armed(self) -> bool:
         """Return True if arming is requested."""
-        return bool(self.whole(s.ARMING_REQUESTED))
+        return bool(self.run_integer(s.ARMING_REQUESTED))
 
     @armed.setter
     def armed(self, armed: bool) -> None:
-        self.set_whole(s.ARMING_REQUESTED, armed)
+        self.set_run_integer(s.ARMING_REQUESTED, armed)
 
     @property
     def clearing(self) -> bool:
         """Return True while latched errors of the drives are being cleared, before arming."""
-        return bool(self.whole(s.CLEARING))
+        return bool(self.run_integer(s.CLEARING))
 
     @clearing.setter
     def clearing(self, clearing: bool) -> None:
-        self.set_whole(s.CLEARING, clearing)
+        self.set_run_integer(s.CLEARING, clearing)
 
     @property
     def started(self) -> bool:
         """Return True if the encoder and the load cell of every tendon have been read at least once."""
-        return bool(self.whole(s.FILTER_STARTED))
+        return bool(self.run_integer(s.FILTER_STARTED))
 
     @property
     def estimate(self) -> Estimate:
@@ -275,7 +275,11 @@ class State:
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
         """Return three numbers: SYNCs sent, accepted tension frames, and sensor frames that answered an older SYNC."""
-        return self.whole(s.SYNCS), self.whole(s.TENSION_FRAMES), self.whole(s.STALE_FRAMES)
+        return (
+            self.run_integer(s.SYNCS),
+            self.run_integer(s.TENSION_FRAMES),
+            self.run_integer(s.STALE_FRAMES),
+        )
 
     # Decisions by their names.
 

@@ -128,7 +128,7 @@ class RunSetup(Document):
     """(N,) identified torque gains. Empty if all are 1."""
 
     @staticmethod
-    def of(controller: Controller, rate_hz: float) -> "RunSetup":
+    def from_controller(controller: Controller, rate_hz: float) -> "RunSetup":
         """Return the setup of a controller with control rate ``rate_hz`` [Hz]."""
         return RunSetup(
             rate_hz=rate_hz,
@@ -149,7 +149,7 @@ class RunSetup(Document):
         """Construct the controller from the setup, including the design of all gains."""
         identified = parse_toml(self.identified_hand, SETUP_ATTACHMENT)
         known = hand_from_content(identified, SETUP_ATTACHMENT) if identified else hand
-        model = HandModel.of(
+        model = HandModel.from_hand(
             known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None
         )
         tare = np.array(self.tare_N)
@@ -208,7 +208,7 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
     if not motor.holds_position:
         return
     where = f"motor[{motor.name}]"
-    message = drive.cyclic.position
+    message = drive.cyclic_messages.position
     if message is None:
         right = 'mit, cubemars, robstride, robstride_mit or moteus with control = "position"'
         reason = NO_POSITION_LOOP.get(motor.protocol, "")
@@ -244,8 +244,8 @@ def make_sensors(hand: Hand) -> SensorInterface:
     node = hand.sensor_node
     bus = hand.bus_names.index(node.bus)
     if node.is_cia404:
-        return Cia404LoadCells.of(node, bus, hand.tendon_names)
-    return SensorNode.of(node, bus, hand.tendon_names, hand.joints)
+        return Cia404LoadCells.from_description(node, bus, hand.tendon_names)
+    return SensorNode.from_description(node, bus, hand.tendon_names, hand.joints)
 
 
 def make_controller(
@@ -268,7 +268,9 @@ def make_controller(
     zero = calibration.zero(hand) if calibration else np.zeros(n)
     found = calibration.identified if calibration else {}
     gain = torque_gain(hand, found) if found else None
-    model = HandModel.of(identified_hand(hand, found) if found else hand, gains, rate_hz, gain)
+    model = HandModel.from_hand(
+        identified_hand(hand, found) if found else hand, gains, rate_hz, gain
+    )
     drives = make_drives(hand)
     sensors = make_sensors(hand)
     controller = Controller(model, drives, sensors, program, tare, zero, arm_at_once)
@@ -286,7 +288,7 @@ def _setup_of_program(program: Program) -> AnySetup:
         case JogProgram(request, duration):
             return JogSetup(request=request, duration_s=duration)
         case PlaybackProgram(recording, raw):
-            return PlaybackSetup(raw=raw, rows=recording.text())
+            return PlaybackSetup(raw=raw, rows=recording.to_text())
         case ExciteProgram(steps):
             return ExciteSetup(steps=steps)
         case CommissionProgram():
@@ -306,7 +308,7 @@ def _program_of_setup(setup: AnySetup, hand: Hand) -> Program:
         case JogSetup():
             return JogProgram(setup.request, setup.duration_s)
         case PlaybackSetup():
-            recording = RecordedGoals.read(setup.rows, len(hand.joints), len(hand.tendon))
+            recording = RecordedGoals.from_text(setup.rows, len(hand.joints), len(hand.tendon))
             return PlaybackProgram(recording, setup.raw)
         case ExciteSetup():
             return ExciteProgram(setup.steps)

@@ -63,9 +63,9 @@ def open_stream(model: HandModel, state: State, request: OpenStream) -> TickEven
     if stream.moves:
         _prepare_motion(model, state, digits)
     for row in (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED):
-        state.set_whole(row, 0)
-    state.set_whole(s.STREAM_SEQUENCE, -1)
-    state.set_whole(s.STREAMING, OPEN_STREAM)
+        state.set_run_integer(row, 0)
+    state.set_run_integer(s.STREAM_SEQUENCE, -1)
+    state.set_run_integer(s.STREAMING, OPEN_STREAM)
     state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(
         model, stream
     )
@@ -92,8 +92,8 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
     rows[s.STREAM_TARGET] = np.clip(rows[s.TRAJECTORY], *model.reach)
     rows[s.STREAM_RANGE : s.STREAM_RANGE + 2] = model.reach
     rows[s.STREAM_SEGMENT : s.STREAM_SEGMENT + 6] = rows[s.STREAM_TARGET_RATE] = 0.0
-    state.set_number(s.STREAM_SINCE, 0.0)
-    state.set_number(s.STREAM_DURATION, 0.0)
+    state.set_run_number(s.STREAM_SINCE, 0.0)
+    state.set_run_number(s.STREAM_DURATION, 0.0)
 
 
 def close_stream(model: HandModel, state: State) -> None:
@@ -101,7 +101,7 @@ def close_stream(model: HandModel, state: State) -> None:
     if state.decisions.stream is None:
         return
     state.decide(stream=None, progress=bring_to_rest(model, state, only_streamed=True))
-    state.set_whole(s.STREAMING, 0)
+    state.set_run_integer(s.STREAMING, 0)
     state.tendon[[s.STIFFNESS_FRACTION, s.DAMPING_FRACTION]] = 1.0
 
 
@@ -142,20 +142,20 @@ def apply_target(
             state, s.STREAM_REFUSED, f"refused: a target that is no target, expected {right}"
         )
     sent_ns = min(target.sent_ns, t_ns)
-    running = state.whole(s.STREAMING) == RUNNING_STREAM
+    running = state.run_integer(s.STREAMING) == RUNNING_STREAM
     # Several targets of one tick may have the time of the tick.
-    overtaken = target.number <= state.whole(s.STREAM_SEQUENCE) or sent_ns < state.whole(
-        s.STREAM_SENT_NS
-    )
+    overtaken = target.number <= state.run_integer(
+        s.STREAM_SEQUENCE
+    ) or sent_ns < state.run_integer(s.STREAM_SENT_NS)
     if (running and overtaken) or t_ns - sent_ns > 1e9 * MAX_TARGET_AGE_S:
         return _count_target(
             state, s.STREAM_LATE, "ignored: a target that is repeated, overtaken or too old"
         )
     begin = _begin_segment if stream.moves else _begin_ramp
     clipped = begin(model, state, stream, np.array(target.values), sent_ns, t_ns)
-    state.set_whole(s.STREAM_SENT_NS, sent_ns)
-    state.set_whole(s.STREAM_SEQUENCE, target.number)
-    state.set_whole(s.STREAMING, RUNNING_STREAM)
+    state.set_run_integer(s.STREAM_SENT_NS, sent_ns)
+    state.set_run_integer(s.STREAM_SEQUENCE, target.number)
+    state.set_run_integer(s.STREAMING, RUNNING_STREAM)
     _count_target(state, s.STREAM_ACCEPTED)
     limit = (
         "the range of a joint, or one that taut tendons cannot hold"
@@ -223,11 +223,11 @@ def _begin_segment(
             places = model.digit_coordinates[d]
             held[places] = nearest_holdable_posture(digit, held[places], model.floor[digit.tendons])
     # The segment starts at the reference of the last tick, so this tick already moves.
-    since = t_ns / 1e9 - model.period * (1 + state.whole(s.MISSED_TICKS))
+    since = t_ns / 1e9 - model.period * (1 + state.run_integer(s.MISSED_TICKS))
     duration = max(sent_ns / 1e9 + stream.horizon - since, model.period)
-    apart = (sent_ns - state.whole(s.STREAM_SENT_NS)) / 1e9
+    apart = (sent_ns - state.run_integer(s.STREAM_SENT_NS)) / 1e9
     steady = (
-        state.whole(s.STREAMING) == RUNNING_STREAM
+        state.run_integer(s.STREAMING) == RUNNING_STREAM
         and apart <= MAX_TARGET_GAP_PERIODS * stream.period
     )
     # Two targets that arrive together do not show the speed of the stream, so half a period is
@@ -244,8 +244,8 @@ def _count_target(state: State, counter_row: int, event_text: str = "") -> tuple
 
     Returns an event with the text for the first such target of a stream.
     """
-    count = state.whole(counter_row) + 1
-    state.set_whole(counter_row, count)
+    count = state.run_integer(counter_row) + 1
+    state.set_run_integer(counter_row, count)
     return (TickEvent("info", "stream", "", event_text),) if event_text and count == 1 else ()
 
 
@@ -253,10 +253,16 @@ def stream_status(state: State) -> StreamStatus:
     """Return the status of the open stream of targets."""
     if state.decisions.stream is None:
         return _NO_STREAM
-    running = state.whole(s.STREAMING) == RUNNING_STREAM
-    age_s = (state.whole(s.T_NS) - state.whole(s.STREAM_SENT_NS)) / 1e9 if running else math.nan
+    running = state.run_integer(s.STREAMING) == RUNNING_STREAM
+    age_s = (
+        (state.run_integer(s.T_NS) - state.run_integer(s.STREAM_SENT_NS)) / 1e9
+        if running
+        else math.nan
+    )
     rows = (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED, s.STREAM_LIMITED)
-    return StreamStatus(state.whole(s.STREAM_SEQUENCE), age_s, *[state.whole(row) for row in rows])
+    return StreamStatus(
+        state.run_integer(s.STREAM_SEQUENCE), age_s, *[state.run_integer(row) for row in rows]
+    )
 
 
 _NO_STREAM = StreamStatus()

@@ -165,13 +165,13 @@ class Controller:
         for name, value in made.items():
             object.__setattr__(self, name, value)
 
-    def initial(self) -> State:
+    def initial_state(self) -> State:
         """Return the state before the first tick, which follows from the configuration alone."""
-        drives = tuple(drive.initial() for drive in self.drives)
+        drives = tuple(drive.initial_state() for drive in self.drives)
         decisions = Decisions(
             tuple(drive.with_values() for drive in drives),
-            self.program.initial(self.model),
-            amplifiers=tuple(one.initial() for one in self.sensors.amplifiers),
+            self.program.initial_progress(self.model),
+            amplifiers=tuple(one.initial_state() for one in self.sensors.amplifiers),
         )
         state = State(self.layout, self.layout.initial.copy(), decisions)
         state.armed = self.arm_at_once
@@ -179,13 +179,13 @@ class Controller:
             self.constants.block, "range_sigma"
         )
         for n, drive_state in enumerate(drives):
-            self.keep(state, n, drive_state)
+            self.store_drive_state(state, n, drive_state)
         self._write_progress(state, None)
         return state
 
     def cut_frames(self) -> tuple[Frame, ...]:
         """Return the frames that remove the torque of every motor."""
-        return tuple(frame for drive in self.drives for frame in drive.cut())
+        return tuple(frame for drive in self.drives for frame in drive.cut_frames())
 
     def tick(self, last_state: State, tick_input: TickIn) -> tuple[State, TickOut]:
         """Compute one tick of the controller.
@@ -200,11 +200,11 @@ class Controller:
         Raises:
             ValueError: a command cannot be encoded. The command is not sent.
         """
-        step = self.begin(last_state, tick_input)
+        step = self.begin_tick(last_state, tick_input)
         step.command(tick_input.requests)
         return step.conclude()
 
-    def begin(self, last_state: State, tick_input: TickIn) -> "OpenTick":
+    def begin_tick(self, last_state: State, tick_input: TickIn) -> "OpenTick":
         """Process the received frames, and correct and predict the tension filter.
 
         Args:
@@ -218,12 +218,12 @@ class Controller:
             else self.designs.controller(self, gains)
         )
         state = last_state.copy()
-        signs = controller._take_in(
+        signs = controller._process_frames(
             last_state, state, tick_input, frames_as_records(tick_input.frames)
         )
         return OpenTick(controller, last_state, state, tick_input, signs)
 
-    def _command(self, open_tick: "OpenTick", requests: tuple[str, ...]) -> None:
+    def _command_drives(self, open_tick: "OpenTick", requests: tuple[str, ...]) -> None:
         """Apply requests, judge, decide, and compute the frames to send, see ``OpenTick.command``."""
         before, state, entry = open_tick.before, open_tick.state, open_tick.entry
         operator, request_events = NO_REQUESTS
@@ -231,13 +231,13 @@ class Controller:
             operator, request_events = apply_requests(self.model, self.program, state, requests)
         events = (
             consistency_events(self.model, before, state) + request_events
-            if state.whole(s.CONSISTENCY_CHANGED)
+            if state.run_integer(s.CONSISTENCY_CHANGED)
             else request_events
         )
         self._count_refusals(state, request_events)
         if state.decisions.lease is not None:
             events += expire_lease(self.model, state)
-        action, findings = self._judge(before, state, entry, open_tick.signs)
+        action, findings = self._judge_faults(before, state, entry, open_tick.signs)
         t = entry.t_ns / 1e9
         mode_events = hand_modes.next_mode(
             self.model, self.drives, state, action, operator, open_tick.signs, t, self.identities
@@ -246,17 +246,17 @@ class Controller:
         self._write_progress(state, before)
         open_tick.unchanged = state.copy() if state.decisions.pending else None
         self._compute_torques(state, action, entry.k - before.k)
-        open_tick.sent = self._encode(state, entry.t_ns)
+        open_tick.sent = self._encode_frames(state, entry.t_ns)
         open_tick.action = action
         open_tick.events = (
             events + tuple(map(_fault_event, findings)) + mode_events + program_events
         )
 
-    def _conclude(self, open_tick: "OpenTick") -> tuple[State, TickOut]:
+    def _conclude_tick(self, open_tick: "OpenTick") -> tuple[State, TickOut]:
         """Design pending gains, and complete state and output, see ``OpenTick.conclude``."""
         state = open_tick.state
         if open_tick.unchanged:
-            open_tick.events += self._retune(
+            open_tick.events += self._design_pending_gains(
                 open_tick.unchanged, state, open_tick.action, open_tick.entry.k - open_tick.before.k
             )
         tick_stages.store_commands(state.block, self.layout.places, *self._constants)
@@ -275,7 +275,7 @@ class Controller:
 
     # receive, estimate
 
-    def _take_in(
+    def _process_frames(
         self, last_state: State, state: State, tick_input: TickIn, frames: Frames
     ) -> tuple[str, ...]:
         """Process received frames, and correct and predict the tension filter.
@@ -288,8 +288,8 @@ class Controller:
         cyclic_frames.begin_tick(
             block, places, tick_input.k, tick_input.t_ns, tick_input.late_ns, missed, len(frames)
         )
-        signs = self._receive(
-            state, frames, self.sensors.earliest_answer_ns(last_state.whole(s.T_NS))
+        signs = self._receive_frames(
+            state, frames, self.sensors.earliest_answer_ns(last_state.run_integer(s.T_NS))
         )
         tick_stages.observe_tick(block, places, *self._constants)
         tick_stages.correct_estimate(block, places, *self._constants)
@@ -301,7 +301,7 @@ class Controller:
             )
         return signs
 
-    def _receive(self, state: State, frames: Frames, fresh_ns: int) -> tuple[str, ...]:
+    def _receive_frames(self, state: State, frames: Frames, fresh_ns: int) -> tuple[str, ...]:
         """Process received frames.
 
         Args:
@@ -329,9 +329,11 @@ class Controller:
             frame = frames[at]
             owner = self.owners.get((frame.bus, frame.can_id & ~ERROR))
             if owner is not None:
-                self.keep(state, owner, self.drives[owner].receive(state.drive(owner), frame))
+                self.store_drive_state(
+                    state, owner, self.drives[owner].receive(state.drive(owner), frame)
+                )
             elif (frame.bus, frame.can_id & ~ERROR) in self.amplifier_of:
-                self._receive_service(state, frame)
+                self._receive_amplifier_frame(state, frame)
             else:
                 signs.append(f"{frame.can_id:#05x}")
             at += 1
@@ -346,7 +348,7 @@ class Controller:
             [group for one, groups in pairs if one.phase != DrivePhase.READY for group in groups]
         )
 
-    def _receive_service(self, state: State, frame: Frame) -> None:
+    def _receive_amplifier_frame(self, state: State, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
         i = self.amplifier_of[frame.bus, frame.can_id]
         before = state.decisions.amplifiers
@@ -370,13 +372,13 @@ class Controller:
             state.decide(amplifiers=tuple(states))
         return tuple(out)
 
-    def keep(self, state: State, n: int, drive_state: DriveState) -> None:
+    def store_drive_state(self, state: State, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive in the state block and in the decisions, after its state machine has run."""
         before = state.decisions.drives[n]
         drive = self.drives[n]
         cyclic_frames.store_drive(
             state.block, self.layout.places, n, *drive_state[1:7], int(drive_state.phase), drive_state.error,
-            int(drive.cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
+            int(drive.fault_cause(drive_state.error)) if drive_state.phase == DrivePhase.FAULT else -1,
             drive.steady_status(drive_state), drive.due_ns(drive_state), int(drive_state.misread != before.misread),
         )  # fmt: skip
         stripped = drive_state.with_values()  # the values are in the block
@@ -400,10 +402,10 @@ class Controller:
             rate = 1.0 / self.model.period
             recent = tuple(then for then in (*recent, *(k,) * malformed) if k - then < rate)
             state.decide(refusals=recent)
-            state.set_whole(s.REFUSED_REQUESTS, len(recent))
-            state.set_whole(s.REFUSED_REQUESTS_NOW, len(refused))
+            state.set_run_integer(s.REFUSED_REQUESTS, len(recent))
+            state.set_run_integer(s.REFUSED_REQUESTS_NOW, len(refused))
 
-    def _judge(
+    def _judge_faults(
         self,
         last_state: State,
         state: State,
@@ -411,7 +413,7 @@ class Controller:
         second_controller_signs: tuple[str, ...],
     ) -> tuple[Action, tuple[FaultFinding, ...]]:
         """Detect faults, latch them, and choose the reaction."""
-        state.set_whole(
+        state.set_run_integer(
             s.TARED, state.progress.phase != TARE_PHASE
         )  # before its tare, a load cell may read any value
         demanded, found = tick_stages.find_faults(
@@ -419,7 +421,7 @@ class Controller:
         )
         new_findings = (
             faults_counting_since_now(self.limits, found, state.view("fault_ticks"))
-            if state.whole(s.NEW_FAULTS)
+            if state.run_integer(s.NEW_FAULTS)
             else []
         )
         decisions = state.decisions
@@ -478,8 +480,8 @@ class Controller:
             write_goals(self.model, self.layout, state.block, progress.goals)
         state.view("planned_contact")[...] = progress.contact
         state.view("closing")[...] = progress.closing or 0
-        state.set_whole(s.GRIPPING, progress.grip is not None)
-        state.set_number(s.SLIP_JUDGED_FROM, progress.grip.ready if progress.grip else 0.0)
+        state.set_run_integer(s.GRIPPING, progress.grip is not None)
+        state.set_run_number(s.SLIP_JUDGED_FROM, progress.grip.ready if progress.grip else 0.0)
         if progress.tare:
             state.view("program_tare")[...] = progress.tare
 
@@ -504,7 +506,7 @@ class Controller:
         )
         tick_stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
 
-    def _retune(
+    def _design_pending_gains(
         self, unchanged: State, state: State, action: Action, ticks: int
     ) -> tuple[TickEvent, ...]:
         """Design the next loop of the pending gains.
@@ -527,13 +529,13 @@ class Controller:
             other._compute_torques(unchanged, action, ticks)
             step = (state.tendon[s.TORQUE] - unchanged.tendon[s.TORQUE]) / self.model.space.spool
             state.tendon[s.TRIM] += step
-            state.set_whole(s.TRIMMED, 1)
+            state.set_run_integer(s.TRIMMED, 1)
         state.decide(gains=pending.gains, pending=None)
         return gain_change.gain_change_events(self.model.gains, pending.gains)
 
     # encode
 
-    def _encode(self, state: State, t_ns: int) -> Frames:
+    def _encode_frames(self, state: State, t_ns: int) -> Frames:
         """Return the frames of the tick: cut frames first, then SYNC, then the command of each drive."""
         mode = state.mode
         if mode in (SILENT, DONE):
@@ -545,17 +547,17 @@ class Controller:
             counter = self.sensors.counter(state.k)
             out[0] = self.sync_row
             out[0, PAYLOAD_WORD] = counter
-            state.set_whole(s.SYNC_COUNTER, counter & 0xF)
+            state.set_run_integer(s.SYNC_COUNTER, counter & 0xF)
             # Until the set-up of an amplifier is complete, its answers are not used, and missing
             # answers do not count as lost.
             amplifiers = state.decisions.amplifiers
             if not amplifiers or all(one.phase == DrivePhase.READY for one in amplifiers):
-                state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
+                state.set_run_integer(s.SYNCS, state.run_integer(s.SYNCS) + 1)
         torque = state.tendon[s.TORQUE]
         if self.model.torque_gain is not None:
             torque = torque / self.model.torque_gain
         target = hand_modes.drive_target(mode)
-        sent = self._send(state, out, start, target, torque, t_ns)
+        sent = self._write_commands(state, out, start, target, torque, t_ns)
         if state.decisions.amplifiers and (setup := self._advance_amplifiers(state, target, t_ns)):
             sent = join_frames([sent, frames_as_records(setup)])
         return (
@@ -564,7 +566,7 @@ class Controller:
             else sent
         )
 
-    def _send(
+    def _write_commands(
         self,
         state: State,
         frame_words: WordRows,
@@ -609,7 +611,7 @@ class Controller:
                 drive_state, frames = drive.advance(drive_state, t_ns, target, float(torque[first]))
                 if tables.servos[first, 0] < tables.servos[first, 1]:
                     send_torque_only(state, first)
-            self.keep(state, first, drive_state)
+            self.store_drive_state(state, first, drive_state)
             if frames:
                 parts += [Frames.of_rows(frame_words[pending_row:count]), frames_as_records(frames)]
                 pending_row = count
@@ -653,12 +655,12 @@ class OpenTick:
         Raises:
             ValueError: a command cannot be encoded. The command is not sent.
         """
-        self.controller._command(self, requests)
+        self.controller._command_drives(self, requests)
         return self.sent
 
     def conclude(self) -> tuple[State, TickOut]:
         """Return the state after the tick and the output of the tick."""
-        return self.controller._conclude(self)
+        return self.controller._conclude_tick(self)
 
 
 def send_torque_only(state: State, n: int) -> None:

@@ -4,7 +4,7 @@ A schema is a list of fields. A field is one or several rows of a table. Each ta
 example, a row of the table ``tendon`` has one number per tendon. The declaration of a field returns
 the index of its first row. Compiled code and the controller use this index::
 
-    TENSION = STATE.real("tension", "tendon", "N", "estimated tension")
+    TENSION = STATE.real_field("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
 All tables of a schema share one array of float64, the block. Integer tables are parts of the block
@@ -74,22 +74,24 @@ class BlockSchema:
         self.fields: list[BlockField] = []
         self._rows = dict.fromkeys(tables, 0)
 
-    def real(
+    def real_field(
         self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: float = 0.0
     ) -> int:
         """Declare a field of float64 and return its first row."""
-        return self._declare(BlockField(name, axis, self._rows[axis], rows, unit, meaning, initial))
+        return self._declare_field(
+            BlockField(name, axis, self._rows[axis], rows, unit, meaning, initial)
+        )
 
-    def whole(
+    def integer_field(
         self, name: str, axis: str, unit: str, meaning: str, rows: int = 1, initial: int = 0
     ) -> int:
         """Declare a field of int64 and return its first row."""
         table = axis + INTEGER_TABLE_SUFFIX
-        return self._declare(
+        return self._declare_field(
             BlockField(name, table, self._rows[table], rows, unit, meaning, initial)
         )
 
-    def _declare(self, field: BlockField) -> int:
+    def _declare_field(self, field: BlockField) -> int:
         self.fields.append(field)
         self._rows[field.table] += field.rows
         return field.first
@@ -129,7 +131,7 @@ class BlockLayout:
         if schema.optional:
             self.axes.setdefault(schema.optional, 0)
             left_out = "" if self.axes[schema.optional] else schema.optional
-        widths = {table: self._width(table) for table in schema.tables}
+        widths = {table: self._table_width(table) for table in schema.tables}
         ends = np.cumsum([0, *(schema.rows(table) * widths[table] for table in schema.tables)])
         self.size = int(ends[-1])
         named = repr((
@@ -152,19 +154,19 @@ class BlockLayout:
             )
             for table, (first, _, width, whole) in self._tables.items()
         }
-        self._fields = {field.name: self._span(field) for field in schema.fields}
+        self._fields = {field.name: self._field_span(field) for field in schema.fields}
         self.initial: BlockArray = np.zeros(self.size)
         for field in schema.fields:
             self.view(self.initial, field.name)[...] = field.initial
         self.initial.flags.writeable = False
 
-    def _width(self, table: str) -> int:
-        return int(np.prod([self.axes[axis] for axis in _axes(table)], dtype=np.int64))
+    def _table_width(self, table: str) -> int:
+        return int(np.prod([self.axes[axis] for axis in _axes_of_table(table)], dtype=np.int64))
 
-    def _span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
+    def _field_span(self, field: BlockField) -> tuple[int, int, tuple[int, ...], bool]:
         """Return first element, end, shape and integer flag of a field in a block."""
         start, _, width, whole = self._tables[field.table]
-        shape = tuple(self.axes[axis] for axis in _axes(field.table))
+        shape = tuple(self.axes[axis] for axis in _axes_of_table(field.table))
         first = start + field.first * width
         return (
             first,
@@ -222,6 +224,6 @@ class BlockLayout:
         raise AssertionError("a difference outside of all fields")
 
 
-def _axes(table: str) -> list[str]:
+def _axes_of_table(table: str) -> list[str]:
     """Return the names of a table's axes."""
     return table.removesuffix(INTEGER_TABLE_SUFFIX).split("*")

@@ -24,8 +24,8 @@ TABLES = (
 )  # fmt: skip
 
 HAND = BlockSchema(*TABLES)
-_real = HAND.real
-_whole = HAND.whole
+_real = HAND.real_field
+_whole = HAND.integer_field
 
 # Tendons and motors. Motor quantities are converted to forces and lengths at the spool.
 MOTOR_MASS = _real("motor_mass", "tendon", "kg", "reflected rotor inertia")

@@ -624,9 +624,9 @@ class WireTables:
                 _frame_key(drive.bus, can_id): [n, STATE_MACHINE_FRAMES, 0, 0, 0, 0, 0]
                 for can_id in drive.node_ids
             }
-            for message in drive.cyclic.feedback:
+            for message in drive.cyclic_messages.feedback:
                 kind = FEEDBACK_FRAMES if message.answers else VALUE_FRAMES
-                signals = self._added(message)
+                signals = self._add_message(message)
                 found[_frame_key(drive.bus, message.can_id)] = [
                     n,
                     kind,
@@ -651,7 +651,7 @@ class WireTables:
             found[_frame_key(sensors.bus, message.can_id)] = [
                 SENSOR_NODE_OWNER,
                 SENSOR_FRAMES,
-                *self._added(message),
+                *self._add_message(message),
                 message.length,
                 group,
                 0,
@@ -678,7 +678,7 @@ class WireTables:
             self._entries_without[groups] = entries
         return entries
 
-    def _added(self, message: Message) -> tuple[int, int]:
+    def _add_message(self, message: Message) -> tuple[int, int]:
         """Add the signals of a message to the tables. Return the range of their rows."""
         first = sum(len(table.wholes) for table in self._signals)
         self._signals.append(SignalTable(message))
@@ -690,14 +690,14 @@ class WireTables:
         wholes = list[IntArray]()
         reals = list[list[float]]()
         for n, drive in enumerate(drives):
-            for message in drive.cyclic.commands:
+            for message in drive.cyclic_messages.commands:
                 table = SignalTable(message)
                 signal = -1
                 if len(table.wholes):
                     signal = len(wholes)
                     wholes.append(table.wholes[0])
                     reals.append([*table.reals[0], message.limit])
-                rows.append([n, signal, drive.cyclic.feedback_timeout_ns])
+                rows.append([n, signal, drive.cyclic_messages.feedback_timeout_ns])
                 templates.append(_frame_template(message, drive.bus))
         self.commands: IntArray = np.array(rows, dtype=np.int64).reshape(-1, 3)
         self.sent_wholes: IntArray = np.array(wholes, dtype=np.int64).reshape(
@@ -720,7 +720,7 @@ class WireTables:
         servos = np.zeros((len(drives), 2), np.int64)
         templates = np.zeros((len(drives), WORDS_PER_RECORD), np.uint64)
         for n, drive in enumerate(drives):
-            message = drive.cyclic.position
+            message = drive.cyclic_messages.position
             if not holds_position[n] or message is None:
                 continue
             signals = SignalTable(message).wholes

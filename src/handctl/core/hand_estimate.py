@@ -47,7 +47,7 @@ class Estimate:
         return self.tendon[s.TENSION]
 
     @property
-    def sigma(self) -> Vector:
+    def tension_sigma(self) -> Vector:
         """Return the standard deviation of each tension [N]."""
         return self.tendon[s.TENSION_SIGMA]
 
@@ -57,7 +57,7 @@ class Estimate:
         return self.tendon[s.TRAVEL]
 
     @property
-    def speed(self) -> Vector:
+    def tendon_speed(self) -> Vector:
         """Return the rate of each tendon's travel [m/s]."""
         return self.tendon[s.SPEED]
 
@@ -67,17 +67,17 @@ class Estimate:
         return self.tendon[s.EXCURSION]
 
     @property
-    def rate(self) -> Vector:
+    def excursion_rate(self) -> Vector:
         """Return the rate of each tendon's excursion [m/s]."""
         return self.tendon[s.EXCURSION_RATE]
 
     @property
-    def disturbance(self) -> Vector:
+    def motor_disturbance(self) -> Vector:
         """Return the force on each motor that the model does not explain [N]."""
         return self.tendon[s.DISTURBANCE]
 
     @property
-    def external(self) -> Vector:
+    def external_tension(self) -> Vector:
         """Return the load force on each tendon that the model does not explain [N].
 
         It is positive if it acts against closing. Contact with an object causes such a force.
@@ -85,7 +85,7 @@ class Estimate:
         return self.tendon[s.EXTERNAL_TENSION]
 
     @property
-    def offset(self) -> Vector:
+    def stretch_offset(self) -> Vector:
         """Return the difference of travel and excursion at which the stretch of each tendon begins [m]."""
         return self.tendon[s.STRETCH_OFFSET]
 
@@ -100,7 +100,7 @@ class Estimate:
         return self.tendon[s.NIS]
 
     @property
-    def slack(self) -> NDArray[np.bool_]:
+    def is_slack(self) -> NDArray[np.bool_]:
         """Return for each tendon True if it is slack."""
         return np.asarray(self.regimes == 2)
 
@@ -130,7 +130,7 @@ class Estimate:
         return np.asarray(self.tendon[s.GRIP_TRAVEL_SLOW] - self.tendon[s.GRIP_TRAVEL_FAST])
 
     @property
-    def grip(self) -> Vector:
+    def grip_travel(self) -> Vector:
         """Return the length wound on each spool minus the stretch of the tendon, averaged over 0.2 s [m]."""
         return self.tendon[s.GRIP_TRAVEL_SLOW]
 
@@ -159,7 +159,7 @@ class TickMeasurements:
         return self.tendon[s.MEASURED_TRAVEL]
 
     @property
-    def position(self) -> Vector:
+    def motor_position(self) -> Vector:
         """Return the positions that the motor encoders measure, converted to the spool [rad]."""
         return self.tendon[s.MEASURED_POSITION]
 
@@ -174,6 +174,6 @@ class TickMeasurements:
         return self.tendon[s.MEASURED_EXCURSION]
 
     @property
-    def joints(self) -> Vector:
+    def joint_angles(self) -> Vector:
         """Return the readings of the joint encoders (J,) [rad]."""
         return self.joint[s.MEASURED_JOINT]

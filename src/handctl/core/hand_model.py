@@ -94,7 +94,7 @@ class HandModel:
     inverse: InverseDynamics = required_torque
 
     @staticmethod
-    def of(
+    def from_hand(
         hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None
     ) -> "HandModel":
         """Derive the model of a hand, and design all its gains, which takes about 0.1 s.
@@ -106,7 +106,7 @@ class HandModel:
             torque_gain: (N,) identified torque at the spool per commanded torque, None if it was
                 not identified.
         """
-        digits = tuple(DigitModel.of(hand, digit.name) for digit in hand.digit)
+        digits = tuple(DigitModel.from_hand(hand, digit.name) for digit in hand.digit)
         space = tendon_space(hand, digits)
         tendons = hand.tendon
         arms = np.abs(hand.own_arms)
@@ -154,7 +154,7 @@ class HandModel:
             ceiling=ceiling,
             torque_limit=_torque_limit(hand, torque_gain),
             redundancy=redundancy_of_hand(digits, floor, ceiling, hand.is_pair),
-            tree=HandTree.of(hand, digits),
+            tree=HandTree.from_hand(hand, digits),
             blind_margin=margin,
             torque_gain=torque_gain,
         )

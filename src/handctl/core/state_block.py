@@ -36,8 +36,8 @@ TABLES = (
 )  # fmt: skip
 
 STATE = BlockSchema(*TABLES, optional="servo")
-_real = STATE.real
-_whole = STATE.whole
+_real = STATE.real_field
+_whole = STATE.integer_field
 
 # Tension filter. The seven states of each tendon are declared first, so that they form one
 # contiguous vector (7 N) for filterpy.

@@ -60,11 +60,11 @@ def dbc_of_bus(
             name = drive.name
             sent += [
                 SentMessage(_with_drive_name(message, name), name, HOST_NODE_NAME)
-                for message in drive.cyclic.feedback
+                for message in drive.cyclic_messages.feedback
             ]
             sent += [
                 SentMessage(_with_drive_name(message, name), HOST_NODE_NAME, name)
-                for message in drive.cyclic.commands
+                for message in drive.cyclic_messages.commands
             ]
     return dbc_text(sent)
 

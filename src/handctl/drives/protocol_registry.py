@@ -47,16 +47,16 @@ class ProtocolEntry(NamedTuple):
 
 PROTOCOL_ENTRIES: dict[str, ProtocolEntry] = {
     "odrive": ProtocolEntry(
-        OdriveDrive.of, odrive_discovery.DISCOVERY, odrive_modes.make_mode_drive
+        OdriveDrive.from_motor, odrive_discovery.DISCOVERY, odrive_modes.make_mode_drive
     ),
-    "mit": ProtocolEntry(MitDrive.of, mit_discovery.DISCOVERY, mit_modes.make_mode_drive),
+    "mit": ProtocolEntry(MitDrive.from_motor, mit_discovery.DISCOVERY, mit_modes.make_mode_drive),
     "cia402": ProtocolEntry(
-        Cia402Drive.of, cia402_discovery.DISCOVERY, cia402_modes.make_mode_drive
+        Cia402Drive.from_motor, cia402_discovery.DISCOVERY, cia402_modes.make_mode_drive
     ),
-    "moteus": ProtocolEntry(MoteusDrive.of, moteus_discovery.DISCOVERY),
-    "robstride": ProtocolEntry(RobstrideDrive.of, robstride_discovery.DISCOVERY),
-    "cubemars": ProtocolEntry(CubemarsDrive.of, None),
-    "robstride_mit": ProtocolEntry(RobstrideMitDrive.of, None),
+    "moteus": ProtocolEntry(MoteusDrive.from_motor, moteus_discovery.DISCOVERY),
+    "robstride": ProtocolEntry(RobstrideDrive.from_motor, robstride_discovery.DISCOVERY),
+    "cubemars": ProtocolEntry(CubemarsDrive.from_motor, None),
+    "robstride_mit": ProtocolEntry(RobstrideMitDrive.from_motor, None),
 }
 """Code of each protocol, by the name of the protocol in the hand file."""
 DISCOVERY_BY_PROTOCOL: dict[str, ProtocolDiscovery] = {

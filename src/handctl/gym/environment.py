@@ -357,7 +357,7 @@ def _controller_of_file(path: str) -> Controller:
     """
     hand = load_hand(path)
     check_hand_ready(hand, path)
-    model = HandModel.of(hand, packaged_gains(hand.name), default_rate(hand))
+    model = HandModel.from_hand(hand, packaged_gains(hand.name), default_rate(hand))
     return homed_controller(model, LiveProgram())
 
 

@@ -38,7 +38,7 @@ class HandTree:
     preload: Array
 
     @staticmethod
-    def of(hand: Hand, digits: Sequence[DigitModel] = ()) -> "HandTree":
+    def from_hand(hand: Hand, digits: Sequence[DigitModel] = ()) -> "HandTree":
         """Build the tree of a hand.
 
         Args:
@@ -46,7 +46,7 @@ class HandTree:
             digits: models of the hand's digits, in file order. If there are none, they are built
                 here.
         """
-        digits = tuple(digits) or DigitModel.all_of(hand)
+        digits = tuple(digits) or DigitModel.all_from_hand(hand)
         parents = [
             np.where(
                 digit.parent < 0, hand.base_joints[digit.name], digit.parent + digit.joints.start

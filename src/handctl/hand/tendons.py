@@ -39,7 +39,7 @@ class TendonElasticity:
     damping: float
 
     @staticmethod
-    def of(tendon: Tendon) -> "TendonElasticity":
+    def from_tendon(tendon: Tendon) -> "TendonElasticity":
         """Return the elasticity of a tendon of a hand file."""
         return TendonElasticity(
             stiffness=tendon.stiffness_N_per_m,

@@ -31,7 +31,7 @@ class TendonCalibration(Document):
 
     @field_validator("tare_N")
     @classmethod
-    def _readable(cls, tare: float) -> float:
+    def _check_tare_range(cls, tare: float) -> float:
         if not TARE_MIN_N <= tare <= TARE_MAX_N:
             raise ValueError(
                 f"{TARE_MIN_N:g} to {TARE_MAX_N:g} N: adjust the load cell, then commission again"
@@ -59,7 +59,7 @@ class Calibration(Document):
 
     @field_validator("made")
     @classmethod
-    def _date(cls, made: str) -> str:
+    def _check_date(cls, made: str) -> str:
         datetime.datetime.fromisoformat(made)
         return made
 

@@ -122,7 +122,7 @@ def default_task(hand: Hand) -> tuple[Task, str]:
 def _closed_angles_deg(hand: Hand, name: str) -> np.ndarray:
     """Return the angles of the coordinates of a closed digit (n_c,) [deg]."""
     _, high = coordinate_range_deg(hand.digit_named(name))
-    sideways = DigitModel.of(hand, name).sideways_coordinates
+    sideways = DigitModel.from_hand(hand, name).sideways_coordinates
     closed = np.where(sideways, 0.0, np.minimum(CLOSED_FRACTION * high, LARGEST_CLOSED_DEG))
     return np.asarray(np.round(closed, 1))
 
@@ -163,7 +163,7 @@ def _flexion_directions(hand: Hand) -> dict[str, Array]:
 
     It is the y axis of the last link at joint angles of 0.
     """
-    tree = HandTree.of(hand)
+    tree = HandTree.from_hand(hand)
     turned = link_rotations(tree.poses(np.zeros(len(hand.joints))))
     return {
         digit.name: turned[digit.joints][-1, :, 1]
@@ -189,7 +189,7 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
         largest = min(tendon.tension_max_N for tendon in hand.tendon[hand.digit_tendons[name]])
         return round(min(HOLD_FRACTION * share, LARGEST_HOLD) * largest, 1)
     pressing = _pressing_tension(hand, name)
-    arms = DigitModel.of(hand, name).reduced_moment_arms
+    arms = DigitModel.from_hand(hand, name).reduced_moment_arms
     rows = zip(hand.tendon[hand.digit_tendons[name]], arms.sum(axis=1), strict=True)
     return [
         round(
@@ -207,14 +207,14 @@ def _hold_tensions(hand: Hand, name: str, share: float) -> float | list[float]:
 
 def _pressing_tension(hand: Hand, name: str) -> float:
     """Return the tension of closing tendons that makes PRESS_N at the tip of a half-closed digit [N]."""
-    digit = DigitModel.of(hand, name)
+    digit = DigitModel.from_hand(hand, name)
     half = np.radians(_closed_angles_deg(hand, name)) / 2
     q = digit.coupling @ half
     springs = digit.coupling.T @ (
         np.array(digit.spring_stiffness) * (q + np.array(digit.spring_preload))
     )
     torque = springs + PRESS_N * reduced_tip_lever(digit, q)
-    arms = digit.at(q).reduced_moment_arms
+    arms = digit.at_angles(q).reduced_moment_arms
     closing = arms[arms.sum(axis=1) > 0.0].sum(axis=0)
     # A coordinate that keeps its angle, or that no tendon closes, does not determine a tension.
     flexes = (half > 0.0) & (closing > 0.0)
@@ -267,7 +267,7 @@ def default_scene(hand: Hand) -> str:
 
 def _largest_object(hand: Hand, ball: bool) -> float:
     """Return the diameter of the largest cylinder or ball between the open digits [m]."""
-    tree = HandTree.of(hand)
+    tree = HandTree.from_hand(hand)
     q = np.concatenate([np.maximum(digit.joint_min, 0.0) for digit in tree.digits])
     largest = 1.0
     along = np.linspace(0.0, 1.0, LINK_SAMPLES)[:, None]

@@ -74,9 +74,9 @@ class SwingTrajectory:
         """Return the duration of the oscillation [s]."""
         return self.chirp.duration
 
-    def at(self, t: float) -> Vector:
-        """Return the motion at time t, (3, n), see ``Trajectory.at``."""
-        way = self.chirp.at(t) * self.amplitude
+    def motion_at(self, t: float) -> Vector:
+        """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
+        way = self.chirp.motion_at(t) * self.amplitude
         way[0] += self.centre
         return way
 
@@ -91,7 +91,7 @@ class ExciteProgram:
 
     steps: tuple[ExciteStep, ...]
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress before the first step: no torque."""
         return replace(ProgramProgress.initial(len(model.digits), "start"), step=-1)
 
@@ -107,11 +107,11 @@ class ExciteProgram:
         if progress.finished:
             return progress, ()
         if progress.step < 0:
-            return self._enter(model, progress, estimate, t, 0)
+            return self._enter_step(model, progress, estimate, t, 0)
         step = self.steps[progress.step]
         elapsed = t - progress.since
         tendons = model.digit_tendons[model.hand.digit_names.index(step.digit)]
-        if step.kind == "taut" and bool(np.any(estimate.slack[tendons])):
+        if step.kind == "taut" and bool(np.any(estimate.is_slack[tendons])):
             if elapsed < TAUT_TIMEOUT_S:
                 return progress, ()
             text = f"not taut after {TAUT_TIMEOUT_S:g} s"
@@ -120,9 +120,9 @@ class ExciteProgram:
             return failed, (TickEvent("error", "identify", step.digit, text),)
         if elapsed < step.duration_s:
             return progress, ()
-        return self._enter(model, progress, estimate, t, progress.step + 1)
+        return self._enter_step(model, progress, estimate, t, progress.step + 1)
 
-    def _enter(
+    def _enter_step(
         self,
         model: HandModel,
         progress: ProgramProgress,

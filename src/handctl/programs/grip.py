@@ -55,7 +55,7 @@ class GripState(NamedTuple):
     limited: bool = False
 
     @staticmethod
-    def of(
+    def at_hold_start(
         model: HandModel, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float
     ) -> "GripState":
         """Return the grip at the beginning of a hold, for goals that have just been set."""
@@ -117,7 +117,7 @@ def advance_grip(
     settled = not math.isnan(grip.anchor[0])
     if judged and not settled:
         # The first tick after the settling determines the position of a stiff grip.
-        grip = grip._replace(anchor=estimate.grip.copy())
+        grip = grip._replace(anchor=estimate.grip_travel.copy())
     if judged:
         # A tendon that opens its digit pays out while the digit closes.
         opening = np.where(

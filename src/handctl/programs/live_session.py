@@ -53,7 +53,7 @@ def preload_spline() -> None:
 class LiveProgram:
     """Program that tightens the tendons, then waits for requests until a stop."""
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
         return ProgramProgress.initial(len(model.digits), "start")
 
@@ -149,7 +149,7 @@ def _start_refusal(model: HandModel, first_move: MovePhase, estimate: Estimate) 
         if angle is None:
             continue
         end = np.broadcast_to(np.array(angle, dtype=float), (digit.coupling.shape[1],))
-        if reason := _out_of_reach(model, d, estimate, end, first_move.duration_s):
+        if reason := _reach_problem(model, d, estimate, end, first_move.duration_s):
             return TickEvent("warn", "request", name, f"refused: {name} {reason}")
     return None
 
@@ -177,9 +177,9 @@ class JogProgram:
     request: MoveDigits | HoldTension
     duration: float
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
-        return LiveProgram().initial(model)
+        return LiveProgram().initial_progress(model)
 
     def advance(
         self,
@@ -249,7 +249,7 @@ def apply_goal(
                 return progress, (TickEvent("warn", "request", name, f"refused: {end}"),)
             if end is None:
                 continue
-            if reason := _out_of_reach(model, d, estimate, end, request.duration_s):
+            if reason := _reach_problem(model, d, estimate, end, request.duration_s):
                 return progress, (TickEvent("warn", "request", name, f"refused: {name} {reason}"),)
             goals[d] = _move_goal(model, d, estimate, start, np.radians(end), request.duration_s, t)
             contact[d] = False
@@ -323,7 +323,7 @@ def _move_goal(
     )
 
 
-def _out_of_reach(
+def _reach_problem(
     model: HandModel, d: int, estimate: Estimate, end: Vector, duration: float
 ) -> str:
     """Return the reason why a digit cannot move to coordinates [deg] in a time [s], empty if it can."""

@@ -66,7 +66,7 @@ ProgressAndEvents = tuple[ProgramProgress, tuple[TickEvent, ...]]
 class Program(Protocol):
     """Interface of a program. A program is immutable, and all changes are in its `ProgramProgress`."""
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress before the hand is armed."""
         ...
 
@@ -183,7 +183,7 @@ Any duration is possible, because these joints do not move.
 
 def slack_tendons(model: HandModel, estimate: Estimate) -> list[str]:
     """Return the names of the tendons that are slack, or whose tension is below half of the floor."""
-    taut = ~np.asarray(estimate.slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
+    taut = ~np.asarray(estimate.is_slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
     return [name for name, ok in zip(model.hand.tendon_names, taut, strict=True) if not ok]
 
 

@@ -211,7 +211,7 @@ def nearest_holdable_posture(digit: DigitModel, coordinates: Vector, floor: Vect
         return coordinates
     angles = coordinates.copy()
     for _ in range(HOLDABLE_NEWTON_STEPS):
-        to_tension = digit.at(digit.coupling @ angles).torque_to_tension
+        to_tension = digit.at_angles(digit.coupling @ angles).torque_to_tension
         slope = to_tension @ np.diag(digit.spring_stiffness) @ digit.coupling
         tension = to_tension @ np.asarray(static_torque(digit, digit.coupling @ angles))
         missing = floor + FLOOR_MARGIN_N - tension
@@ -285,7 +285,7 @@ def tensions_of(
         # coordinates of the digit.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, angles))
         torque += max(force, 0.0) * reduced_tip_lever(digit, angles)
-        arms = digit.at(angles).reduced_moment_arms
+        arms = digit.at_angles(angles).reduced_moment_arms
         tension[tendons] = tensions_for_torque(
             arms, torque, model.floor[tendons], model.ceiling[tendons]
         )[0]
@@ -383,7 +383,7 @@ def continued_move(
     blend = duration
     while True:
         move = MinimumJerk(position, end, duration, BlendTrajectory(rate, acceleration, blend))
-        course = np.array([move.at(share * blend)[0] for share in _CHECKED_FRACTIONS])
+        course = np.array([move.motion_at(share * blend)[0] for share in _CHECKED_FRACTIONS])
         inside = (course >= np.minimum(reach[0], position)).all() and (
             course <= np.maximum(reach[1], position)
         ).all()

@@ -101,7 +101,7 @@ class HoldPhase(Document):
     duration_s: DurationS = 3.0
 
     @model_validator(mode="after")
-    def _one_of(self) -> "HoldPhase":
+    def _require_one_target(self) -> "HoldPhase":
         if (self.tension_N is None) == (self.tip_force_N is None):
             raise ValueError("give either tension_N or tip_force_N")
         return self
@@ -139,7 +139,7 @@ class FollowPhase(Document):
     """
 
     @model_validator(mode="after")
-    def _rising(self) -> "FollowPhase":
+    def _require_rising_times(self) -> "FollowPhase":
         if self.time_s[0] != 0.0 or any(b <= a for a, b in pairwise(self.time_s)):
             raise ValueError("time_s must rise from 0")
         for digit, angles in self.angle_deg.items():
@@ -173,7 +173,7 @@ def curve_through(times_s: tuple[float, ...], angles: tuple[float, ...]) -> Curv
     The check of a task computes the curves of its digits, up to 1 ms each. The phase begins in a
     later tick, and takes the curves from the cache.
     """
-    return CurveTrajectory.through(times_s, angles, 1)
+    return CurveTrajectory.through_points(times_s, angles, 1)
 
 
 TaskPhase = Annotated[
@@ -193,7 +193,7 @@ class Task(Document):
     phase: tuple[TaskPhase, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _named(self) -> "Task":
+    def _require_distinct_names(self) -> "Task":
         for phase in self.phase:
             if phase.name in RESERVED_NAMES:
                 raise ValueError(f"a phase must not be named {' or '.join(RESERVED_NAMES)}")

@@ -57,7 +57,7 @@ def check_task_for_hand(
     )
     check_tip_force(task, hand, where)
     check_slip_limit(task, hand, where)
-    digits = digits or DigitModel.all_of(hand)
+    digits = digits or DigitModel.all_from_hand(hand)
     check_joint_range(task, hand, where, digits)
     check_speed(task, digits, where)
 

@@ -56,7 +56,7 @@ REFERENCE_JOINTS = 2
 Each further joint adds its friction to the estimated tip force. This force is 0.33 N on fingers of
 three joints that touch no object. Such fingers still detect a contact long before 1 N.
 """
-ARRIVAL_S = 0.15
+ARRIVAL_DURATION_S = 0.15
 """Time after the end of a trajectory at which a digit counts as arrived [s]."""
 ARRIVED_THRESHOLD_FACTOR = 2.0
 """Factor on the contact threshold of a digit that has arrived.
@@ -74,7 +74,7 @@ class TaskProgram:
 
     task: Task
 
-    def initial(self, model: HandModel) -> ProgramProgress:
+    def initial_progress(self, model: HandModel) -> ProgramProgress:
         """Return the progress until the hand is armed: no torque."""
         return ProgramProgress.initial(len(model.digits), "start")
 
@@ -93,30 +93,30 @@ class TaskProgram:
             progress = replace(progress, since=t, phase="tighten", goals=tightening_goals(model))
             return progress, (TickEvent("info", "phase", "", "tighten: taking up slack"),)
         if progress.phase == "tighten" and progress.step == 0:
-            return self._tighten(model, progress, estimate, t)
-        return self._carry_out(model, progress, estimate, t)
+            return self._wait_until_taut(model, progress, estimate, t)
+        return self._advance_phase(model, progress, estimate, t)
 
     def begin(
         self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Begin with the first phase of the task, for a hand whose tendons are taut."""
         untouched = (0,) * len(model.digits)
-        return self._enter(model, replace(progress, step=0, touching=untouched), estimate, t)
+        return self._enter_phase(model, replace(progress, step=0, touching=untouched), estimate, t)
 
-    def _carry_out(
+    def _advance_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Advance the present phase of the task by one tick."""
         progress, events = self._detect_contact(model, progress, estimate, t)
-        progress, slipped = self._hold_on(model, progress, estimate, t)
+        progress, slipped = self._advance_hold(model, progress, estimate, t)
         events += slipped
-        if self._phase_over(model, progress, estimate, t):
-            events += self._not_released(model, progress, estimate)
-            progress, entered = self._enter(model, progress, estimate, t)
+        if self._is_phase_over(model, progress, estimate, t):
+            events += self._release_warnings(model, progress, estimate)
+            progress, entered = self._enter_phase(model, progress, estimate, t)
             events += entered
         return progress, events
 
-    def _tighten(
+    def _wait_until_taut(
         self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Wait until all tendons have been taut for a while.
@@ -128,7 +128,7 @@ class TaskProgram:
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
         progress = replace(progress, touching=(ticks, *progress.touching[1:]))
         if ticks * model.period >= TIGHTEN_S:
-            return self._enter(
+            return self._enter_phase(
                 model, replace(progress, touching=(0,) * len(model.digits)), estimate, t
             )
         if t - progress.since > TIGHTEN_TIMEOUT_S:
@@ -138,7 +138,7 @@ class TaskProgram:
             )
         return progress, ()
 
-    def _enter(
+    def _enter_phase(
         self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Enter the next phase of the task, or finish."""
@@ -160,13 +160,13 @@ class TaskProgram:
                 TickEvent("error", "phase", "", error),
             )
         goals = tuple(
-            self._goal(model, progress, d, names[d], estimate, t) for d in range(len(names))
+            self._digit_goal(model, progress, d, names[d], estimate, t) for d in range(len(names))
         )
         events = [TickEvent("info", "phase", "", phase.name)]
         if isinstance(phase, HoldPhase) and not any(contact):
             events.append(TickEvent("warn", "phase", "", f"{phase.name}: no digit is in contact"))
         grip = (
-            GripState.of(model, goals, estimate, t)
+            GripState.at_hold_start(model, goals, estimate, t)
             if isinstance(phase, HoldPhase) and any(contact)
             else None
         )
@@ -174,7 +174,7 @@ class TaskProgram:
         progress = replace(progress, goals=goals, touching=untouched, grip=grip)
         return replace(progress, closing=_closing_digits(phase, progress)), tuple(events)
 
-    def _goal(
+    def _digit_goal(
         self,
         model: HandModel,
         progress: ProgramProgress,
@@ -244,10 +244,10 @@ class TaskProgram:
         torque = digit.coupling.T @ model.tree.static_torque(estimate.q)[
             digit.joints
         ] + force * reduced_tip_lever(digit, q)
-        arms = digit.at(q).reduced_moment_arms
+        arms = digit.at_angles(q).reduced_moment_arms
         return tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
-    def _hold_on(
+    def _advance_hold(
         self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> ProgressAndEvents:
         """Update the grip during a hold, and raise its tensions after slip."""
@@ -307,7 +307,7 @@ class TaskProgram:
         )
         return replace(changed, closing=_closing_digits(phase, changed)), tuple(events)
 
-    def _phase_over(
+    def _is_phase_over(
         self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
     ) -> bool:
         """Return True if the present phase of the task has ended."""
@@ -334,7 +334,7 @@ class TaskProgram:
             late or not _still_tensioned(model, progress, phase, estimate)
         )
 
-    def _not_released(
+    def _release_warnings(
         self, model: HandModel, progress: ProgramProgress, estimate: Estimate
     ) -> tuple[TickEvent, ...]:
         """Return warnings at the end of a release, for digits that are still under tension."""
@@ -437,7 +437,7 @@ def _curve_of_digit(
     points = [
         digit.with_joint_angles(dict(zip(given, np.radians(row), strict=True)), now) for row in rows
     ]
-    return CurveTrajectory.through(phase.time_s, np.array(points), count)
+    return CurveTrajectory.through_points(phase.time_s, np.array(points), count)
 
 
 @functools.lru_cache(maxsize=64)
@@ -464,6 +464,7 @@ def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) 
     """
     threshold *= joints / REFERENCE_JOINTS
     is_moving = (
-        goal.trajectory is not None and t - goal.since < goal.trajectory.duration + ARRIVAL_S
+        goal.trajectory is not None
+        and t - goal.since < goal.trajectory.duration + ARRIVAL_DURATION_S
     )
     return threshold if is_moving else ARRIVED_THRESHOLD_FACTOR * threshold

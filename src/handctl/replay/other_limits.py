@@ -151,8 +151,8 @@ def _judge_ticks(
 ) -> LimitsJudgement:
     """Judge each tick from the state that the run had, with the debounce counters and latches of the other limits."""
     other = replace(controller, other_limits=limits)
-    state = controller.initial()
-    shadow = other.initial()
+    state = controller.initial_state()
+    shadow = other.initial_state()
     stops: list[LimitStop] = []
     ticks = stopped = stopped_logged = 0
     for logged in log.ticks():

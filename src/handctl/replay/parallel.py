@@ -134,7 +134,7 @@ def split_log(runner: LogRunner, workers: int) -> list[LogPart]:
     nearest = [
         min(usable, key=lambda start: abs(start - ticks * i / count)) for i in range(1, count)
     ]
-    starts = {0: runner.controller.initial()}
+    starts = {0: runner.controller.initial_state()}
     for start in nearest:
         state = _state_after(runner, start - 1)
         if state is not None:

@@ -48,7 +48,7 @@ def draw_poses(log: RunLog, hand: Hand) -> str:
     if not moments:
         return "<p>The hand acts in no phase of this run.</p>"
     figure, grid = _new_figure(min(len(moments), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW))
-    tree = HandTree.of(hand)
+    tree = HandTree.from_hand(hand)
     digits = tree.digits
     q = log.field("q")
     force = log.field("tip_force")

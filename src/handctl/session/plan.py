@@ -138,7 +138,7 @@ def make_plan(
         refuse_default_hand(buses, "--hand")
     loads = bus_loads(hand)
     rate = control_rate(choice.rate, hand, loads)
-    load = tuple(one.at(rate) for one in loads)
+    load = tuple(one.load_at(rate) for one in loads)
     time_scale = chosen_time_scale(choice.time_scale, buses)
     _check_log(choice.log)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
@@ -209,8 +209,8 @@ def control_rate(requested: float | None, hand: Hand, loads: Sequence[BusLoad]) 
         what = f"{rate:g}" if requested is not None else f"the buses carry {rate:g}"
         raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
     for name, load in zip(hand.bus_names, loads, strict=True):
-        if load.at(rate) > MAX_BUS_LOAD:
-            what = f"bus {name} would be {100 * load.at(rate):.0f} % full at {rate:g} Hz"
+        if load.load_at(rate) > MAX_BUS_LOAD:
+            what = f"bus {name} would be {100 * load.load_at(rate):.0f} % full at {rate:g} Hz"
             raise ConfigError(what, "--rate", f"at most {best:g}")
     return rate
 
@@ -248,7 +248,7 @@ def check_gain_margins(hand: Hand, gains: Gains, rate_hz: float | None = None) -
     """
     from handctl.core.hand_model import HandModel
 
-    HandModel.of(hand, gains, rate_hz or default_rate(hand))
+    HandModel.from_hand(hand, gains, rate_hz or default_rate(hand))
 
 
 def bus_specs(hand: Hand, arguments: Sequence[str]) -> tuple[str, ...]:

@@ -307,7 +307,7 @@ def _build_loop(
         clock=clock,
         period_ns=plan.period_ns,
         buses=buses,
-        begin=controller.begin,
+        begin=controller.begin_tick,
         cut=controller.cut_frames(),
         requests=requests,
         host_events=lambda: [*recorder.events(), *slept()],
@@ -409,7 +409,7 @@ def _run_to_end(
     """Run the control loop to its end. Then close display and recorder, even after an error."""
     reason = "controller error"
     try:
-        state = loop.run(controller.initial())
+        state = loop.run(controller.initial_state())
         reason = state.failure or "done"
     except KeyboardInterrupt:
         reason = "interrupted"

@@ -177,7 +177,7 @@ class SimulatedRun:
     def of(controller: Controller, peer: SimulatedHand) -> "SimulatedRun":
         """Begin a run of a controller with a simulated hand."""
         return SimulatedRun(
-            controller, peer, round(1e9 * controller.model.period), controller.initial()
+            controller, peer, round(1e9 * controller.model.period), controller.initial_state()
         )
 
     def __post_init__(self) -> None:

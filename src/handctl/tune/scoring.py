@@ -89,7 +89,7 @@ def evaluate_job(job: Mapping[str, Any]) -> dict[str, Any]:
     hand = hand_from_content(tomllib.loads(job["hand"]), "the hand of the search")
     # A job that has crossed a process boundary contains lists in place of tuples.
     gains = validate_content(job["gains"], Gains, "the gains of the search")
-    model = HandModel.of(hand, gains, float(job["rate_hz"]))
+    model = HandModel.from_hand(hand, gains, float(job["rate_hz"]))
     plants = job["plants"]
     shortfall = worst_margins(model, tuple(linear_factors(factors) for factors in plants)).shortfall
     if shortfall > 0.0 and job.get("must_keep_margins", False):

@@ -83,7 +83,7 @@ def run(folder: Path, observer: FaultObserver) -> tuple[RunOutcome, TruthFile]:
     """
     path = hand_file(folder, ["mit"])
     hand = load_hand(str(path))
-    load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
+    load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
     program = JogProgram(
         HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), AT_S + AFTER_S

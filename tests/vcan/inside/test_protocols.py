@@ -103,7 +103,7 @@ class Hand:
             for i, (spec, bus) in enumerate(zip(specs, hand.bus, strict=True))
         ]
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
-        self.states = [drive.initial() for drive in self.drives]
+        self.states = [drive.initial_state() for drive in self.drives]
         self.k = 0
         compile_kernels()  # compile first, or watchdogs would fire
         self.clock.start()
@@ -180,7 +180,7 @@ def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[RunOutcome, Tr
     Return the outcome and the truth.
     """
     hand, time_scale = load_hand(str(path)), 0.1
-    load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
+    load = tuple(one.load_at(RATE_HZ) for one in bus_loads(hand))
     plan = RunPlan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)
     program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), PULL_S)
     with simulated(path, buses, time_scale, folder / "truth"):

@@ -51,7 +51,7 @@ def bus_plan_report(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict
         loads: worst-case load of each bus, in the order of the hand file.
         rate: control rate [Hz].
     """
-    fits = all(load.at(rate) <= MAX_BUS_LOAD for load in loads)
+    fits = all(load.load_at(rate) <= MAX_BUS_LOAD for load in loads)
     buses = [_bus_fields(load, rate) for load in loads]
     return {"hand": hand.name, "rate_hz": rate, "most": MAX_BUS_LOAD, "fits": fits, "buses": buses,
             "split": [] if fits else split_motors_over_buses(hand, rate)}  # fmt: skip
@@ -73,13 +73,13 @@ def bit_rate_errors(hand: Hand, specs: tuple[str, ...]) -> list[str]:
 
 
 def _bus_fields(load: BusLoad, rate: float) -> dict[str, Any]:
-    max_rate = load.highest(MAX_BUS_LOAD)
+    max_rate = load.highest_rate_hz(MAX_BUS_LOAD)
     return {
         "name": load.name,
         "motors": load.motors,
         "tick_us": load.tick_s * 1e6,
         "by_time": load.timed_fraction,
-        "load": load.at(rate),
+        "load": load.load_at(rate),
         "max_hz": max_rate if math.isfinite(max_rate) else None,
         "frames": [_row_fields(row) for row in load.rows],
     }

@@ -184,7 +184,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
     calibration = _calibration_fields(args, hand)
     loads = bus_loads(hand)
     rate = highest_rate_of_buses(loads)
-    load = {one.name: one.at(rate) for one in loads}
+    load = {one.name: one.load_at(rate) for one in loads}
     source = str(hand_path(args.hand).name)
     warnings = _hand_warnings(hand)
     if args.what == "check":

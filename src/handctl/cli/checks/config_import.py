@@ -120,7 +120,7 @@ def read_hand_description(path: Path, kind: str, output: Path) -> tuple[Describe
     model = read_model_file(path, kind)
     notes = list(model["notes"])
     links = [
-        ModelLink.of(link, _mesh_of(link["name"], link["meshes"], output, notes))
+        ModelLink.from_values(link, _mesh_of(link["name"], link["meshes"], output, notes))
         for link in model["links"]
     ]
     digits, palm, origin = digits_of_links(links, str(path))
@@ -160,7 +160,7 @@ def _mesh_of(
         notes.append(
             f"mesh {Path(meshes[i]['file']).name} of {link} is left out: a link can have only one mesh"
         )
-    chosen = ModelMesh.of(meshes[largest])
+    chosen = ModelMesh.from_values(meshes[largest])
     return replace(chosen, file=path_from(Path(chosen.file), output))
 
 

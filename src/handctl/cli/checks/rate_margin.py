@@ -29,7 +29,7 @@ def rate_warnings(hand: Hand, gains: Gains, rate_hz: float) -> list[str]:
     from handctl.tune.loops.linear import LoopKind, open_loop
     from handctl.tune.loops.margins import MIN_GAIN_MARGIN_DB, margins_of_loop
 
-    model = HandModel.of(hand, gains, rate_hz)
+    model = HandModel.from_hand(hand, gains, rate_hz)
     found = {
         name: margins_of_loop(open_loop(model, i, LoopKind.MOTION))
         for i, name in enumerate(hand.tendon_names)

@@ -179,7 +179,7 @@ def _move_drive(
             result = jog_drive(rig, goal)
         finally:
             if result is None:
-                bus.send(drive.cut())
+                bus.send(drive.cut_frames())
             rig.idle_command = lambda state: 0.0
             complete = (
                 result is not None and not result.failure and rig.state.phase != DrivePhase.FAULT

@@ -106,7 +106,7 @@ def _designed_gains(
 
     try:
         result = design_gains(
-            HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants)
+            HandModel.from_hand(hand, gains, rate), tuple(linear_factors(one) for one in plants)
         )
     except (ValueError, ConfigError):
         return ()

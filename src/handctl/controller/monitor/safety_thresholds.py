@@ -126,13 +126,15 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
     torque = np.zeros(len(drives))
     inputs = {Quantity.POSITION: "servo_stiffness", Quantity.VELOCITY: "servo_damping"}
     for n, drive in enumerate(drives):
-        if drive.cyclic.position is None:
+        if drive.cyclic_messages.position is None:
             continue
-        for signal in drive.cyclic.position.signals:
+        for signal in drive.cyclic_messages.position.signals:
             if signal.quantity in (Quantity.STIFFNESS, Quantity.DAMPING):
                 steps[signal.quantity - Quantity.STIFFNESS, n] = signal.step * gain[n]
                 largest[signal.quantity - Quantity.STIFFNESS, n] = signal.ends[1] * gain[n]
-        for signal in (signal for message in drive.cyclic.feedback for signal in message.signals):
+        for signal in (
+            signal for message in drive.cyclic_messages.feedback for signal in message.signals
+        ):
             if signal.quantity in inputs:
                 # A float has finer steps than the encoder whose position it contains.
                 encoder = model.space.encoder_step[n] / model.space.spool[n]
@@ -145,7 +147,7 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
     return {
         "servo_kp_max": largest[0],
         "servo_kd_max": largest[1],
-        "servo_moves": [drive.cyclic.moves_target for drive in drives],
+        "servo_moves": [drive.cyclic_messages.moves_target for drive in drives],
         "servo_kp_step": steps[0],
         "servo_kd_step": steps[1],
         "servo_rounding": torque / model.space.spool,
@@ -157,7 +159,7 @@ def torque_resolution(drive: Drive) -> float:
 
     It is 0 for a floating-point torque.
     """
-    messages = (*drive.cyclic.feedback, *drive.cyclic.commands)
+    messages = (*drive.cyclic_messages.feedback, *drive.cyclic_messages.commands)
     signals = [
         signal
         for message in messages
@@ -173,7 +175,8 @@ def torque_resolution(drive: Drive) -> float:
 def max_frames_per_tick(drives: Sequence[Drive], sensors: SensorInterface) -> int:
     """Return the number of frames in a tick above which the bus counts as flooded: twice the replies of all nodes."""
     return max(
-        MIN_FRAMES_LIMIT, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids)
+        MIN_FRAMES_LIMIT,
+        sum(len(drive.frames_per_tick) for drive in drives) + 2 * len(sensors.node_ids),
     )
 
 

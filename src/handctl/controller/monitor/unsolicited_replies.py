@@ -66,15 +66,15 @@ def _detect_duplicate_answers(
     """Write duplicate answers of the load cells into ``DUPLICATES``, and count late answers in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
     excused = not sensors.has_counter and (
-        state.whole(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
+        state.run_integer(s.MISSED_TICKS) > 0 or _has_lost_answers(last_state)
     )
     answered = last_state.view("group_answered").tolist()
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1 and (excused or not (sensors.has_counter or answered[group])):
-            state.set_whole(s.STALE_FRAMES, state.whole(s.STALE_FRAMES) + count - 1)
-            state.set_whole(s.STALE_NOW, max(state.whole(s.STALE_NOW), 1))
+            state.set_run_integer(s.STALE_FRAMES, state.run_integer(s.STALE_FRAMES) + count - 1)
+            state.set_run_integer(s.STALE_NOW, max(state.run_integer(s.STALE_NOW), 1))
         elif count > 1:
-            counter = last_state.whole(s.SYNC_COUNTER)
+            counter = last_state.run_integer(s.SYNC_COUNTER)
             can_id = sensors.ids[group]
             fresh = [
                 frame.data

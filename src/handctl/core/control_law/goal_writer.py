@@ -71,8 +71,8 @@ def sample_trajectories(
 ) -> None:
     """Write position, rate and acceleration at time t [s] of trajectories that compiled code cannot evaluate."""
     for trajectory, since, places in sampled_goals(model, goals):
-        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = trajectory.at(
-            t - since
+        layout.table(block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3, places] = (
+            trajectory.motion_at(t - since)
         )
 
 

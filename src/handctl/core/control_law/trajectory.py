@@ -17,7 +17,7 @@ class Trajectory(Protocol):
         """Return the duration of the trajectory [s]."""
         ...
 
-    def at(self, t: float) -> Vector:
+    def motion_at(self, t: float) -> Vector:
         """Return position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n).
 
         After the end of the trajectory, the digit rests at the end position.
@@ -42,7 +42,7 @@ class BlendTrajectory:
     acceleration: Vector
     duration: float
 
-    def at(self, t: float) -> Vector:
+    def motion_at(self, t: float) -> Vector:
         """Return the added position [rad], velocity [rad/s] and acceleration [rad/s^2] at time t [s], (3, n)."""
         T = self.duration
         s = min(max(t / T, 0.0), 1.0)
@@ -77,15 +77,15 @@ class MinimumJerk:
     duration: float
     blend: BlendTrajectory | None = None
 
-    def at(self, t: float) -> Vector:
-        """Return the motion at time t, (3, n), see ``Trajectory.at``."""
+    def motion_at(self, t: float) -> Vector:
+        """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
         s = min(max(t / self.duration, 0.0), 1.0)
         position = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         velocity = 30.0 * s * s * (1.0 - s) * (1.0 - s) / self.duration
         acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (self.duration * self.duration)
         way = np.array(((position,), (velocity,), (acceleration,))) * (self.end - self.start)
         way[0] += self.start
-        return way if self.blend is None else np.asarray(way + self.blend.at(t))
+        return way if self.blend is None else np.asarray(way + self.blend.motion_at(t))
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ class CurveTrajectory:
     coordinates: int
 
     @staticmethod
-    def through(
+    def through_points(
         times: tuple[float, ...], angles: tuple[float, ...] | Vector, coordinates: int
     ) -> "CurveTrajectory":
         """Return the curve through angles (k,) or (k, n) [rad] at times [s]."""
@@ -129,8 +129,8 @@ class CurveTrajectory:
         """Return the duration of the curve [s]."""
         return float(self.times[-1])
 
-    def at(self, t: float) -> Vector:
-        """Return the motion at time t, (3, n), see ``Trajectory.at``."""
+    def motion_at(self, t: float) -> Vector:
+        """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
         held = min(max(t, 0.0), self.duration)
         piece = min(int(np.searchsorted(self.times, held, side="right")) - 1, len(self.times) - 2)
         s = held - float(self.times[piece])
@@ -177,8 +177,8 @@ class SampledTrajectory:
     acceleration: Vector
     duration: float = 0.0
 
-    def at(self, t: float) -> Vector:
-        """Return the sample (3, n), which is the same for every time. See ``Trajectory.at``."""
+    def motion_at(self, t: float) -> Vector:
+        """Return the sample (3, n), which is the same for every time. See ``Trajectory.motion_at``."""
         return np.array((self.position, self.velocity, self.acceleration))
 
 
@@ -202,10 +202,10 @@ class ChirpTrajectory:
     duration: float
     coordinates: int
 
-    def at(self, t: float) -> Vector:
-        """Return the motion at time t, (3, n), see ``Trajectory.at``."""
+    def motion_at(self, t: float) -> Vector:
+        """Return the motion at time t, (3, n), see ``Trajectory.motion_at``."""
         s = min(max(t, 0.0), self.duration)
-        size, growth, bend = self._envelope(s)
+        size, growth, bend = self._amplitude_envelope(s)
         rise = 2.0 * math.pi * (self.high - self.low) / self.duration
         speed = 2.0 * math.pi * self.low + rise * s
         phase = (math.pi * self.low + 0.5 * speed) * s
@@ -220,7 +220,7 @@ class ChirpTrajectory:
         values = (self.centre + self.amplitude * way, moving * velocity, moving * acceleration)
         return _equal_coordinates(values, self.coordinates)
 
-    def _envelope(self, t: float) -> tuple[float, float, float]:
+    def _amplitude_envelope(self, t: float) -> tuple[float, float, float]:
         """Return the factor on the amplitude at time t [s], with its rate [1/s] and its acceleration [1/s^2]."""
         ramp = 0.1 * self.duration
         left = min(t, self.duration - t)

@@ -113,7 +113,9 @@ class Cia404LoadCells:
     coding: SignalCoding
 
     @staticmethod
-    def of(node: AmplifierDescription, bus: int, tendons: tuple[str, ...]) -> "Cia404LoadCells":
+    def from_description(
+        node: AmplifierDescription, bus: int, tendons: tuple[str, ...]
+    ) -> "Cia404LoadCells":
         """Return the load cells of a hand.
 
         Args:
@@ -200,7 +202,7 @@ class Cia404LoadCells:
         return TENSION_LOW_N
 
     @property
-    def exchange(self) -> tuple[tuple[int, float], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames of a tick, SYNC and every TPDO, as (payload bytes, frames per tick)."""
         return ((0, 1.0), *((length, 1.0) for length in self.lengths)) if self.ids else ()
 
@@ -250,7 +252,7 @@ class Cia404LoadCells:
         """Return True, because a payload does not show which SYNC it answers."""
         return True
 
-    def lost(self, syncs: int, accepted: int, stale: int) -> int:
+    def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
         """Return the number of lost frames. Answers to the last SYNC are not counted."""
         return max(0, (syncs - 1) * len(self.ids) - accepted - stale)
 

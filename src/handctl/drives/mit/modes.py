@@ -45,9 +45,9 @@ class MitModeDrive(MitDrive):
     def __post_init__(self) -> None:
         """Build the signal tables of the cyclic frames."""
         MitDrive.__post_init__(self)
-        object.__setattr__(self, "command", SignalTable(self._message()))
+        object.__setattr__(self, "command", SignalTable(self._mode_command_message()))
 
-    def _message(self) -> Message:
+    def _mode_command_message(self) -> Message:
         """Return the signal table of the command in this mode."""
         if self.mode == DriveMode.VELOCITY:
             return codec.velocity_message(
@@ -91,10 +91,10 @@ class MitModeDrive(MitDrive):
         """Return no frames, because the motor takes no torque commands in position and velocity modes."""
         return ()
 
-    def _command(self, torque: float) -> Frame:
+    def _command_frame(self, torque: float) -> Frame:
         """Return the frame of a command [rad or rad/s at the spool]."""
         message = self.command.message
-        return Frame(message.can_id, self._torque(torque), self.flags, self.bus)
+        return Frame(message.can_id, self._command_payload(torque), self.flags, self.bus)
 
 
 def make_mode_drive(
@@ -108,7 +108,7 @@ def make_mode_drive(
     options = dict(motor.options)
     where = f"motor[{motor.name}].options.current_fraction"
     fraction = checked_positive(options.pop("current_fraction", 1.0), where, 1.0)
-    base = MitDrive.of(motor, bus, options)
+    base = MitDrive.from_motor(motor, bus, options)
     try:
         return MitModeDrive(**init_fields(base), mode=mode, limits=limits, fraction=fraction)
     except ValueError as error:

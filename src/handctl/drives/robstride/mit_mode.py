@@ -106,7 +106,7 @@ class RobstrideMitDrive(CubemarsDrive):
         object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))
 
     @staticmethod
-    def of(motor: MotorDescription, bus: int) -> "RobstrideMitDrive":
+    def from_motor(motor: MotorDescription, bus: int) -> "RobstrideMitDrive":
         """Return the drive for a motor description.
 
         Raises:
@@ -211,6 +211,6 @@ class RobstrideMitDrive(CubemarsDrive):
         fresh, stop = CubemarsDrive.clear(self, state)
         return fresh, (self._frame_to_motor(mit.special_command(mit.CLEAR)), *stop)
 
-    def cause(self, error_code: int) -> DriveFaultCause:
+    def fault_cause(self, error_code: int) -> DriveFaultCause:
         """Return the cause of an error code, see ``contract.Drive``."""
         return cause_of_error(error_code)

@@ -98,7 +98,7 @@ class SensorInterface(Protocol):
         ...
 
     @property
-    def exchange(self) -> tuple[tuple[int, float], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames that a tick exchanges with the sensors, SYNC first, as (payload bytes, frames per tick)."""
         ...
 
@@ -138,8 +138,8 @@ class SensorInterface(Protocol):
         """Return True if a payload can be the answer to the SYNC with the given counter."""
         ...
 
-    def lost(self, syncs: int, accepted: int, stale: int) -> int:
-        """Return the number of lost tension frames, see ``SensorNode.lost``."""
+    def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
+        """Return the number of lost tension frames, see ``SensorNode.lost_frame_count``."""
         ...
 
     def group_of_tendon(self, tendon_index: int) -> int:

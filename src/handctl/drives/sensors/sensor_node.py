@@ -139,7 +139,7 @@ class SensorNode:
         object.__setattr__(self, "counters", sync_counters(self.decimation))
 
     @classmethod
-    def of(
+    def from_description(
         cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]
     ) -> Self:
         """Return the sensor node of a hand.
@@ -234,7 +234,7 @@ class SensorNode:
         return TENSION_ZERO_N + LOW_MARGIN_N
 
     @property
-    def exchange(self) -> tuple[tuple[int, float], ...]:
+    def frames_per_tick(self) -> tuple[tuple[int, float], ...]:
         """Return the frames that a tick exchanges with the node, SYNC first, as (payload bytes, frames per tick).
 
         The frames per tick of an angle frame are the fraction of ticks in which the node sends this
@@ -272,7 +272,7 @@ class SensorNode:
         """Return the SYNC frame of tick k."""
         return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
 
-    def lost(self, syncs: int, accepted: int, stale: int) -> int:
+    def lost_frame_count(self, syncs: int, accepted: int, stale: int) -> int:
         """Return the number of tension frames that the host has not received.
 
         Answers to the last SYNC are not counted, because they may still arrive.

@@ -55,7 +55,7 @@ class ModelMesh:
     rotation: Array
 
     @staticmethod
-    def of(values: Mapping[str, Any]) -> "ModelMesh":
+    def from_values(values: Mapping[str, Any]) -> "ModelMesh":
         """Build a mesh from plain values."""
         return ModelMesh(
             file=values["file"],
@@ -123,7 +123,7 @@ class ModelLink:
     mesh: ModelMesh | None
 
     @staticmethod
-    def of(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
+    def from_values(values: Mapping[str, Any], mesh: ModelMesh | None) -> "ModelLink":
         """Build a link from plain values and its mesh.
 
         The axis of a joint that flexes towards negative angles is reversed.

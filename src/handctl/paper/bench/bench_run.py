@@ -77,4 +77,4 @@ def _hand_model(hand_file: str) -> HandModel:
 
     The result is cached, because a design takes about a second.
     """
-    return HandModel.of(load_hand(hand_file), Gains(), RATE_HZ)
+    return HandModel.from_hand(load_hand(hand_file), Gains(), RATE_HZ)

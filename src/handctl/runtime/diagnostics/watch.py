@@ -76,9 +76,9 @@ class BusWatch:
 
     def __post_init__(self) -> None:
         """Start with the initial state of each drive and without readings."""
-        self.states = [drive.initial() for drive in self.drives]
+        self.states = [drive.initial_state() for drive in self.drives]
         node = self.sensors
-        self.amplifiers = [amplifier.initial() for amplifier in node.amplifiers]
+        self.amplifiers = [amplifier.initial_state() for amplifier in node.amplifiers]
         self._tables = [SignalTable(message) for message in node.messages]
         self._group = {can_id: group for group, can_id in enumerate(node.ids)}
         cells, encoders = node.channels[: node.tension_frames], node.channels[node.tension_frames :]

@@ -151,7 +151,7 @@ class PairWindows:
         if len(windows.t) < 20:
             raise LogError(f"{own.tendon} hardly moves", "the log", "a run in which it moves")
         q, dq, ddq = _joint_motion(digit, means[:, :, clear], data, rest[digit.joints])
-        tree = HandTree.of(hand)
+        tree = HandTree.from_hand(hand)
         rigid = np.array(
             [_torque_of_digit(tree, digit, rest, *row) for row in zip(q, dq, ddq, strict=True)]
         )

@@ -390,7 +390,7 @@ def _operating_block(bench: _LinearizationBench, tendon: int, kind: LoopKind) ->
     )
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
-    digits = [digit.at(q[digit.joints]) for digit in model.digits]
+    digits = [digit.at_angles(q[digit.joints]) for digit in model.digits]
     table[s.EXCURSION] = np.concatenate([digit.excursion_at(q[digit.joints]) for digit in digits])
     table[s.TRAVEL] = table[s.EXCURSION] + OPERATING_TENSION_N / model.space.stiffness
     table[s.SPEED] = table[s.EXCURSION_RATE] = (
@@ -457,7 +457,7 @@ def _winding_rates(model: HandModel, d: int, tendon: int, speed: float) -> Matri
     If the tendon belongs to another digit, all tendons of this digit wind at this speed.
     """
     digit = model.digits[d]
-    arms = digit.at(digit.coupling @ _half_closed(digit)).reduced_moment_arms
+    arms = digit.at_angles(digit.coupling @ _half_closed(digit)).reduced_moment_arms
     i = tendon - digit.tendons.start
     if 0 <= i < len(arms):
         return np.asarray(arms[i] * speed / (arms[i] @ arms[i]))
@@ -486,7 +486,7 @@ def _move_goal(
 ) -> DigitGoal:
     """Return a motion goal that equals the estimated excursion [m] and speed [m/s] of tendon i of a digit."""
     q = digit.coupling @ position
-    arms = digit.at(q).reduced_moment_arms
+    arms = digit.at_angles(q).reduced_moment_arms
     if 0 <= i < len(arms):
         direction = arms[i] / (arms[i] @ arms[i])
         position = position + direction * (reached[i] - digit.excursion_at(q)[i])

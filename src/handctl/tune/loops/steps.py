@@ -284,7 +284,7 @@ class RestTest:
         In a failed run, the oscillations count as zero.
         """
         if name not in self._chatter:
-            still = HandModel.of(
+            still = HandModel.from_hand(
                 model.hand, Gains.model_validate(WITHOUT_FEEDBACK), 1.0 / model.period
             )
             runs = [
