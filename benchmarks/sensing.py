@@ -16,7 +16,7 @@ import numpy as np
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content
 from handctl.programs.task import Task
@@ -149,7 +149,7 @@ def run(model: HandModel, scene: str, task: Task, seed: int, fault: str = "") ->
             for name, force in zip(names, forces.tolist(), strict=True):
                 if force > CONTACT_N and out.phase == "close":
                     record.touched_s.setdefault(name, t)
-            if run.state.mode == Mode.ACTIVE:
+            if run.state.mode == HandMode.ACTIVE:
                 record.phase.append(out.phase)
                 record.error.append(run.state.view("tension") - np.array(plant.tensions()))
                 record.sigma.append(run.state.view("sigma").copy())

@@ -8,7 +8,7 @@ import json
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
@@ -30,6 +30,6 @@ with SimulatorSettings("jamia", seed=1, homed=True).against(
                 print(
                     f"{1e3 * (entry.t_ns / 1e9 - broken_s):6.0f} ms after the break  {event.text}"
                 )
-        if out.mode == Mode.DONE:
+        if out.mode == HandMode.DONE:
             break
 print("failure:", run.state.failure)

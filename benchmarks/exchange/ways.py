@@ -44,7 +44,7 @@ def enabled(motors):
     """Return a controller of a packaged hand with this many MIT motors, and a state in which all motors are enabled."""
     from handctl.core.gains.gains import Gains
     from handctl.core.hand_model import HandModel
-    from handctl.core.tick_types import Mode
+    from handctl.core.tick_types import HandMode
     from handctl.hand.hand_loading import load_hand
     from handctl.programs.task_program import TaskProgram
     from handctl.session.simulate import SimulatorSettings, homed_controller
@@ -54,7 +54,7 @@ def enabled(motors):
     model = HandModel.from_hand(load_hand(name), Gains(), RATE_HZ)
     controller = homed_controller(model, TaskProgram(find_task(Path("grasp"), model.hand)[0]))
     with SimulatorSettings(name, homed=True).against(controller) as run:
-        assert run.until(lambda out: out.mode == Mode.ACTIVE, 20.0)
+        assert run.until(lambda out: out.mode == HandMode.ACTIVE, 20.0)
         run.tick()
         return controller, run.state
 

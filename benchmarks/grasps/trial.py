@@ -11,7 +11,7 @@ from firmware_sim.plant.plant import Plant
 from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickEvent
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
 from handctl.programs.task import HoldPhase
@@ -137,7 +137,7 @@ def simulate(
             phases.append(out.phase)
             stages.append(plant.stage)
             events += [(k, event) for event in out.events]
-            if state.mode == Mode.RELAX or (until and out.phase == until):
+            if state.mode == HandMode.RELAX or (until and out.phase == until):
                 break
             if (
                 _over(plant)

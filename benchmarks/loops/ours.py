@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from handctl.core.gains.gains import Gains
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.formats.urdf import urdf_text
 from handctl.hand.hand_loading import load_hand
 from handctl.log.header import RunHeader
@@ -149,7 +149,7 @@ class Counter:
         self.stopped = False
 
     def __call__(self, entry, out) -> None:
-        if out.mode != Mode.ACTIVE or self.stopped:
+        if out.mode != HandMode.ACTIVE or self.stopped:
             return
         if not self.first_ns:
             self.first_cpu_s = time.process_time()

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains, MotionGains
@@ -103,7 +103,7 @@ class RawTension(Controller):
     __slots__ = ()
 
     def _process_frames(
-        self, before: State, state: State, entry: TickIn, frames: Frames
+        self, before: ControllerState, state: ControllerState, entry: TickIn, frames: Frames
     ) -> tuple[str, ...]:
         signs = super()._process_frames(before, state, entry, frames)
         cell = state.tendon[s.MEASURED_TENSION]

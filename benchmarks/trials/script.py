@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
-from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent
 from handctl.programs.live_session import LiveProgram
@@ -48,7 +48,7 @@ class Script:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> tuple[ProgramProgress, tuple[TickEvent, ...]]:
@@ -77,7 +77,7 @@ class Script:
 
 
 def _goal(
-    model: HandModel, d: int, step: Step, old: DigitGoal, estimate: Estimate, t: float
+    model: HandModel, d: int, step: Step, old: DigitGoal, estimate: HandEstimate, t: float
 ) -> DigitGoal:
     if step.angle_deg is not None:
         return motion_to(model.digits[d], estimate, math.radians(step.angle_deg), step.move_s, t)

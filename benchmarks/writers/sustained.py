@@ -19,8 +19,8 @@ import synthetic
 
 from handctl.core.tick_types import (
     TELEMETRY_FIELDS,
+    HandMode,
     IoEvent,
-    Mode,
     PackedTelemetry,
     TickIn,
     TickOut,
@@ -163,7 +163,7 @@ def _loop(
 
     def begin(state: int, entry: TickIn) -> _ReadyTick:
         out = ticks[state % len(ticks)][1]
-        return _ReadyTick(state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out)
+        return _ReadyTick(state + 1, out._replace(mode=HandMode.DONE) if entry.k >= last else out)
 
     clock = RealClock(PERIOD_NS, spin=spin)
     loop = ControlLoop(

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from handctl.campaign.stage import FIRST_NODE, with_drives
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.tick_types import Mode, TickIn
+from handctl.core.tick_types import HandMode, TickIn
 from handctl.drives import readback
 from handctl.drives.cia402 import codec as cia402
 from handctl.drives.contract import DrivePhase, DriveState
@@ -23,7 +23,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.moteus import codec as moteus
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
-from handctl.drives.signals import Message, Quantity, SignalTable
+from handctl.drives.signals import CyclicMessage, SignalQuantity, SignalTable
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content
 from handctl.programs.live_session import LiveProgram
@@ -142,20 +142,23 @@ def _digit(
     return cut | ({"coupling": [[1.0]] * size} if coupled else {})
 
 
-def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> bytes:
+def _payload(message: CyclicMessage, given: dict[SignalQuantity, Any], random: Random) -> bytes:
     """Return the payload of a message with given values.
 
     If a status has several signals, the first has its highest bits.
     """
-    values, left = [], sum(one.length for one in message.signals if one.quantity == Quantity.STATUS)
+    values, left = (
+        [],
+        sum(one.length for one in message.signals if one.quantity == SignalQuantity.STATUS),
+    )
     for signal in message.signals:
-        if signal.quantity == Quantity.UNUSED:
+        if signal.quantity == SignalQuantity.UNUSED:
             continue
         value = given.get(signal.quantity, 0.0)
-        if signal.quantity == Quantity.STATUS:
+        if signal.quantity == SignalQuantity.STATUS:
             left -= signal.length
             value = float(int(value) >> left & (1 << signal.length) - 1)
-        elif signal.quantity in (Quantity.TENSION, Quantity.ANGLE):
+        elif signal.quantity in (SignalQuantity.TENSION, SignalQuantity.ANGLE):
             value = float(value[signal.channel])
         values.append(value)
     data = SignalTable(message).pack(*values)
@@ -172,12 +175,12 @@ class RandomHand:
             hand, Gains(), RATE_HZ, LiveProgram(), None, arm_at_once=True
         )
         self.protocol = hand.motor[0].protocol
-        self.state: State = self.controller.initial_state()
+        self.state: ControllerState = self.controller.initial_state()
         self.state.decide(progress=replace(self.state.progress, phase="live"))
         self.period_ns = round(1e9 / RATE_HZ)
         for n, drive in enumerate(self.controller.drives):
             self.controller.store_drive_state(self.state, n, _enabled(drive, self.protocol))
-        self.state.mode = Mode.ACTIVE
+        self.state.mode = HandMode.ACTIVE
         self.position, self.tension = np.zeros(tendons), np.zeros(tendons)
         self.speed = self.random.normal(0.0, 2.0, tendons)
         self.angle = np.zeros(len(hand.joints))
@@ -195,10 +198,11 @@ class RandomHand:
         self.angle += random.normal(0.01, 0.02, len(self.angle))
         messages = []
         for n, drive in enumerate(self.controller.drives):
-            given: dict[Quantity, Any] = {
-                Quantity.POSITION: float(self.position[n]), Quantity.VELOCITY: float(self.speed[n]),
-                Quantity.TORQUE: float(random.normal(0.1, 0.05)), Quantity.STATUS: _status(drive, self.protocol),
-                Quantity.TEMPERATURE: float(random.integers(20, 90)),
+            given: dict[SignalQuantity, Any] = {
+                SignalQuantity.POSITION: float(self.position[n]), SignalQuantity.VELOCITY: float(self.speed[n]),
+                SignalQuantity.TORQUE: float(random.normal(0.1, 0.05)),
+                SignalQuantity.STATUS: _status(drive, self.protocol),
+                SignalQuantity.TEMPERATURE: float(random.integers(20, 90)),
             }  # fmt: skip
             messages += [(one, drive.bus, given) for one in drive.cyclic_messages.feedback]
         sensors = self.controller.sensors
@@ -206,9 +210,9 @@ class RandomHand:
         for message in sensors.messages:
             late = random.random() < CORRUPT_FRACTION
             given = {
-                Quantity.COUNTER: counter ^ late,
-                Quantity.TENSION: self.tension,
-                Quantity.ANGLE: self.angle,
+                SignalQuantity.COUNTER: counter ^ late,
+                SignalQuantity.TENSION: self.tension,
+                SignalQuantity.ANGLE: self.angle,
             }
             messages += [(message, sensors.bus, given)]
         out = []
@@ -263,7 +267,7 @@ class RandomHand:
         k = 0
         for i in range(TICKS):
             if i < TICKS - FREE_TICKS:
-                self.state.mode = Mode.ACTIVE
+                self.state.mode = HandMode.ACTIVE
                 self.state.decide(latched=())
             k += 1 if self.random.random() > SKIPPED_FRACTION else int(self.random.integers(2, 5))
             t_ns = k * self.period_ns

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import IoEvent, Mode, TickEvent, TickIn, TickOut
+from handctl.core.tick_types import HandMode, IoEvent, TickEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.sensors.sensor_node import SensorNode
@@ -158,7 +158,7 @@ class Bench:
     peer: ToyHand
     to_host: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
     to_nodes: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
-    history: list[tuple[State, TickIn, TickOut]] = field(default_factory=list)
+    history: list[tuple[ControllerState, TickIn, TickOut]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.state, self.k, self.waiting = self.controller.initial_state(), 0, list[Frame]()
@@ -185,7 +185,7 @@ class Bench:
         self.k += 1
         return out
 
-    def until(self, mode: Mode, timeout: float = 12.0) -> TickOut:
+    def until(self, mode: HandMode, timeout: float = 12.0) -> TickOut:
         """Run ticks until the controller enters a mode."""
         for _ in range(round(timeout / self.controller.model.period)):
             out = self.tick()
@@ -202,9 +202,9 @@ class Bench:
         return out
 
     @property
-    def modes(self) -> list[Mode]:
+    def modes(self) -> list[HandMode]:
         """Return the modes of the controller so far, in order."""
-        seen: list[Mode] = []
+        seen: list[HandMode] = []
         for _, _, out in self.history:
             if not seen or seen[-1] != out.mode:
                 seen.append(out.mode)

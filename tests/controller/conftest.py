@@ -4,7 +4,7 @@ import pytest
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import Bench, bench
@@ -36,7 +36,7 @@ def model(request: pytest.FixtureRequest) -> HandModel:
 def active() -> Bench:
     """Return a bench whose hand is active and holds a tension."""
     run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.run(1.0)
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 5}')
     run.tick('{"do": "hold", "tension_N": {"index": 30}}')

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, TendonRegime, X
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from tests.controller.synthetic import (
     Estimate,
     Readings,
@@ -82,7 +82,7 @@ The seven states and the covariance are not listed.
 """
 
 
-def write_filter_state(state: State, filtered: FilterState) -> None:
+def write_filter_state(state: ControllerState, filtered: FilterState) -> None:
     """Write a filter state into the block of a controller's state."""
     state.tendon[s.TRAVEL : s.TRAVEL + STATE_COUNT] = filtered.x.reshape(-1, STATE_COUNT).T
     for name, row in ROWS.items():
@@ -94,7 +94,7 @@ def write_filter_state(state: State, filtered: FilterState) -> None:
     state.set_run_integer(s.FILTER_STARTED, filtered.started)
 
 
-def filter_state_of(state: State) -> FilterState:
+def filter_state_of(state: ControllerState) -> FilterState:
     """Return the filter's part of a controller's state."""
     booleans = ("stopped", "measured", "doubtful")
     found = {
@@ -110,7 +110,7 @@ def filter_state_of(state: State) -> FilterState:
     return FilterState(x, **found, covariance=carried, started=state.started)
 
 
-def read(state: State, measured: Readings) -> None:
+def read(state: ControllerState, measured: Readings) -> None:
     """Write the measurements of a tick into a controller's state."""
     for name in ("travel", "tension", "excursion"):
         state.view(f"measured_{name}")[...] = getattr(measured, name)
@@ -198,14 +198,14 @@ def start(
 ) -> FilterState:
     """Return the filter state after readings of the encoders [m], and of the load cells if ``cells``."""
     run = state_of(model, state)
-    run.mode = Mode.SILENT
+    run.mode = HandMode.SILENT
     run.view("position")[...] = travel / model.space.spool
     run.view("group_frames")[...] = cells
     tick_stages.observe_tick(run.block, run.layout.places, *constants(model))
     return filter_state_of(run)
 
 
-def corrected_state(model: HandModel, state: FilterState, measured: Readings) -> State:
+def corrected_state(model: HandModel, state: FilterState, measured: Readings) -> ControllerState:
     """Return a controller's state after the filter's measurement update, before its prediction.
 
     No digit is in contact.
@@ -216,10 +216,12 @@ def corrected_state(model: HandModel, state: FilterState, measured: Readings) ->
     return run
 
 
-def state_of(model: HandModel, filtered: FilterState) -> State:
+def state_of(model: HandModel, filtered: FilterState) -> ControllerState:
     """Return a controller's state that contains the given filter state."""
     run = active_state(model)
-    run.mode = Mode.ARMING  # in this mode the filter takes contacts from the plan, and detects none
+    run.mode = (
+        HandMode.ARMING
+    )  # in this mode the filter takes contacts from the plan, and detects none
     write_filter_state(run, filtered)
     return run
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.compiled import kernel
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.block_schema import BlockArray, TablePlaces
@@ -17,7 +17,7 @@ from handctl.core.control_law.goal_writer import write_goals
 from handctl.core.control_law.required_tensions import allocate_bounded_tensions
 from handctl.core.hand_model import HandModel
 from handctl.core.state_block import state_tables
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from tests.controller.synthetic import (
     Estimate,
     active_state,
@@ -79,7 +79,11 @@ def warm(model: HandModel, limit: np.ndarray) -> np.ndarray:
 
 
 def run_control_law(
-    model: HandModel, state: State, goals: tuple[DigitGoal, ...], t: float, action: Action
+    model: HandModel,
+    state: ControllerState,
+    goals: tuple[DigitGoal, ...],
+    t: float,
+    action: SafetyAction,
 ) -> None:
     """Run the control law of one tick on a controller's state, with given goals at time t [s]."""
     write_goals(model, state.layout, state.block, goals)
@@ -118,11 +122,13 @@ def step(
     if held is not None:
         state.view("limit_held")[...] = held
         state.set_run_integer(s.HOLDING, 1)
-    run_control_law(model, state, goals, t, Action.PASS if held is None else Action.HOLD)
+    run_control_law(
+        model, state, goals, t, SafetyAction.PASS if held is None else SafetyAction.HOLD
+    )
     return law_state_of(state), command_of(state)
 
 
-def law_state_of(state: State) -> LawState:
+def law_state_of(state: ControllerState) -> LawState:
     """Return the state of the control law after a tick."""
     kept = {
         name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")
@@ -132,7 +138,7 @@ def law_state_of(state: State) -> LawState:
     return LawState(**kept, trim=trim, held=held)
 
 
-def command_of(state: State) -> Command:
+def command_of(state: ControllerState) -> Command:
     """Return the commands that the control law has written into a controller's state."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
     return Command(*(state.view(name).copy() for name in names))
@@ -145,7 +151,7 @@ def _limit(block: BlockArray, at: TablePlaces, of: BlockArray, of_at: TablePlace
     )
 
 
-def limit_of(model: HandModel, state: State) -> np.ndarray:
+def limit_of(model: HandModel, state: ControllerState) -> np.ndarray:
     """Return the tension limits (N,) in a controller's state [N], infinite where there is none.
 
     The limits of the hand file come in addition.
@@ -176,5 +182,5 @@ def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> 
 def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
     """Return the angle, rate and acceleration (3, J) of each joint on its trajectory at time t [s]."""
     state = active_state(model)
-    run_control_law(model, state, goals, t, Action.PASS)
+    run_control_law(model, state, goals, t, SafetyAction.PASS)
     return tick_stages.joint_motion(state.block, state.layout.places, *constants(model))

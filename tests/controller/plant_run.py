@@ -9,7 +9,7 @@ import numpy as np
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickEvent
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.program import Program
 from handctl.session.simulate import SimulatorSettings, homed_controller
@@ -77,6 +77,6 @@ def run_on_plant(
             result.real.append(list(plant.tensions()))
             result.events += [(t, event) for event in out.events]
             gone = math.dist(result.place[-1], result.place[0]) > GONE_M
-            if run.state.mode == Mode.RELAX or gone:
+            if run.state.mode == HandMode.RELAX or gone:
                 break
     return result

@@ -1,6 +1,6 @@
 """Synthetic estimates, measurements and states of a hand, for tests of the code that uses the filter.
 
-``State`` holds all numbers of a tick. ``Estimate`` and ``Readings`` are the parts of a state that
+``ControllerState`` holds all numbers of a tick. ``Estimate`` and ``Readings`` are the parts of a state that
 tests make up. ``state_with_estimate`` puts an estimate into a state, and ``estimate_of`` takes it
 out again.
 """
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handctl.compiled import kernel
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
 from handctl.core import tick_stages
@@ -23,7 +23,7 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.estimation.statics import winding_efficiency
 from handctl.core.hand_model import HandModel
 from handctl.core.state_block import state_tables
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import controller
 
@@ -85,9 +85,9 @@ def controller_of(model: HandModel) -> Controller:
 
 
 @functools.cache
-def _blank(model: HandModel) -> State:
+def _blank(model: HandModel) -> ControllerState:
     state = controller_of(model).initial_state()
-    state.mode = Mode.ACTIVE
+    state.mode = HandMode.ACTIVE
     state.set_run_integer(s.FILTER_STARTED, 1)
     for name in ("regime", "kind", "kind_before", "stopped"):
         state.view(name)[...] = 0
@@ -102,7 +102,7 @@ def interpreted(function: Callable[..., Any]) -> Callable[..., Any]:
     return getattr(function, "py_func", function)
 
 
-def active_state(model: HandModel) -> State:
+def active_state(model: HandModel) -> ControllerState:
     """Return the state of an active hand with a running filter.
 
     Every tendon is taut, every digit is free and off its stop.
@@ -120,7 +120,7 @@ def constant_tables_of(model: HandModel) -> ConstantTables:
     return interpreted(constant_tables)(*constants(model))
 
 
-def state_with_estimate(model: HandModel, estimate: Estimate) -> State:
+def state_with_estimate(model: HandModel, estimate: Estimate) -> ControllerState:
     """Return the state of an active hand that contains a given estimate."""
     state = active_state(model)
     for name, value in estimate._asdict().items():
@@ -130,7 +130,7 @@ def state_with_estimate(model: HandModel, estimate: Estimate) -> State:
     return state
 
 
-def estimate_of(state: State) -> Estimate:
+def estimate_of(state: ControllerState) -> Estimate:
     """Return copies of the estimates that a controller's state contains."""
     seen = state.estimate
     own = {
@@ -263,7 +263,7 @@ def empty_readings(model: HandModel) -> Readings:
     )
 
 
-def detect_contacts(model: HandModel, state: State, estimate: Estimate) -> Estimate:
+def detect_contacts(model: HandModel, state: ControllerState, estimate: Estimate) -> Estimate:
     """Return an estimate after contact detection. The state then contains the contacts and the closing digits.
 
     Args:

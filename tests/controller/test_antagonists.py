@@ -14,7 +14,7 @@ from handctl.controller.run_setup import make_controller
 from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickEvent
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.hand.readiness import reasons_not_ready
@@ -154,7 +154,7 @@ def test_an_antagonistic_hand_commissions_and_tracks_from_a_cold_start(
         least = list[float]()
         for _ in ticks:
             assert not [event for event in events_of(run) if event.level == "error"]
-            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+            if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
                 least.append(min(plant.tensions()))
         assert np.sqrt(np.mean(np.square(errors))) < 1.0

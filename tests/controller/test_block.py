@@ -13,7 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.controller_state import ClientLease, Decisions, State, layout_of_state
+from handctl.controller.controller_state import (
+    ClientLease,
+    ControllerDecisions,
+    ControllerState,
+    layout_of_state,
+)
 from handctl.controller.monitor import safety_thresholds
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.run_setup import make_drives, make_sensors
@@ -107,7 +112,7 @@ def test_fields_do_not_overlap_and_leave_no_gap() -> None:
 
 
 @pytest.fixture(params=["jamia", "jamia11"])
-def state(request: pytest.FixtureRequest) -> State:
+def state(request: pytest.FixtureRequest) -> ControllerState:
     """Return a controller's state of random numbers. No two of its integers or floats are equal."""
     model: HandModel = request.getfixturevalue(request.param)
     # A drive of this hand closes a position loop, so that no table of the state is empty.
@@ -120,7 +125,9 @@ def state(request: pytest.FixtureRequest) -> State:
         part[...] = (
             rng.integers(-(2**40), 2**40, part.shape) if whole else rng.normal(size=part.shape)
         )
-    return State(layout, block, Decisions((), ProgramProgress.initial(len(model.digits), "test")))
+    return ControllerState(
+        layout, block, ControllerDecisions((), ProgramProgress.initial(len(model.digits), "test"))
+    )
 
 
 def constants_by_field(module: Any) -> dict[str, str]:
@@ -156,7 +163,7 @@ def test_every_field_is_declared_once_and_found_by_its_name(
         assert field.meaning, field.name
 
 
-def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
+def test_kernels_see_every_field_where_the_layout_has_it(state: ControllerState) -> None:
     seen = interpreted(state_tables)(state.block, state.layout.places)
     for field in STATE.fields:
         rows = getattr(seen, field.table)[field.first : field.first + field.rows]
@@ -169,7 +176,7 @@ def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
         ), field.name
 
 
-def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
+def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> None:
     copy = state.copy()
     assert copy.digest() == state.digest()
     assert state.layout.difference(copy.block, state.block) is None
@@ -179,7 +186,7 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
 
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
-def test_a_difference_names_its_field(state: State, field: BlockField) -> None:
+def test_a_difference_names_its_field(state: ControllerState, field: BlockField) -> None:
     """The message names the first field that differs, in the order of the schema.
 
     It has the element and both values.
@@ -196,7 +203,7 @@ def test_a_difference_names_its_field(state: State, field: BlockField) -> None:
     assert found[0] == field.name
 
 
-def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: State) -> None:
+def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: ControllerState) -> None:
     one, other = state.copy(), state.copy()
     for each in (one, other):
         each.view("tension")[0] = np.nan
@@ -383,7 +390,7 @@ OTHER_STREAM = {
 }  # fmt: skip
 
 
-def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
+def decisions(before: ControllerDecisions) -> Iterator[tuple[str, ControllerDecisions]]:
     """Yield a controller's decisions with one part changed, for each of their parts."""
     pending = PendingGains(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
     values: dict[str, list[Any]] = {
@@ -423,7 +430,7 @@ def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
             *(replace(STREAM, **{name: value}) for name, value in OTHER_STREAM.items()),
         ],
     }
-    assert values.keys() == set(Decisions._fields), "a new decision needs a line here"
+    assert values.keys() == set(ControllerDecisions._fields), "a new decision needs a line here"
     for name, others in values.items():
         for value in others:
             yield name, before._replace(**{name: value})
@@ -433,7 +440,7 @@ def test_every_decision_changes_the_digest(active: Bench) -> None:
     state = active.state
     seen = {state.digest(): "unchanged"}
     for name, changed in decisions(state.decisions):
-        digest = State(state.layout, state.block, changed).digest()
+        digest = ControllerState(state.layout, state.block, changed).digest()
         assert digest not in seen, f"{name} and {seen[digest]} have one digest"
         seen[digest] = name
     assert state.copy().digest() == state.digest()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.programs.live_session import LiveProgram
 from handctl.safety.faults.tendon import RELAXED_S
 from tests.controller.bench import Bench, bench
@@ -19,23 +19,23 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
     run = bench(model, LiveProgram())
     run.controller = replace(run.controller, tare=np.full(n, tare))
     run.peer.bias[:] = tare
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.run(0.5)
     run.peer.bias[1] = -100.0
     faults = [
         event.text[:3] for _ in range(4) for event in run.tick().events if event.name == "fault"
     ]
     assert "T06" in faults
-    assert run.state.mode == Mode.RELAX
+    assert run.state.mode == HandMode.RELAX
 
 
 def at_the_rail(model: HandModel) -> Bench:
     """Return a hand that begins to relax in its last tick, because a load cell is at the upper end of its range."""
     run = bench(model, LiveProgram())
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.peer.bias[:] = 60.0  # all load cells keep reading a high tension, so RELAX does not end
     run.peer.bias[1] = 300.0
-    run.until(Mode.RELAX)
+    run.until(HandMode.RELAX)
     return run
 
 
@@ -43,13 +43,13 @@ def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandMo
     """The saturated load cell may be the only evidence that a drive does not obey."""
     run = at_the_rail(jamia)
     began = run.state.mode_since
-    run.until(Mode.CUT)
+    run.until(HandMode.CUT)
     assert abs(run.state.mode_since - began - RELAXED_S) <= 2 * jamia.period
 
 
 def test_a_tendon_that_relaxes_in_time_needs_no_cut(jamia: HandModel) -> None:
     run = at_the_rail(jamia)
     for _ in range(round(0.9 * RELAXED_S / jamia.period)):
-        assert run.tick().mode == Mode.RELAX
+        assert run.tick().mode == HandMode.RELAX
     run.peer.bias[:] = 0.0
-    run.until(Mode.DISARM)
+    run.until(HandMode.DISARM)

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import Bench, bench
@@ -28,8 +28,8 @@ def hand_after_crash() -> Bench:
 def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(
     hand_after_crash: Bench,
 ) -> None:
-    hand_after_crash.until(Mode.DONE)
-    assert Mode.ARMING not in hand_after_crash.modes
+    hand_after_crash.until(HandMode.DONE)
+    assert HandMode.ARMING not in hand_after_crash.modes
     assert "communication lost" in hand_after_crash.state.failure
     assert "--clear" in hand_after_crash.state.failure
     assert [motor.nibble for motor in hand_after_crash.peer.motors] == [COMMUNICATION_LOST] * 4
@@ -39,23 +39,23 @@ def test_with_the_order_the_drives_are_cleared_configured_and_armed(
     hand_after_crash: Bench,
 ) -> None:
     hand_after_crash.tick(CLEAR)
-    hand_after_crash.until(Mode.ACTIVE)
+    hand_after_crash.until(HandMode.ACTIVE)
     assert hand_after_crash.modes == [
-        Mode.SILENT,
-        Mode.INVENTORY,
-        Mode.READY,
-        Mode.ARMING,
-        Mode.ACTIVE,
+        HandMode.SILENT,
+        HandMode.INVENTORY,
+        HandMode.READY,
+        HandMode.ARMING,
+        HandMode.ACTIVE,
     ]
     assert hand_after_crash.state.failure == ""
 
 
 def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: Bench) -> None:
     hand_after_crash.tick(CLEAR)
-    hand_after_crash.until(Mode.ACTIVE)
+    hand_after_crash.until(HandMode.ACTIVE)
     hand_after_crash.run(0.5)
     hand_after_crash.peer.motors[1].nibble = COMMUNICATION_LOST
-    hand_after_crash.until(Mode.DONE)
+    hand_after_crash.until(HandMode.DONE)
     assert "N08" in hand_after_crash.state.failure
     assert hand_after_crash.peer.motors[1].nibble == COMMUNICATION_LOST
 
@@ -63,9 +63,9 @@ def test_clear_before_arming_does_not_clear_later_errors(hand_after_crash: Bench
 def test_a_drive_that_does_not_clear_is_refused_in_time(hand_after_crash: Bench) -> None:
     hand_after_crash.peer.motors[2].deaf = {0xFB}
     hand_after_crash.tick(CLEAR)
-    hand_after_crash.until(Mode.DONE)
+    hand_after_crash.until(HandMode.DONE)
     assert (
         hand_after_crash.state.failure
         == "no answer from ring_motor (or an error that does not clear)"
     )
-    assert Mode.ARMING not in hand_after_crash.modes
+    assert HandMode.ARMING not in hand_after_crash.modes

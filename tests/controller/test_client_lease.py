@@ -11,7 +11,7 @@ import pytest
 
 from handctl.controller.state_snapshot import snapshot_bytes
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.programs.requests import AliveRequest, alive_text, is_routine, parse_request
 from tests.controller.test_stream import Client, check_ticks_repeat, live
 
@@ -35,23 +35,23 @@ def test_a_hand_relaxes_if_its_client_is_silent_after_a_hold(jamia: HandModel) -
     with live(jamia) as client:
         client.ask("hold", tension_N={"index": 30.0}, rate_N_per_s=500.0, lease_s=LEASE_S)
         wait_alive(client, 3.0 * LEASE_S)
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.outs[-1].mode == HandMode.ACTIVE
         assert lease_events(client) == []
         client.outs.clear()
         client.wait(1.5 * LEASE_S)
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.outs[-1].mode == HandMode.ACTIVE
         assert len(lease_events(client)) == 1
         assert client.outs[-1].telemetry.tension[0] == pytest.approx(30.0, abs=2.0), (
             "a hold is held"
         )
         client.wait(0.6 * LEASE_S)
-        assert [out.mode for out in client.outs].index(Mode.RELAX) == pytest.approx(
+        assert [out.mode for out in client.outs].index(HandMode.RELAX) == pytest.approx(
             2 * LEASE_S / jamia.period, abs=0.1 / jamia.period
         )
         text = "client one has been silent for"
         assert client.run.state.failure.startswith(text)
         assert [event.startswith(text) for event in lease_events(client)] == [True, True]
-        assert client.run.until(lambda out: out.mode == Mode.DONE, 5.0)
+        assert client.run.until(lambda out: out.mode == HandMode.DONE, 5.0)
         assert client.run.state.unconfirmed == ()
         assert client.faults == set()
 
@@ -69,7 +69,7 @@ def test_a_moving_digit_comes_to_rest_and_goes_on_with_the_next_command(jamia: H
         assert client.ask("move", angle_deg={"index": 70.0}, lease_s=LEASE_S) == "move index 70"
         wait_alive(client, 1.2)
         assert np.degrees(client.goals("q_goal")[-1]) == pytest.approx(70.0)
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.outs[-1].mode == HandMode.ACTIVE
 
 
 def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
@@ -77,7 +77,7 @@ def test_targets_of_a_stream_are_signs_of_life(jamia: HandModel) -> None:
         client.open(lease_s=0.2)
         client.follow(lambda t: 20.0 * t, 1.0)
         assert lease_events(client) == []
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.outs[-1].mode == HandMode.ACTIVE
 
 
 @pytest.mark.parametrize("after", ["no lease", "leave", "another"])
@@ -93,7 +93,7 @@ def test_a_lease_ends(jamia: HandModel, after: str) -> None:
         client.tick(alive_text("one"))
         client.wait(3.0 * LEASE_S)
         assert lease_events(client) == []
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.outs[-1].mode == HandMode.ACTIVE
 
 
 def test_other_clients_do_not_renew_a_lease(jamia: HandModel) -> None:
@@ -101,7 +101,7 @@ def test_other_clients_do_not_renew_a_lease(jamia: HandModel) -> None:
         client.ask("move", angle_deg={"index": 20.0}, duration_s=0.3, lease_s=LEASE_S)
         client.name = "two"
         wait_alive(client, 2.2 * LEASE_S)
-        assert client.outs[-1].mode >= Mode.RELAX
+        assert client.outs[-1].mode >= HandMode.RELAX
 
 
 def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) -> None:
@@ -115,7 +115,7 @@ def test_a_task_goes_on_to_its_hold_before_the_hand_relaxes(jamia: HandModel) ->
         assert client.outs[-1].phase == "stay"
         assert np.degrees(client.goals("q_goal")[-1]) == pytest.approx(20.0, abs=1.0)
         client.wait(0.4 * LEASE_S)
-        assert client.outs[-1].mode >= Mode.RELAX
+        assert client.outs[-1].mode >= HandMode.RELAX
 
 
 def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> None:
@@ -125,7 +125,7 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
         wait_alive(client, LEASE_S)
         middle, at = snapshot_bytes(client.run.state), len(client.run.recorded)
         client.wait(2.2 * LEASE_S)
-        assert client.outs[-1].mode >= Mode.RELAX
+        assert client.outs[-1].mode >= HandMode.RELAX
         check_ticks_repeat(client.run, middle, at)
 
 

@@ -10,7 +10,7 @@ import pytest
 from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import hand_from_content, load_hand
@@ -260,7 +260,7 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: f
     Raw readings would add their bias to the pull.
     """
     whole.peer.bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
-    whole.until(Mode.DONE, 30.0)
+    whole.until(HandMode.DONE, 30.0)
     assert not whole.state.failure
     model = whole.controller.model
     found = calibration_of_result(model, whole.state.progress, "2024-01-01T00:00:00+00:00")
@@ -270,7 +270,7 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: f
 
 def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
     whole.peer.bias[2] = 25.0
-    whole.until(Mode.DONE, 30.0)
+    whole.until(HandMode.DONE, 30.0)
     expected = (
         "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
     )
@@ -313,7 +313,7 @@ def program_after_tare(model: HandModel, cells: Cells) -> ProgramProgress:
 
 def test_swapped_load_cells_are_found_and_both_named(whole: Bench) -> None:
     whole.peer.order = [1, 0, 2, 3]
-    whole.until(Mode.DONE, 30.0)
+    whole.until(HandMode.DONE, 30.0)
     assert whole.state.failure.startswith("index_tendon")
     assert "middle_tendon" in whole.state.failure
     assert "swapped" in whole.state.failure
@@ -339,7 +339,7 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
         return real(t_ns, turned)
 
     whole.peer.step = reversed_motor  # type: ignore[method-assign]
-    whole.until(Mode.DONE, 30.0)
+    whole.until(HandMode.DONE, 30.0)
     assert whole.state.failure == "fault N17 index_motor", (
         "safety is there before the rope would have to be taut"
     )

@@ -19,7 +19,7 @@ from handctl.core.estimation.filter_stack import STATE_COUNT, S, V, W, X
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.core.hand_model import HandModel, _torque_limit
 from handctl.hand.hand_loading import load_hand
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from tests.controller.goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, run_control_law, step
 from tests.controller.synthetic import (
@@ -316,9 +316,9 @@ def test_a_goal_without_values_leaves_the_digit_limp(jamia: HandModel, kind: Goa
     _, command = step(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
     assert not command.torque.any()
     state = state_with_estimate(jamia, estimate)
-    run_control_law(jamia, state, holding_goals(jamia, 30.0, rate=1e6), 0.0, Action.PASS)
+    run_control_law(jamia, state, holding_goals(jamia, 30.0, rate=1e6), 0.0, SafetyAction.PASS)
     assert (state.view("torque") > 0.0).all()
-    run_control_law(jamia, state, (DigitGoal(kind),) * 4, 0.0, Action.PASS)
+    run_control_law(jamia, state, (DigitGoal(kind),) * 4, 0.0, SafetyAction.PASS)
     assert not state.view("torque").any(), "whatever was there before"
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core import constants as h
 from handctl.core.estimation.contact_force import DRIFT_S, MEAN_S
 from handctl.core.hand_model import HandModel
@@ -112,7 +112,7 @@ def test_ten_minutes_of_free_motion_have_no_contact(hand: str, tmp_path: Path) -
 
 def closing_hand(
     model: HandModel, force: float, ticks: int = 1, closing: int = 1, **remembered: float
-) -> State:
+) -> ControllerState:
     """Return the state of a hand whose first ``closing`` digits close with a force at the tips [N].
 
     ``remembered`` sets other fields of the state, which earlier ticks would have written.

@@ -11,13 +11,13 @@ import pytest
 
 from handctl.campaign.scenarios import GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.control_law.computed_torque import HOLD_MARGIN_N
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
-from handctl.safety.action import Action
+from handctl.core.tick_types import HandMode
+from handctl.safety.action import SafetyAction
 from tests.controller.goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, limit_of, step
 from tests.controller.synthetic import active_state, estimate_under_tension
@@ -110,7 +110,7 @@ def test_derating_affects_the_warm_drive_only(warm_grasp) -> None:
     assert after[0] < 14.0 + 2.0 * warm_grasp.controller.model.space.coulomb[0]
     assert min(after[1:]) > 20.0
     assert any(event.text.startswith("N09a") for event in events)
-    assert warm_grasp.out.mode == Mode.ACTIVE
+    assert warm_grasp.out.mode == HandMode.ACTIVE
 
 
 def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
@@ -122,8 +122,11 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
     tension = np.array(warm_grasp.peer.truth()["tension"])
 
     def restrained(
-        before: State, action: Action, tension: np.ndarray, mode: Mode = Mode.ACTIVE
-    ) -> State:
+        before: ControllerState,
+        action: SafetyAction,
+        tension: np.ndarray,
+        mode: HandMode = HandMode.ACTIVE,
+    ) -> ControllerState:
         after = before.copy()
         after.mode = mode
         after.view("tension")[...] = tension
@@ -132,15 +135,15 @@ def test_no_tension_grows_during_a_hold_by_safety(warm_grasp) -> None:
         )
         return after
 
-    held = restrained(state, Action.HOLD, tension)
+    held = restrained(state, SafetyAction.HOLD, tension)
     assert held.run_integer(s.HOLDING)
     assert held.view("limit_held") == pytest.approx(np.maximum(tension, 5.0) + HOLD_MARGIN_N)
-    again = restrained(held, Action.HOLD, tension + 50.0)
+    again = restrained(held, SafetyAction.HOLD, tension + 50.0)
     np.testing.assert_array_equal(again.view("limit_held"), held.view("limit_held"))
     assert (limit_of(controller.model, again) <= held.view("limit_held")).all()
-    for action in (Action.PASS, Action.WARN, Action.RELAX):
+    for action in (SafetyAction.PASS, SafetyAction.WARN, SafetyAction.RELAX):
         assert not restrained(again, action, tension).run_integer(s.HOLDING)
-    assert not restrained(again, Action.HOLD, tension, Mode.RELAX).run_integer(s.HOLDING)
+    assert not restrained(again, SafetyAction.HOLD, tension, HandMode.RELAX).run_integer(s.HOLDING)
 
 
 def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
@@ -153,10 +156,10 @@ def test_a_hold_keeps_the_hand_as_it_is(warm_grasp) -> None:
     for _ in range(300):
         out = warm_grasp.tick()
         seen.append((out.action, bool(warm_grasp.state.run_integer(s.HOLDING))))
-        if out.mode != Mode.ACTIVE:
+        if out.mode != HandMode.ACTIVE:
             break
-    held = [kept for action, kept in seen if action == Action.HOLD]
+    held = [kept for action, kept in seen if action == SafetyAction.HOLD]
     assert held
     assert all(held)
-    assert not any(kept for action, kept in seen if action < Action.HOLD)
+    assert not any(kept for action, kept in seen if action < SafetyAction.HOLD)
     assert max(warm_grasp.peer.truth()["tension"]) < max(before) + 5.0

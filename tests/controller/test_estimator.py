@@ -6,7 +6,7 @@ from handctl.core import tick_stages
 from handctl.core.estimation.filter_stack import STATE_COUNT, O, S, TendonRegime, W, X
 from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from tests.controller.filter_runs import (
     FilterState,
     all_in_regime,
@@ -271,7 +271,7 @@ def test_joint_encoders_distinguish_excursion_from_offset(jamia11: HandModel) ->
 def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
     """Return tendon excursions (N,) from joint encoder readings (J,) [rad], NaN where a reading is missing."""
     state = active_state(model)
-    state.mode = Mode.SILENT
+    state.mode = HandMode.SILENT
     state.view("joint_fresh")[...] = ~np.isnan(joints)
     state.view("joint_angle")[...] = joints
     tick_stages.observe_tick(state.block, state.layout.places, *constants(model))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core import tick_stages
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
@@ -14,7 +14,7 @@ def arms_of(model: HandModel) -> np.ndarray:
     return np.asarray(model.hand.moment_arms.sum(axis=1))
 
 
-def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int) -> State:
+def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int) -> ControllerState:
     """Return the state of a hand with the targets ``goal`` [m].
 
     Its motors have had equal readings for some ticks.
@@ -26,8 +26,8 @@ def hand_with_equal_readings(model: HandModel, goal: float | Vector, ticks: int)
 
 
 def targets_after_command(
-    model: HandModel, before: State, angle: float, at_goal: float | Vector = np.nan
-) -> State:
+    model: HandModel, before: ControllerState, angle: float, at_goal: float | Vector = np.nan
+) -> ControllerState:
     """Return the state after a command of one angle for all joints [rad].
 
     The tendons are at the excursions ``at_goal`` [m].
@@ -39,11 +39,11 @@ def targets_after_command(
     return state
 
 
-def goal(state: State) -> np.ndarray:
+def goal(state: ControllerState) -> np.ndarray:
     return state.view("followed")
 
 
-def target_motion(state: State) -> np.ndarray:
+def target_motion(state: ControllerState) -> np.ndarray:
     """Return how far the targets have moved [m] since the readings of the motors became constant."""
     return np.abs(goal(state) - state.view("motor_anchor")[0])
 
@@ -51,7 +51,7 @@ def target_motion(state: State) -> np.ndarray:
 def test_filtered_goal_moves_as_fast_as_a_motor(jamia: HandModel) -> None:
     arms, armed = arms_of(jamia), hand_with_equal_readings(jamia, np.nan, 1)
 
-    def goals(angle: float, ticks: int, state: State = armed) -> State:
+    def goals(angle: float, ticks: int, state: ControllerState = armed) -> ControllerState:
         for _ in range(ticks):
             state = targets_after_command(jamia, state, angle)
         return state

@@ -7,15 +7,15 @@ import math
 
 import pytest
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.hand_modes import INVENTORY_TIMEOUT_S, OperatorRequests, next_mode
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import Frame
 from handctl.programs.live_session import LiveProgram
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from tests.controller.bench import Bench, bench
 
 READ, WRITTEN = 0x33, 0x55
@@ -39,10 +39,10 @@ def test_motors_that_reply_in_alternate_ticks_are_armed(hand: Bench) -> None:
         )
 
     hand.to_host = lambda frames: [frame for frame in frames if in_turn(frame)]
-    hand.until(Mode.READY)
+    hand.until(HandMode.READY)
     assert hand.state.failure == ""
     hand.to_host = lambda frames: frames
-    hand.until(Mode.ACTIVE)
+    hand.until(HandMode.ACTIVE)
 
 
 def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
@@ -51,7 +51,7 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     run = bench(jamia11, LiveProgram())
     first, *others = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in others]
-    run.until(Mode.INVENTORY)
+    run.until(HandMode.INVENTORY)
     run.run(0.5)
     assert not run.state.started
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id != first]
@@ -60,21 +60,21 @@ def test_the_inventory_waits_for_load_cells_that_reply_in_alternate_ticks(
     assert run.state.started
 
 
-def hand_in_inventory(hand: Bench, seconds: float) -> State:
+def hand_in_inventory(hand: Bench, seconds: float) -> ControllerState:
     """Return the state of a complete hand some time after its inventory started. Tests then remove parts of it."""
-    hand.until(Mode.READY)
+    hand.until(HandMode.READY)
     state = hand.state.copy()
-    state.mode, state.mode_since = Mode.INVENTORY, -seconds
+    state.mode, state.mode_since = HandMode.INVENTORY, -seconds
     return state
 
 
-def decided(hand: Bench, state: State) -> tuple[Mode, str]:
+def decided(hand: Bench, state: ControllerState) -> tuple[HandMode, str]:
     after = state.copy()
     next_mode(
         hand.controller.model,
         hand.controller.drives,
         after,
-        Action.PASS,
+        SafetyAction.PASS,
         OperatorRequests(),
         (),
         0.0,
@@ -91,10 +91,10 @@ def test_a_ready_drive_that_never_reports_its_position_is_named(hand: Bench) -> 
     blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
     hand.controller.store_drive_state(unread, 1, blind)
     unread.set_run_integer(s.FILTER_STARTED, 0)
-    assert decided(hand, unread) == (Mode.DONE, "no position from middle_motor")
+    assert decided(hand, unread) == (HandMode.DONE, "no position from middle_motor")
     late = unread.copy()
     hand.controller.store_drive_state(late, 1, blind._replace(phase=DrivePhase.CONFIGURING))
-    assert decided(hand, late) == (Mode.DONE, "middle_motor: not configured in time")
+    assert decided(hand, late) == (HandMode.DONE, "middle_motor: not configured in time")
     unread.mode_since = 0.0
-    assert decided(hand, unread)[0] == Mode.INVENTORY
-    assert decided(hand, known) == (Mode.READY, "")
+    assert decided(hand, unread)[0] == HandMode.INVENTORY
+    assert decided(hand, known) == (HandMode.READY, "")

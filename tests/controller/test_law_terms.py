@@ -11,7 +11,7 @@ from handctl.core.control_law.computed_torque import MOTOR_FRICTION_SPEED
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from tests.controller.goals import holding_goals, moving_goals
 from tests.controller.law_runs import LawState, command_of, law_state_of, step
 from tests.controller.synthetic import (
@@ -104,7 +104,7 @@ def test_an_idle_control_law_forgets_earlier_commands(model: HandModel) -> None:
     state.view("tension")[...] = tension
     state.set_run_integer(s.TRIMMED, 1)
     state.set_run_integer(s.HOLDING, 1)
-    state.mode = Mode.READY
+    state.mode = HandMode.READY
     tick_stages.compute_motor_torques(
         state.block, state.layout.places, *constants(model), 0.0, 0, 1
     )

@@ -6,7 +6,7 @@ Motions continue meanwhile. test_estimator_gate tests the effect on the filter.
 import pytest
 
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import bench
 
@@ -17,7 +17,7 @@ FAST_RAD_S = 28.0
 @pytest.mark.parametrize("skip", [0, 1, 4])
 def test_a_fast_rotor_does_not_jump_because_ticks_were_skipped(jamia: HandModel, skip: int) -> None:
     run = bench(jamia, LiveProgram())
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.run(0.2)
     moved = run.peer._move
 

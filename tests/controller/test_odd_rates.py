@@ -11,7 +11,7 @@ import pytest
 from handctl.controller.run_setup import make_controller
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
-from handctl.core.tick_types import Mode, TickEvent
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.document import validate_content
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.task import Task
@@ -52,7 +52,7 @@ def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[TickE
     ) as run:
         for _, out in run.ticks(3.0):
             events += [event for event in out.events if event.name in ("estimate", "fault")]
-            if out.mode == Mode.ACTIVE:
+            if out.mode == HandMode.ACTIVE:
                 nis.append(out.telemetry.nis)
     assert len(nis) > rate_hz, events
     return float(np.nanmean(nis)) / 2.0, events

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
@@ -68,12 +68,12 @@ def errors_of(known: Hand, hand: Hand, seed: int) -> Errors | None:
         for _, out in run.ticks(10.0):
             if [event for event in out.events if event.level == "error"]:
                 return None
-            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+            if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 apart.append(
                     np.degrees(along @ (run.state.view("q_goal") - run.peer.world.plant.engine.q))
                 )
                 external.append(run.state.view("external")[0])
-        assert run.state.mode == Mode.DONE
+        assert run.state.mode == HandMode.DONE
     squares = np.mean(np.square(apart), axis=0)
     return Errors(
         float(np.sqrt(squares[1:].mean())),

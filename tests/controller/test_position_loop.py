@@ -26,7 +26,7 @@ from handctl.core.cyclic_frames import WireTables
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_constants import servo_constants
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
@@ -260,10 +260,10 @@ def test_a_grasp_with_position_loops_has_no_position_commands_in_contact(
         assert not stiffness_sent(run).any()
         np.testing.assert_allclose(run.state.view("servo_torque"), run.state.view("torque"))
         for _ in range(round(RATE_HZ)):
-            assert run.tick().mode == Mode.ACTIVE
+            assert run.tick().mode == HandMode.ACTIVE
             assert not stiffness_sent(run).any()
         run.tick(requests=(STOP_REQUEST,))
-        while run.state.mode != Mode.DONE:
+        while run.state.mode != HandMode.DONE:
             run.tick()
             assert not stiffness_sent(run).any()
         assert run.state.latched == ()
@@ -329,7 +329,7 @@ def test_missed_ticks_are_no_fault_of_a_drive_that_moves_its_target(seed: int) -
             run.tick(skip=int(draw.integers(0, 4)) if draw.random() < 0.1 else 0)
             apart.append(run.state.view("servo_report") - run.state.view("measured_force"))
         assert run.state.latched == ()
-        assert run.state.mode == Mode.ACTIVE
+        assert run.state.mode == HandMode.ACTIVE
         assert np.nanmax(np.abs(apart)) < 2.0
 
 
@@ -376,7 +376,7 @@ def test_faults_are_found_with_a_position_loop(fault: str, protocol: str, seed: 
             run.tick()
         run.peer.inject(fault)
         peak = 0.0
-        while run.tick().mode < Mode.DISARM and run.k < 5.0 * RATE_HZ:
+        while run.tick().mode < HandMode.DISARM and run.k < 5.0 * RATE_HZ:
             peak = max(peak, *run.peer.truth()["tension"])
         assert {mark.id for mark in run.state.latched} & FOUND[fault], run.state.latched
         assert peak < TRIP_N
@@ -387,7 +387,7 @@ def test_a_drive_that_ignores_kp_is_found(protocol: str, seed: int) -> None:
     with moving(loop_hand("jamia", protocol), seed) as run:
         lose_gains(run, "index_motor")
         peak = 0.0
-        while run.tick().mode == Mode.ACTIVE and run.k < 6.0 * RATE_HZ:
+        while run.tick().mode == HandMode.ACTIVE and run.k < 6.0 * RATE_HZ:
             peak = max(peak, *run.peer.truth()["tension"])
         assert {mark.id for mark in run.state.latched} & {"N14", "N17"}
         assert peak < TRIP_N

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handctl.compiled import kernel
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.block_schema import BlockArray, TablePlaces
@@ -18,7 +18,7 @@ from handctl.core.estimation import posture
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
 from handctl.core.state_block import state_tables
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import PACKAGED_HANDS_FOLDER, load_hand
 from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
@@ -87,7 +87,7 @@ def run_grasp(path: Path, task: str, scene: str, seed: int) -> Iterator[PostureT
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             free = model.excursion_to_joints @ numbers.excursion
             yield PostureTick(out.phase, real, numbers.q, numbers.q_sigma, free, force)
-            if run.state.mode == Mode.RELAX:
+            if run.state.mode == HandMode.RELAX:
                 break
 
 
@@ -137,7 +137,7 @@ class Angles(NamedTuple):
 
 
 def angles_of_tick(
-    model: HandModel, state: State, estimate: Estimate, touched: np.ndarray, k: int
+    model: HandModel, state: ControllerState, estimate: Estimate, touched: np.ndarray, k: int
 ) -> Angles:
     """Return the joint angles that are estimated in tick k with unexplained tensions (D,) [N].
 
@@ -206,8 +206,8 @@ def _fuse(
 
 
 def state_after_fusion(
-    model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int
-) -> State:
+    model: HandModel, state: ControllerState, columns: np.ndarray, spread: np.ndarray, t_ns: int
+) -> ControllerState:
     """Return a state after joint encoders were fused. Columns (C, J) and spread (J, N) give the prior covariance."""
     after = state.copy()
     _fuse(after.block, after.layout.places, *controller_of(model)._constants, columns, spread, t_ns)

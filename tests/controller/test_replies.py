@@ -3,7 +3,7 @@
 import pytest
 
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickOut
+from handctl.core.tick_types import HandMode, TickOut
 from handctl.drives.frame import Frame
 from handctl.programs.live_session import LiveProgram
 from tests.controller.bench import Bench, bench
@@ -24,7 +24,7 @@ def silent(jamia: HandModel) -> Bench:
 def run(jamia: HandModel) -> Bench:
     """Return a bench whose hand is active."""
     run = bench(jamia, LiveProgram())
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.run(0.1)
     return run
 
@@ -39,7 +39,7 @@ def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controlle
 ) -> None:
     out = silent.tick(extra=(UNASKED,) * times)
     assert faults(out) == ["H13"], "one is enough; it is no duplicate, since nothing was asked"
-    assert out.mode == Mode.DONE
+    assert out.mode == HandMode.DONE
     name = silent.controller.drives[0].name
     assert silent.state.failure == f"another controller is on the bus (heard: {name} answering it)"
     assert all(out.frames == () for _, _, out in silent.history)
@@ -54,7 +54,7 @@ def test_a_request_of_another_host_and_its_answer_in_one_tick_are_both_reported(
 
 
 def test_the_first_reply_to_the_first_request_is_not_in_excess(silent: Bench) -> None:
-    silent.until(Mode.INVENTORY)
+    silent.until(HandMode.INVENTORY)
     assert not silent.tick().events
     assert not silent.tick().events
 

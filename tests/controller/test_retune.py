@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.gain_change import CACHE_SIZE, DesignCache
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.tick import Controller
@@ -18,14 +18,14 @@ from handctl.core.gains.gain_bounds import checked_bound, gain_bounds, values_by
 from handctl.core.gains.gains import Gains, TensionGains
 from handctl.core.gains.motion_design import design_motion, design_piece_count
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import hand_path
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.clocks.lockstep import load_peer
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from tests.controller.bench import Bench, bench, controller
 from tests.controller.law_runs import limit_of
 
@@ -45,7 +45,7 @@ def noiseless_hand(model: HandModel) -> Bench:
     options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
     peer = load_peer("firmware_sim.lockstep_hand:LockstepHand", **options)
     desk = Bench(controller(model, LiveProgram()), peer)
-    desk.until(Mode.ACTIVE)
+    desk.until(HandMode.ACTIVE)
     while desk.state.progress.phase != "live":
         desk.tick()
     return desk
@@ -88,7 +88,11 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     assert said.text.startswith("refused: gains: ")
     assert "no controller follows" in said.text
     decisions = holding.state.decisions
-    assert (decisions.gains, decisions.pending, holding.state.mode) == (before, None, Mode.ACTIVE)
+    assert (decisions.gains, decisions.pending, holding.state.mode) == (
+        before,
+        None,
+        HandMode.ACTIVE,
+    )
     holding.tick(change({"tension.force_N": 6.0}))
     holding.run(0.1)
     assert holding.state.decisions.gains is not None
@@ -101,7 +105,7 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
         controller(jamia, CommissionProgram()),
         load_peer("firmware_sim.lockstep_hand:LockstepHand", hand_path=str(hand_path("jamia"))),
     )
-    desk.until(Mode.ACTIVE)
+    desk.until(HandMode.ACTIVE)
     out = desk.tick(change({"motion.force_N": 20.0}))
     assert "refused: the hand is being commissioned" in [event.text for event in out.events]
     assert desk.state.decisions.pending is None
@@ -122,7 +126,7 @@ def test_a_change_is_taken_over_when_every_piece_is_designed(
     assert len(hashes) == len(outs)
 
 
-Call = tuple[Controller, State, State, Action, int]
+Call = tuple[Controller, ControllerState, ControllerState, SafetyAction, int]
 
 
 def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
@@ -133,7 +137,7 @@ def record_law_calls(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
     """
     calls, real = list[Call](), Controller._compute_torques
 
-    def command(self: Controller, state: State, action: Action, ticks: int) -> None:
+    def command(self: Controller, state: ControllerState, action: SafetyAction, ticks: int) -> None:
         before = state.copy()
         real(self, state, action, ticks)
         calls.append((self, before, state.copy(), action, ticks))
@@ -185,7 +189,9 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     desk.run(0.05)
     judge = Controller._judge_faults
     monkeypatch.setattr(
-        Controller, "_judge_faults", lambda self, *words: (Action.HOLD, judge(self, *words)[1])
+        Controller,
+        "_judge_faults",
+        lambda self, *words: (SafetyAction.HOLD, judge(self, *words)[1]),
     )
     calls = record_law_calls(monkeypatch)
     desk.tick(change({"motion.force_N": 60.0}))
@@ -252,7 +258,7 @@ def test_impossible_gains_are_refused_in_one_line_without_effect(
 
 def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -> None:
     desk = bench(jamia, LiveProgram(), arm=False)
-    desk.until(Mode.READY)
+    desk.until(HandMode.READY)
     desk.tick(change({"motion.force_N": 40.0}))
     desk.run(0.1)
     assert desk.state.decisions.gains is not None

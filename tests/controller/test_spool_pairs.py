@@ -17,9 +17,9 @@ from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.tendon_redundancy import tendon_directions
 from handctl.core.estimation.spool_pair import net_tension_at_joint, net_tension_at_spool
 from handctl.core.gains.gains import Gains
-from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand, validate_content
@@ -174,11 +174,11 @@ def test_it_commissions_tracks_and_relaxes_from_a_cold_start(seed: int) -> None:
         for _, out in run.ticks(run.k / RATE_HZ + 30.0):
             assert not [event for event in out.events if event.level == "error"]
             largest = max(largest, *plant.pair_tensions())
-            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+            if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - plant.engine.q))
         assert np.sqrt(np.mean(np.square(errors))) < 1.0
         assert largest < hand.tendon[0].tension_max_N
-        assert run.state.mode == Mode.DONE
+        assert run.state.mode == HandMode.DONE
         assert np.abs(plant.tensions()).max() < 6.0, "friction alone holds the joints"
 
 
@@ -195,7 +195,7 @@ class Pull:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -240,7 +240,7 @@ def test_a_tendon_that_snaps_under_load_is_found(tension: float, tendon: str) ->
         ]
         assert faults
         assert "finger_mcp" in faults[0]
-        assert run.state.mode in (Mode.RELAX, Mode.DISARM, Mode.DONE)
+        assert run.state.mode in (HandMode.RELAX, HandMode.DISARM, HandMode.DONE)
 
 
 # --- hand files ---------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.streamed_motion import begin_segments
 from handctl.core.control_law.trajectory import StreamedTrajectory
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickOut
+from handctl.core.tick_types import HandMode, TickOut
 from handctl.hand.dynamics import static_torque
 from handctl.programs.live_session import LiveProgram
 from handctl.programs.requests import is_target, parse_target, target_text
@@ -165,7 +165,7 @@ def error_of_trajectory(model: HandModel) -> float:
         homed_controller(model, program)
     ) as run:
         began, missed = None, []
-        while run.out is None or run.out.mode != Mode.DONE:
+        while run.out is None or run.out.mode != HandMode.DONE:
             if run.out is not None and run.out.phase == "follow":
                 began = run.k - 1 if began is None else began
                 t = (run.k - began) * model.period
@@ -230,7 +230,7 @@ def test_a_jump_is_bounded_in_speed_acceleration_and_range(
         clipped = stream_status(client.run.state).clipped
         assert clipped == (0 if target == 80.0 else client.sent), "reported, and no fault"
         assert client.run.out is not None
-        assert client.run.out.mode == Mode.ACTIVE
+        assert client.run.out.mode == HandMode.ACTIVE
 
 
 def test_a_random_stream_never_leaves_the_limits(jamia: HandModel) -> None:
@@ -270,11 +270,11 @@ def test_a_stale_stream_holds_then_relaxes(jamia: HandModel) -> None:
         client.wait(0.3)
         assert client.goals("q_goal")[-1] == at, "held"
         client.follow(lambda t: math.degrees(at) + 20.0 * t, 0.3)
-        assert client.outs[-1].mode == Mode.ACTIVE, "the next target goes on"
+        assert client.outs[-1].mode == HandMode.ACTIVE, "the next target goes on"
         assert client.goals("q_goal")[-1] > at + math.radians(4.0)
         client.wait(1.2)
         assert client.faults == {"I11a", "I11b"}
-        assert client.outs[-1].mode >= Mode.RELAX
+        assert client.outs[-1].mode >= HandMode.RELAX
 
 
 def test_a_late_target_waits_at_the_last_one(jamia: HandModel) -> None:
@@ -316,7 +316,7 @@ def test_invalid_target_is_counted_without_effect(
         assert len(refusals) == 1, "reported once, so that a flood does not fill the log"
         client.follow(lambda t: 20.0, 0.1)
         assert client.faults == set()
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.outs[-1].mode == HandMode.ACTIVE
 
 
 @pytest.mark.parametrize(
@@ -442,11 +442,11 @@ def test_three_goals_out_of_range_are_no_fault(jamia: HandModel) -> None:
         for _ in range(5):
             assert "from 0 to 100 deg" in client.ask("move", angle_deg={"index": 120.0})
         client.wait(0.1)
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.outs[-1].mode == HandMode.ACTIVE
         assert client.faults == {"I07a"}
         client.tick("{", "nonsense", '{"do": "fly"}')
         client.wait(0.01)
-        assert client.outs[-1].mode >= Mode.RELAX, "a client that speaks no sense is stopped"
+        assert client.outs[-1].mode >= HandMode.RELAX, "a client that speaks no sense is stopped"
 
 
 def test_one_client_commands_and_another_takes_over(jamia: HandModel) -> None:
@@ -641,7 +641,7 @@ def test_a_soft_digit_yields_to_a_push(jamia: HandModel) -> None:
             engine._data.xfrc_applied[engine._model.body("index_link3").id, 1] = PUSH_N
             client.follow(lambda t: 40.0, 0.4)
             yielded[softness] = start - true_angle(client.run)
-            assert client.outs[-1].mode == Mode.ACTIVE
+            assert client.outs[-1].mode == HandMode.ACTIVE
     assert yielded[0.2] > 1.5 * yielded[None] > 0.0, yielded
 
 
@@ -696,7 +696,7 @@ def test_a_task_within_a_session_holds_until_it_is_released(jamia: HandModel) ->
         assert client.ask("release") == "release after hold"
         client.wait(1.5)
         assert client.outs[-1].phase == "live"
-        assert client.outs[-1].mode == Mode.ACTIVE
+        assert client.outs[-1].mode == HandMode.ACTIVE
         assert client.ask("move", angle_deg={"index": 20.0}) == "move index 20"
         assert client.ask("grasp", task=task) == "grasp close"
         client.wait(0.1)

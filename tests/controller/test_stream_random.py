@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand, packaged_hands
 from handctl.programs.live_session import LiveProgram
 from handctl.session.plan import default_rate
@@ -139,5 +139,5 @@ def test_random_targets_cause_no_fault(
         assert client.open(space, names, rate_Hz=rate).startswith("stream")
         for i in range(len(times) * every):
             client.tick(*([client.target(*targets[i // every].tolist())] if i % every == 0 else []))
-            assert run.state.mode == Mode.ACTIVE, client.faults
+            assert run.state.mode == HandMode.ACTIVE, client.faults
             assert (np.array(list(run.peer.world.plant.tensions())) < trip).all()

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
+from handctl.core.tick_types import TELEMETRY_AXES, HandMode, IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.hand_loading import hand_content, hand_from_content, load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from tests.controller.bench import Bench, bench
 
 
@@ -28,7 +28,7 @@ def run_session(name: str) -> Bench:
     """
     rate = {"jamia": 200.0, "jamia11": 200.0}[name]
     run = bench(HandModel.from_hand(load_hand(name), Gains(), rate), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.run(1.0)
     run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 0.3}')
     run.run(0.2)
@@ -40,7 +40,7 @@ def run_session(name: str) -> Bench:
     run.tick(io=(IoEvent("dropped", "local:x", 3),), late_ns=run.period_ns // 2)
     run.tick(skip=1)
     run.tick(extra=(Frame(0x001, bytes(8), t_ns=run.k * run.period_ns),))
-    run.until(Mode.DONE)
+    run.until(HandMode.DONE)
     return run
 
 
@@ -116,12 +116,12 @@ def test_the_origin_of_time_does_not_matter() -> None:
         run.k = first
         run.state.set_run_integer(s.K, first - 1)
         run.state.mode_since = first * model.period
-        run.until(Mode.ACTIVE)
+        run.until(HandMode.ACTIVE)
         run.run(0.5)
         run.tick('{"do": "hold", "tension_N": {"index": 15}}')
         run.run(0.3)
         run.tick('{"do": "stop"}')
-        run.until(Mode.DONE)
+        run.until(HandMode.DONE)
         runs.append(run)
     early, late = (run.history for run in runs)
     assert len(early) == len(late)
@@ -134,7 +134,7 @@ def test_the_origin_of_time_does_not_matter() -> None:
         )
         commands = [[f for f in out.frames if f.can_id < 0x080] for out in (a, b)]
         assert commands[0] == commands[1]
-        assert commands[0] or a.mode < Mode.ARMING or a.mode == Mode.DONE
+        assert commands[0] or a.mode < HandMode.ARMING or a.mode == HandMode.DONE
 
 
 def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Bench) -> None:
@@ -160,7 +160,7 @@ def test_telemetry_has_the_declared_shapes_and_its_fields_change(session: Bench)
 def test_old_values_have_no_new_time_stamp() -> None:
     """In a tick without frames the telemetry shows NaN for every measurement. The age of the last one grows."""
     run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.run(0.5)
     run.to_host = lambda frames: []
     ages = []
@@ -183,15 +183,15 @@ def test_old_values_have_no_new_time_stamp() -> None:
 
 def test_missed_ticks_are_reported_and_many_of_them_relax() -> None:
     run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.run(0.5)
-    assert run.tick(skip=1).action == Action.WARN
+    assert run.tick(skip=1).action == SafetyAction.WARN
     run.run(0.1)
     stalled = run.controller.limits.stalled_ticks
-    assert run.tick(skip=stalled - 1).action == Action.WARN
+    assert run.tick(skip=stalled - 1).action == SafetyAction.WARN
     run.run(0.1)
     out = run.tick(skip=stalled)
-    assert (out.action, out.mode) == (Action.RELAX, Mode.RELAX)
+    assert (out.action, out.mode) == (SafetyAction.RELAX, HandMode.RELAX)
     assert "H03" in run.state.failure
 
 
@@ -207,10 +207,10 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     )
     run.peer.order = list(range(11))[::-1]
     run.peer.bias[:] = np.linspace(0.0, 2.0, 11)
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     np.testing.assert_allclose(run.history[-1][2].telemetry.tension_raw, run.peer.bias, atol=0.05)
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
-    run.until(Mode.DONE)
+    run.until(HandMode.DONE)
     lost = {mark.instance for mark in run.state.latched if mark.id == "N02"}
     assert lost == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
@@ -276,7 +276,7 @@ def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     run = bench(HandModel.from_hand(load_hand("jamia"), Gains(), 200.0), LiveProgram())
     run.peer.x[:] = 0.3e-3 + 20.0 / run.peer.stiffness
     run.peer.braked = True
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     first = run.history[-1][2].telemetry
     np.testing.assert_allclose(first.tension, 20.0, atol=6.0)
     assert (first.motor_torque_goal > 0.0).all(), "no kick backwards"

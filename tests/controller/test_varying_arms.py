@@ -13,7 +13,7 @@ from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants, _joint_compliance
 from handctl.core.hand_model import HandModel
 from handctl.core.state_block import state_tables
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import packaged_hands
 from handctl.hand.tendons import excursions
@@ -147,9 +147,9 @@ def tracking_error_deg(model: HandModel, hand: Hand, seed: int) -> float:
         run.record = False
         for _, out in run.ticks(10.0):
             assert not [event for event in out.events if event.level == "error"]
-            if run.state.mode == Mode.ACTIVE and run.state.progress.phase.startswith("move"):
+            if run.state.mode == HandMode.ACTIVE and run.state.progress.phase.startswith("move"):
                 errors.append(np.degrees(run.state.view("q_goal") - run.peer.world.plant.engine.q))
-        assert run.state.mode == Mode.DONE
+        assert run.state.mode == HandMode.DONE
     return float(np.sqrt(np.mean(np.square(errors))))
 
 

@@ -11,7 +11,7 @@ from handctl.controller.relaxing import (
 from handctl.core.control_law.computed_torque import RELAX_FLOOR_N
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame import Frame
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.commission import CommissionProgram
@@ -31,7 +31,7 @@ def quick() -> HandModel:
 
 def acting(model: HandModel) -> Bench:
     run = bench(model, LiveProgram())
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.run(1.0)
     return run
 
@@ -50,17 +50,21 @@ def test_no_request_raises_the_tension_during_relax(
     run.run(0.5)
     run.tick(*() if fault else (STOP,), extra=(foreign(run),) if fault else ())
     since, before = len(run.history), run.peer.tension.max()
-    while run.state.mode == Mode.RELAX:
+    while run.state.mode == HandMode.RELAX:
         run.tick(request_)
         assert run.peer.tension.max() < before + 0.5
     goals = np.array(
-        [out.telemetry.tension_goal for _, _, out in run.history[since:] if out.mode == Mode.RELAX]
+        [
+            out.telemetry.tension_goal
+            for _, _, out in run.history[since:]
+            if out.mode == HandMode.RELAX
+        ]
     )
     assert (np.diff(goals, axis=0) <= 1e-9).all()
     assert len(goals) * quick.period < 0.2
     texts = [event.text for event in run.events if event.text.startswith("refused")]
     assert texts == ["refused: the hand is letting go"] * len(texts)
-    run.until(Mode.DONE)
+    run.until(HandMode.DONE)
     assert run.state.failure == ("fault H13 0x001" if fault else ""), (
         "a goal that comes too late is no fault"
     )
@@ -74,14 +78,14 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> 
     out = run.tick(STOP)
     present = np.maximum(out.telemetry.tension, RELAX_FLOOR_N) + SETPOINT_MARGIN_N
     assert (run.state.view("setpoint") <= present).all()
-    while run.tick().mode == Mode.RELAX:
+    while run.tick().mode == HandMode.RELAX:
         assert run.state.view("setpoint").max() <= present.max()
 
 
 def fastest_setpoint_fall(run: Bench, index: int = 0) -> float:
     """Return how fast the set-point of a tendon falls at most while the hand relaxes [N/s]."""
     goals = [
-        out.telemetry.tension_goal[index] for _, _, out in run.history if out.mode == Mode.RELAX
+        out.telemetry.tension_goal[index] for _, _, out in run.history if out.mode == HandMode.RELAX
     ]
     return float(-np.diff(goals).min() / run.controller.model.period)
 
@@ -99,7 +103,7 @@ def test_over_tension_is_relaxed_four_times_as_fast(quick: HandModel, late: bool
     run.peer.bias[0] = 150.0 - run.peer.tension[0]
     run.run(2 * quick.period)
     run.peer.bias[0] = 0.0
-    run.until(Mode.DISARM)
+    run.until(HandMode.DISARM)
     assert next(event.text for event in run.events if event.name == "fault").startswith("T03 ")
     assert fastest_setpoint_fall(run) == pytest.approx(OVER_TENSION_RATE_N_PER_S)
 
@@ -112,10 +116,10 @@ def test_a_fault_during_relax_makes_the_run_fail(quick: HandModel, asked: str) -
     if asked == STOP:
         run.tick(asked)
         run.tick(extra=(foreign(run),))
-        assert run.state.mode == Mode.RELAX
+        assert run.state.mode == HandMode.RELAX
     else:
         run.tick(asked, extra=(foreign(run),))
-    run.until(Mode.DONE)
+    run.until(HandMode.DONE)
     assert run.state.failure == "fault H13 0x001"
     assert any(
         event.level == "error" and "fault H13" in event.text
@@ -127,11 +131,11 @@ def test_a_fault_during_relax_makes_the_run_fail(quick: HandModel, asked: str) -
 def test_after_a_fault_during_arming_no_further_drive_is_enabled(quick: HandModel) -> None:
     run = bench(quick, LiveProgram())
     run.peer.motors[1].deaf.add(0xFC)
-    run.until(Mode.ARMING)
+    run.until(HandMode.ARMING)
     run.tick(extra=(foreign(run),))
-    assert run.state.mode == Mode.DISARM
+    assert run.state.mode == HandMode.DISARM
     since = len(run.history)
-    run.until(Mode.DONE)
+    run.until(HandMode.DONE)
     enable = b"\xff" * 7 + b"\xfc"
     assert not [
         frame
@@ -149,7 +153,7 @@ def test_a_run_with_its_own_goals_refuses_goals_of_clients(quick: HandModel, req
     A tare under tension would shift readings of later runs.
     """
     run = bench(quick, CommissionProgram())
-    run.until(Mode.ACTIVE)
+    run.until(HandMode.ACTIVE)
     run.run(0.05)
     goals = run.state.progress.goals
     out = run.tick(request_)
@@ -166,4 +170,4 @@ def test_a_hand_refuses_goals_before_active_mode(quick: HandModel) -> None:
     assert "refused: the hand is not ready yet" in [
         event.text for event in run.history[-1][2].events
     ]
-    assert out.mode < Mode.ACTIVE
+    assert out.mode < HandMode.ACTIVE

@@ -14,7 +14,7 @@ import pytest
 from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import BLIND_SIGMAS, HandModel
-from handctl.core.tick_types import Mode, TickEvent
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_content, hand_from_content
@@ -190,7 +190,7 @@ def test_a_hand_without_sensors_sends_no_sync() -> None:
         sync = (controller.sensors.bus, hand.sensor_node.sync_id)
         for _, out in run.ticks(1.0):
             assert sync not in {(frame.bus, frame.can_id) for frame in out.frames}
-        assert run.state.mode == Mode.ACTIVE
+        assert run.state.mode == HandMode.ACTIVE
 
 
 def test_cia402_drives_have_their_sync_without_sensors() -> None:
@@ -205,7 +205,7 @@ def test_cia402_drives_have_their_sync_without_sensors() -> None:
     with SimulatorSettings(hand, None, 0, homed=True).against(
         homed_controller(model, TaskProgram(TASK))
     ) as run:
-        assert run.until(lambda out: out.mode == Mode.ACTIVE, 10.0)
+        assert run.until(lambda out: out.mode == HandMode.ACTIVE, 10.0)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from firmware_sim.bus.frame import Frame as WireFrame
 from firmware_sim.lockstep_hand import LockstepHand
 from handctl.campaign.stage import GRASP_STAGE, advance_to, homed_run
 from handctl.controller.run_setup import make_drives, make_sensors
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.load_cells import Cia404LoadCells
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.dbc_export import dbc_of_bus
@@ -253,9 +253,9 @@ def test_a_wrong_object_refuses_to_arm(name: str) -> None:
     spoil, text = WRONG[name]
     with homed_run(with_amplifiers(), 500.0, 0) as simulation:
         spoil(nodes_of(simulation)[0])
-        assert simulation.until(lambda out: out.mode == Mode.DONE, 4.0)
+        assert simulation.until(lambda out: out.mode == HandMode.DONE, 4.0)
     assert simulation.state.failure == f"amplifier 0x21: {text}"
-    assert not any(Mode.ARMING <= out.mode <= Mode.RELAX for _, out in simulation.recorded)
+    assert not any(HandMode.ARMING <= out.mode <= HandMode.RELAX for _, out in simulation.recorded)
 
 
 @pytest.mark.nightly
@@ -263,7 +263,7 @@ def test_a_missing_amplifier_is_named() -> None:
     with homed_run(with_amplifiers(), 500.0, 0) as simulation:
         nodes_of(simulation)[1].ids = frozenset()
         simulation.peer.world.refresh_identifiers()  # type: ignore[attr-defined]
-        assert simulation.until(lambda out: out.mode == Mode.DONE, 5.0)
+        assert simulation.until(lambda out: out.mode == HandMode.DONE, 5.0)
     assert simulation.state.failure == "no answer from amplifier 0x22"
 
 
@@ -277,9 +277,9 @@ def test_frames_before_the_set_up_are_not_used() -> None:
             node.receive(WireFrame(0x000, bytes((0x01, 0x00))), 0)
             node.objects[0x1800, 2] = 1
         groups = simulation.state.view("group_frames")
-        assert simulation.until(lambda out: out.mode == Mode.INVENTORY, 2.0)
+        assert simulation.until(lambda out: out.mode == HandMode.INVENTORY, 2.0)
         assert not simulation.state.view("group_frames").any(), groups
-        assert simulation.until(lambda out: out.mode == Mode.READY, 4.0)
+        assert simulation.until(lambda out: out.mode == HandMode.READY, 4.0)
         assert abs(simulation.state.view("cell")).max() < 20.0
 
 
@@ -316,7 +316,7 @@ def faults_of(
         for i in range(ticks):
             out = simulation.tick()
             found |= {event.text.split()[0] for event in out.events if event.name == "fault"}
-            if first < 0 and out.mode != Mode.ACTIVE:
+            if first < 0 and out.mode != HandMode.ACTIVE:
                 first = i
         return found, first
 
@@ -380,7 +380,7 @@ def test_a_hand_with_amplifiers_holds_a_grasp(seed: int) -> None:
         with homed_run(with_amplifiers(process_value=value), 500.0, seed) as simulation:
             advance_to(simulation, GRASP_STAGE)
             for _ in range(500):
-                assert simulation.tick().mode == Mode.ACTIVE
+                assert simulation.tick().mode == HandMode.ACTIVE
             truth = simulation.peer.truth()["tension"]
             error = (
                 simulation.state.tendon[:1]

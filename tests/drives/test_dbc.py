@@ -14,13 +14,17 @@ from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.dbc_export import HOST_NODE_NAME, SENSOR_NODE_NAME, dbc_of_bus
 from handctl.drives.frame import Frame
-from handctl.drives.signals import Message, Quantity
+from handctl.drives.signals import CyclicMessage, SignalQuantity
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import load_hand
 from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
 from tests.drives.wired import Wired
 
-FIELD = {Quantity.POSITION: "position", Quantity.VELOCITY: "velocity", Quantity.TORQUE: "reported"}
+FIELD = {
+    SignalQuantity.POSITION: "position",
+    SignalQuantity.VELOCITY: "velocity",
+    SignalQuantity.TORQUE: "reported",
+}
 VARIANTS = FUZZED_DRIVES | {"mit-fd": FuzzedDrive("mit", "[motor.options]\nfd = true\n")}
 TICKS = 40
 
@@ -43,7 +47,7 @@ def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
     made.rig.close()
 
 
-def read(wired: Wired, message: Message, i: int) -> dict[str, float]:
+def read(wired: Wired, message: CyclicMessage, i: int) -> dict[str, float]:
     """Return the values that the controller decoded from a frame of drive i."""
     values = {
         signal.name: signal.quantity for signal in message.signals if signal.quantity in FIELD
@@ -99,7 +103,9 @@ def is_torque_command(dbc: Database, frame: Frame, bench: Bench, torque: float) 
     """Return True if a frame is a command with a torque. Check that its torque is that sent, within one count."""
     for drive in bench.drives:
         for message in drive.cyclic_messages.commands:
-            signals = [signal for signal in message.signals if signal.quantity == Quantity.TORQUE]
+            signals = [
+                signal for signal in message.signals if signal.quantity == SignalQuantity.TORQUE
+            ]
             same = message.can_id == frame.can_id and message.length == len(frame.data)
             # A write of a setting may have the identifier and length of a torque command, but other
             # first bytes.

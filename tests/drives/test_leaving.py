@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from handctl.campaign.stage import homed_run
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.session.simulate import SimulatedRun
 from tests.drives.protocol_bench import OPTIONS, hand_file
@@ -13,7 +13,7 @@ from tests.drives.protocol_bench import OPTIONS, hand_file
 SILENCE_TICKS = 500
 
 
-def until(course: SimulatedRun, mode: Mode) -> None:
+def until(course: SimulatedRun, mode: HandMode) -> None:
     assert course.until(lambda out: out.mode == mode, 3.0), course.state.failure
 
 
@@ -34,19 +34,19 @@ def run_again(course: SimulatedRun) -> SimulatedRun:
 def test_after_a_good_end_the_next_run_finds_no_fault(protocol: str, tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, [protocol])))
     with homed_run(hand, 500.0, 1) as course:
-        until(course, Mode.ACTIVE)
+        until(course, HandMode.ACTIVE)
         course.tick(requests=('{"do": "stop"}',))
-        until(course, Mode.DONE)
+        until(course, HandMode.DONE)
         assert course.state.failure == ""
-        until(run_again(course), Mode.READY)
+        until(run_again(course), HandMode.READY)
 
 
 def test_after_a_failure_cia402_drives_stay_supervised(tmp_path: Path) -> None:
     hand = load_hand(str(hand_file(tmp_path, ["cia402"])))
     with homed_run(hand, 500.0, 1) as course:
-        until(course, Mode.ACTIVE)
+        until(course, HandMode.ACTIVE)
         course.peer.inject("off node=index_motor")
-        assert course.until(lambda out: out.mode == Mode.DONE, 5.0)
+        assert course.until(lambda out: out.mode == HandMode.DONE, 5.0)
         assert course.state.failure
         assert course.out is not None
         assert course.out.frames == ()

@@ -13,7 +13,7 @@ from handctl.campaign.scenarios import FREE_STAGE
 from handctl.campaign.stage import advance_to, homed_run
 from handctl.core import cyclic_frames
 from handctl.core import state_block as s
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.frame_records import WORDS_PER_RECORD, Frames
 from handctl.drives.moteus import codec
@@ -25,7 +25,7 @@ from handctl.drives.moteus.settings import (
     rounded_to_float32,
     write_request,
 )
-from handctl.drives.signals import Quantity, SignalTable
+from handctl.drives.signals import SignalQuantity, SignalTable
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.controller.test_position_loop import loop_hand, moteus_command, moving
 from tests.drives.protocol_bench import motor_on_bench
@@ -199,10 +199,10 @@ def test_every_signal_has_its_range() -> None:
     message = drive_with_loop().cyclic_messages.position
     assert message is not None
     ends = {signal.quantity: signal.ends for signal in message.signals}
-    assert ends[Quantity.STIFFNESS] == (0.0, GAINS_PER_RAD[0])
-    assert ends[Quantity.DAMPING] == pytest.approx((0.0, GAINS_PER_RAD[1]))
-    assert ends[Quantity.VELOCITY] == pytest.approx((-30.0, 30.0))
-    assert ends[Quantity.POSITION] == pytest.approx((-256.0 * math.tau, 256.0 * math.tau))
+    assert ends[SignalQuantity.STIFFNESS] == (0.0, GAINS_PER_RAD[0])
+    assert ends[SignalQuantity.DAMPING] == pytest.approx((0.0, GAINS_PER_RAD[1]))
+    assert ends[SignalQuantity.VELOCITY] == pytest.approx((-30.0, 30.0))
+    assert ends[SignalQuantity.POSITION] == pytest.approx((-256.0 * math.tau, 256.0 * math.tau))
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -213,7 +213,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed: int) -> None:
         advance_to(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
         course.peer.inject(f"forget node={motor}")
-        assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), 1.2)
+        assert course.until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.2)
         found = {(mark.id, mark.instance) for mark in course.state.latched}
         assert found
         assert found <= {("N12", motor), ("N14", motor), ("N17", motor)}

@@ -10,7 +10,7 @@ import pytest
 
 from handctl.campaign.scenarios import ALL_PROTOCOLS, FREE_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives import readback
 from handctl.drives.contract import DrivePhase, DriveTarget
 from handctl.drives.fault_causes import DriveFaultCause
@@ -112,7 +112,7 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
         advance_to(course, FREE_STAGE)
         course.peer.inject(f"forget node={hand.motor[seed % 4].name}")
         end_s = course.k * course.period_ns * 1e-9 + 1.01
-        assert course.until(lambda out: out.mode == Mode.CUT, 1.02)
+        assert course.until(lambda out: out.mode == HandMode.CUT, 1.02)
         assert course.k * course.period_ns * 1e-9 <= end_s
         latched = {(mark.id, mark.instance) for mark in course.state.latched}
         assert latched == {("N12", hand.motor[seed % 4].name)}
@@ -129,7 +129,7 @@ def test_a_hand_whose_moteus_lost_its_settings_relaxes(seed):
         advance_to(course, FREE_STAGE)
         motor = hand.motor[seed % 4].name
         course.peer.inject(f"forget node={motor}")
-        assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), 1.02)
+        assert course.until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), 1.02)
         found = {(mark.id, mark.instance) for mark in course.state.latched}
         assert found <= {("N12", motor), ("N14", motor)}
         assert found

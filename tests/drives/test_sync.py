@@ -14,7 +14,7 @@ from handctl.controller.bus_load import bus_loads, with_more_buses
 from handctl.controller.run_setup import make_drives
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame_time import MAX_BUS_LOAD, frame_time_s
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.hand.description import Hand
@@ -49,7 +49,7 @@ def test_a_hand_on_two_buses_has_sync_on_both(tmp_path: Path) -> None:
     with SimulatorSettings(str(path), None, 0, homed=True).against(
         homed_controller(model, LiveProgram())
     ) as run:
-        assert run.until(lambda out: out.mode == Mode.ACTIVE, 5.0)
+        assert run.until(lambda out: out.mode == HandMode.ACTIVE, 5.0)
         sent = [(frame.bus, len(frame.data)) for frame in run.out.frames if frame.can_id == SYNC]
         assert sent == [(0, 1), (1, 0)], (
             "once on each bus: with the counter for the sensor node, else empty"

@@ -9,7 +9,7 @@ from handctl.campaign.stage import hand_with_protocol
 from handctl.core import state_block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
 from handctl.session.simulate import SimulatorSettings, homed_controller
@@ -47,7 +47,7 @@ def test_the_tension_does_not_oscillate_by_late_positions(seed: int) -> None:
         largest = 0.0
         for _, out in run.ticks(4.0):
             largest = max(largest, float(run.state.tendon[s.SWING_SQUARE].max()))
-            if out.mode == Mode.RELAX:
+            if out.mode == HandMode.RELAX:
                 break
         assert not run.state.failure, "the task ends by itself"
         assert np.sqrt(largest) < SWING_N

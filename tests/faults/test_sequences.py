@@ -31,7 +31,7 @@ from handctl.campaign.stage import (
     homed_run,
     run_in_branches,
 )
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.safety.tick_verdict import LatchedFault
 from handctl.session.plan import default_rate
 
@@ -94,7 +94,7 @@ def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
 
 def test_violated_rule_of_a_tick_is_found(arming):
     before = arming.state.copy()
-    before.mode = Mode.RELAX
+    before.mode = HandMode.RELAX
     before.decide(latched=(LatchedFault("T03", "index_tendon"),))
     after = before.copy()
     after.view("setpoint")[...] += 1.0
@@ -106,7 +106,7 @@ def test_violated_rule_of_a_tick_is_found(arming):
     assert violations_in_tick(before, gone, cleared=False) == ["no longer latched: T03"]
     assert violations_in_tick(before, gone, cleared=True) == []
     back = before.copy()
-    back.mode = Mode.ACTIVE
+    back.mode = HandMode.ACTIVE
     assert violations_in_tick(before, back, cleared=False) == [
         "the mode goes back: RELAX to ACTIVE"
     ]
@@ -116,7 +116,7 @@ def test_violated_rule_at_the_end_is_found(arming):
     assert violations_at_end(arming) == ["the run does not end: ARMING"]
     arming.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
     arming.state = arming.state.copy()
-    arming.state.mode = Mode.DONE
+    arming.state.mode = HandMode.DONE
     assert violations_at_end(arming) == ["torque remains: middle_tendon"]
     arming.state.decide(failure="REMOVE POWER: not confirmed disabled: middle_motor")
     assert violations_at_end(arming) == []

@@ -8,8 +8,8 @@ import synthetic
 
 from handctl.core.tick_types import (
     TELEMETRY_AXES,
+    HandMode,
     IoEvent,
-    Mode,
     Telemetry,
     TickEvent,
     TickIn,
@@ -19,7 +19,7 @@ from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.header import RunHeader
 from handctl.programs.requests import target_text
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 BUSES = ("main", "a_second_bus")
 OPEN_STREAM = (
@@ -81,7 +81,7 @@ def _tick_output(run: RunHeader, index: int, random: np.random.Generator) -> Tic
         )
     if index % 29 == 4:
         events += (TickEvent("weird", "gain", "filter.mode", "a word"),)
-    mode, action = Mode(index // 12 % 9), Action(index // 20 % 5)
+    mode, action = HandMode(index // 12 % 9), SafetyAction(index // 20 % 5)
     phase = ("idle", "close", "h\u00e4lt", "")[index // 30 % 4]
     frames = _frames(index + 2, 0, random)
     return TickOut(frames, mode, phase, action, telemetry, events, random.bytes(8))

@@ -15,8 +15,8 @@ import numpy as np
 
 from handctl.core.tick_types import (
     TELEMETRY_AXES,
+    HandMode,
     IoEvent,
-    Mode,
     Telemetry,
     TickEvent,
     TickIn,
@@ -30,7 +30,7 @@ from handctl.log.header import RunHeader
 from handctl.log.record import pack_tick_record
 from handctl.log.topics.state_topics import moment_arms
 from handctl.log.write.recorder import Recorder
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 SCHEDULE = (
     ("start", 0.02),
@@ -97,9 +97,13 @@ class Synthetic:
                 )
             previous = phase
             mode = (
-                Mode.READY if fraction < 0.02 else Mode.ACTIVE if fraction < 0.98 else Mode.DISARM
+                HandMode.READY
+                if fraction < 0.02
+                else HandMode.ACTIVE
+                if fraction < 0.98
+                else HandMode.DISARM
             )
-            action = Action.WARN if 0.5 <= fraction < 0.51 else Action.PASS
+            action = SafetyAction.WARN if 0.5 <= fraction < 0.51 else SafetyAction.PASS
             self._hash.update(telemetry.packed())
             frames = self._sent(k, telemetry)
             yield (

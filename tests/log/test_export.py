@@ -26,7 +26,7 @@ from handctl.log.export.tables import (
     export_csv,
 )
 from handctl.log.read.reader import RunLog
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
 
@@ -52,7 +52,7 @@ def test_parquet_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
         table["tension/ring_tendon"].to_numpy(), log.field("tension")[:, 2]
     )
     assert [tick.phase for tick in log.ticks()] == table["phase"].to_pylist()
-    assert [Action(value).name for value in log.action] == table["action"].to_pylist()
+    assert [SafetyAction(value).name for value in log.action] == table["action"].to_pylist()
 
 
 def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.tick_types import IoEvent, TickIn, TickOut
@@ -110,7 +110,7 @@ def run(
     io_events: dict[int, tuple[IoEvent, ...]] | None = None,
     requests: dict[int, tuple[str, ...]] | None = None,
     truth: Path | None = None,
-) -> State:
+) -> ControllerState:
     """Run a program in lockstep on a simulated hand that closes on a cylinder, and record a log.
 
     Args:

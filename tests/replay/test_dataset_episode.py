@@ -14,7 +14,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.errors import ConfigError
 from handctl.hand.hand_loading import load_hand
 from handctl.log.export.lerobot import export_lerobot
@@ -103,7 +103,7 @@ def test_a_hand_follows_an_episode_in_lockstep(dataset: Path) -> None:
                     np.degrees(true[:9] - out.telemetry.q_goal[:9]).reshape(3, 3).mean(axis=1)
                 )
         assert run.out is not None
-        assert run.out.mode == Mode.DONE
+        assert run.out.mode == HandMode.DONE
     assert faults == set()
     assert run.state.progress.finished
     assert len(errors) * jamia.period == pytest.approx(len(actions(dataset, 1)) / 200.0, abs=0.1)

@@ -15,10 +15,10 @@ from handctl.core.detectors.residuals import (
     SLIP,
     TENSION,
 )
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.contract import DrivePhase
 from handctl.drives.fault_causes import DriveFaultCause
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.safety.tick_verdict import EventReport, filter_error_frames, second_controller_reports
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, T, synthetic_limits
 
@@ -63,7 +63,7 @@ class Case(NamedTuple):
     almost: TickInput
     instance: str
     debounce: int
-    action: Action
+    action: SafetyAction
     latched: bool
     asleep: bool = False
 
@@ -151,7 +151,7 @@ def merge_inputs(*shown: TickInput) -> TickInput:
 
 def without_torque(shown: TickInput) -> TickInput:
     """Return an input with the mode of a hand that is ready to be armed."""
-    return TickInput({**shown.rows, "mode": {...: int(Mode.READY)}}, shown.reports)
+    return TickInput({**shown.rows, "mode": {...: int(HandMode.READY)}}, shown.reports)
 
 
 def slack_tendon(before: int, tendon: int = 3) -> TickInput:
@@ -192,12 +192,12 @@ def replayed_readings(tendon: int, run: int) -> TickInput:
 
 def alone_on_the_bus(heard: bool) -> TickInput:
     reports = filter_error_frames([("error_frame", "can0 no acknowledge", 3.0)], heard)
-    return TickInput({"mode": {...: int(Mode.INVENTORY)}}, tuple(reports))
+    return TickInput({"mode": {...: int(HandMode.INVENTORY)}}, tuple(reports))
 
 
-RELAXED = {"mode": {...: int(Mode.RELAX)}, "mode_since": {...: NOW_NS * 1e-9 - 0.2}}
+RELAXED = {"mode": {...: int(HandMode.RELAX)}, "mode_since": {...: NOW_NS * 1e-9 - 0.2}}
 """Rows of the state of a hand that has been relaxing for longer than its tendons need to lose their tension."""
-AFTER_CUT = {"mode": {...: int(Mode.CUT)}, "cut_ticks": {...: 49}}
+AFTER_CUT = {"mode": {...: int(HandMode.CUT)}, "cut_ticks": {...: 49}}
 """Rows of the state of a hand whose motor torque was cut 100 ms ago."""
 
 
@@ -220,7 +220,7 @@ def report_fractions(motor: int, part: float) -> TickInput:
     )
 
 
-PASS, WARN, HOLD, RELAX, CUT = Action
+PASS, WARN, HOLD, RELAX, CUT = SafetyAction
 CASES = {
     "B01": Case(motors(m1=1), REST, "m1", 1, WARN, False, True),
     "B02": Case(motors(m0=6), motors(**dict.fromkeys(LIMITS.motors, 5)), "m0", 1, RELAX, True, True),

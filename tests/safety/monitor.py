@@ -8,14 +8,14 @@ import numpy as np
 
 from handctl.compiled import compile_kernels
 from handctl.controller.apply_requests import clear_latched_faults
-from handctl.controller.controller_state import Decisions, State
+from handctl.controller.controller_state import ControllerDecisions, ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
 from handctl.core.constants import AXES, ELEMENTS, HAND, KINDS, ConstantTables, constant_tables
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.hand_constants import low_pass_fractions
-from handctl.core.state_block import STATE, Tables, state_tables
-from handctl.core.tick_types import Mode
+from handctl.core.state_block import STATE, StateTables, state_tables
+from handctl.core.tick_types import HandMode
 from handctl.safety.faults.fault import (
     JOINT_INSTANCE,
     MOTOR_INSTANCE,
@@ -94,7 +94,7 @@ class Monitor:
         self.latched: tuple[LatchedFault, ...] = ()
         self.reported_faults: tuple[CountedFault, ...] = ()
         self.set({
-            "mode": int(Mode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
+            "mode": int(HandMode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
             "measured_travel": 0.0, "measured_position": 0.0, "measured_tension": 20.0, "measured_force": 20.0,
             "asked": 20.0, "wanted": 20.0, "followed": 0.0, "temperature": 40.0, "phase": 3, "phase_before": 3,
             "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}, "filtered": 1,
@@ -140,7 +140,7 @@ class Monitor:
         self.set({"fault_ticks": present})
 
     @property
-    def state_tables(self) -> Tables:
+    def state_tables(self) -> StateTables:
         """Return the tables of the state, in the form that interpreted functions take."""
         return _python(state_tables)(self.block, self.layout.places)
 
@@ -194,8 +194,8 @@ class Monitor:
 
     def clear(self) -> None:
         """Clear the latched faults, as a request of the operator does."""
-        decisions = Decisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
-        state = State(self.layout, self.block, decisions)
+        decisions = ControllerDecisions((), None, self.latched, self.reported_faults)  # type: ignore[arg-type]
+        state = ControllerState(self.layout, self.block, decisions)
         clear_latched_faults(state)
         self.latched, self.reported_faults = state.latched, state.decisions.reported_faults
 

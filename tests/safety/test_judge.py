@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core.tick_types import Mode
-from handctl.safety.action import Action
+from handctl.core.tick_types import HandMode
+from handctl.safety.action import SafetyAction
 from handctl.safety.faults.table import FAULT_TABLE
 from handctl.safety.tick_verdict import LatchedFault
 from tests.safety.cases import (
@@ -29,7 +29,9 @@ from tests.safety.monitor import Monitor
 from tests.safety.test_table import check_ticks
 
 ARMED = [
-    id_ for id_ in CASES if CASES[id_].present.rows.get("mode", {...: Mode.ACTIVE})[...] in (4, 5)
+    id_
+    for id_ in CASES
+    if CASES[id_].present.rows.get("mode", {...: HandMode.ACTIVE})[...] in (4, 5)
 ]
 PAIRS = list(pairwise([*ARMED, ARMED[0]])) + [
     (a, b) for a in ("B02", "T03", "N09b") for b in ARMED if a != b
@@ -66,16 +68,16 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str
     a, b = CASES[first], CASES[second]
     monitor, first_verdicts = check_ticks(*[a.present] * a.debounce, REST)
     _, verdicts = check_ticks(*[b.present] * b.debounce, monitor=monitor)
-    expected = max(b.action, a.action if a.latched else Action.PASS)
+    expected = max(b.action, a.action if a.latched else SafetyAction.PASS)
     assert verdicts[-1].action >= expected
     reported = [f.fault.id for verdict in (*first_verdicts, *verdicts) for f in verdict.findings]
     assert second in reported
     _, (after,) = check_ticks(REST, monitor=monitor)
     left = [case.action for case in (a, b) if case.latched]
-    assert after.action >= max(left, default=Action.PASS)
+    assert after.action >= max(left, default=SafetyAction.PASS)
     monitor.clear()
     _, (calm,) = check_ticks(REST, monitor=monitor)
-    assert calm.action == Action.PASS
+    assert calm.action == SafetyAction.PASS
     assert monitor.latched == ()
 
 
@@ -90,7 +92,7 @@ def test_the_same_fault_of_two_instances_is_two_faults() -> None:
 def test_instances_do_not_share_their_debounce_counts() -> None:
     left, right = tensions(t0=244.0), tensions(t1=244.0)
     _, verdicts = check_ticks(left, right, left, right, left, right)
-    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+    assert {verdict.action for verdict in verdicts} == {SafetyAction.PASS}
 
 
 def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
@@ -98,9 +100,9 @@ def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
         reports=(*io("enobufs", "can0", 1).reports, *io("enobufs", "can0", 2).reports)
     )
     _, verdicts = check_ticks(twice)
-    assert verdicts[0].action == Action.PASS
+    assert verdicts[0].action == SafetyAction.PASS
     _, verdicts = check_ticks(twice, twice)
-    assert verdicts[-1].action == Action.RELAX
+    assert verdicts[-1].action == SafetyAction.RELAX
     assert len(verdicts[-1].findings) == 1
 
 
@@ -145,7 +147,7 @@ def test_latches_only_grow_between_clearings(
         assert len(set(monitor.latched)) == len(monitor.latched)
         actions = {fault.id: fault.action for fault in FAULT_TABLE}
         assert verdict.action >= max(
-            (actions[mark.id] for mark in monitor.latched), default=Action.PASS
+            (actions[mark.id] for mark in monitor.latched), default=SafetyAction.PASS
         )
         reported += [(f.fault.id, f.instance) for f in verdict.findings]
         assert {(mark.id, mark.instance) for mark in monitor.latched} <= set(reported), (
@@ -154,4 +156,10 @@ def test_latches_only_grow_between_clearings(
 
 
 def test_actions_are_ordered() -> None:
-    assert Action.PASS < Action.WARN < Action.HOLD < Action.RELAX < Action.CUT
+    assert (
+        SafetyAction.PASS
+        < SafetyAction.WARN
+        < SafetyAction.HOLD
+        < SafetyAction.RELAX
+        < SafetyAction.CUT
+    )

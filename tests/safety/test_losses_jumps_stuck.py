@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.controller_state import Decisions, State
+from handctl.controller.controller_state import ControllerDecisions, ControllerState
 from handctl.controller.tick import Controller
 from handctl.core.detectors import frame_losses, stuck_sensors
 from handctl.core.detectors.residuals import TENSION
@@ -139,7 +139,7 @@ def refusal_counter(rate: float) -> Any:
     It returns the ticks of all refusals that still count.
     """
     window = Window()
-    state = State(window.layout, window.block, Decisions((), None))  # type: ignore[arg-type]
+    state = ControllerState(window.layout, window.block, ControllerDecisions((), None))  # type: ignore[arg-type]
     controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / rate))
 
     def step(refused: int, k: int) -> tuple[int, ...]:

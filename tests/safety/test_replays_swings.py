@@ -12,7 +12,7 @@ import pytest
 from handctl.campaign.scenarios import GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
 from handctl.core.detectors import replayed_readings
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import SWING_S
 from handctl.session.plan import default_rate
 from tests.safety.monitor import Monitor, synthetic_limits
@@ -130,6 +130,6 @@ def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, see
         course.peer.inject(
             fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name)
         )
-        assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), seconds)
+        assert course.until(lambda out: out.mode in (HandMode.RELAX, HandMode.CUT), seconds)
         assert {mark.id for mark in course.state.latched} <= rows
         assert course.peer.fault_states()[0]["felt"]

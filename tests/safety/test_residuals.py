@@ -19,7 +19,7 @@ from handctl.core.detectors.residuals import (
     TENSION,
     TIME_CONSTANTS_S,
 )
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.safety.faults.node import NOT_OBEYED_N
 from handctl.safety.faults.tendon import FRICTION_WARN_N, RESIDUAL_WARN_N
 from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, call_interpreted, synthetic_limits
@@ -219,7 +219,7 @@ def test_a_tendon_snaps_if_it_was_taut_a_moment_ago():
 def test_a_tendon_still_pulled_after_the_cut_is_detected():
     monitor = Monitor(synthetic_limits(2))
     monitor.tick(measured_tension=30.0)
-    assert "N16" not in monitor.tick(mode=int(Mode.CUT), measured_tension=[30.0, 30.0])
+    assert "N16" not in monitor.tick(mode=int(HandMode.CUT), measured_tension=[30.0, 30.0])
     for _ in range(49):
         assert "N16" not in monitor.tick(measured_tension=[29.0, 8.0])
     assert monitor.tick(measured_tension=[29.0, 8.0])["N16"] == {"t0": 29.0}

@@ -21,7 +21,7 @@ from handctl.core.detectors.residuals import (
     TIME_CONSTANTS_S,
 )
 from handctl.core.state_block import STATE
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from tests.safety.monitor import (
     NOW_NS,
     PERIOD_NS,
@@ -119,7 +119,7 @@ def test_a_hand_that_is_armed_while_its_tendons_are_taut_is_not_stuck():
 def test_without_torque_all_history_but_the_counts_is_reset():
     monitor, _ = ticks(10)
     monitor.set({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
-    assert monitor.tick(resting_tick(), mode=int(Mode.READY)) == {}
+    assert monitor.tick(resting_tick(), mode=int(HandMode.READY)) == {}
     for field in STATE.fields:
         first, end = {
             "tendon": (s.TENDON_FIRST, s.TENDON_END), "tendon_int": (s.TENDON_INT_FIRST, s.TENDON_INT_END),
@@ -137,7 +137,7 @@ def test_without_torque_all_history_but_the_counts_is_reset():
 
 def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
     monitor = ticks(3)[0]
-    monitor.set({"mode": int(Mode.CUT)})
+    monitor.set({"mode": int(HandMode.CUT)})
     for _ in range(50):
         assert "N16" not in monitor.tick(resting_tick(tension=[30.0, 8.0]))
     assert monitor.tick(resting_tick(tension=[30.0, 8.0]))["N16"] == {"a": 30.0}
@@ -147,7 +147,7 @@ def test_a_tendon_that_stays_taut_after_the_cut_is_reported():
 def test_a_tendon_that_stays_taut_is_reported_despite_a_lost_sample_at_the_cut():
     monitor = ticks(3, tension=[30.0, 25.0])[0]
     ticks(2, monitor, tension=N)
-    monitor.set({"mode": int(Mode.CUT)})
+    monitor.set({"mode": int(HandMode.CUT)})
     for k in range(51):
         found = monitor.tick(resting_tick(tension=[30.0, 8.0] if k else N))
     assert found["N16"] == {"a": 30.0}
@@ -494,7 +494,7 @@ def test_without_lost_replies_no_count_grows():
 
 @pytest.mark.parametrize(("rows", "lost"), [
     (late(mb=1), [0, 1, 0]), (late(b=1), [0, 0, 1]), (late(ma=3), [1, 0, 0]),
-    (late(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]), (late(ma=1, mb=1) | {"mode": int(Mode.READY)}, [0, 0, 0]),
+    (late(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]), (late(ma=1, mb=1) | {"mode": int(HandMode.READY)}, [0, 0, 0]),
 ])  # fmt: skip
 def test_lost_replies_are_recorded_per_node(rows, lost):
     monitor = make_monitor()

@@ -11,12 +11,12 @@ import pytest
 
 from benchmarks.identify import TOLERANCES, measure_digit, summary
 from handctl.core.identified_parameters import IdentifiedParameters, identified_hand
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.errors import DriveError
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import load_hand
 from handctl.runtime.hold_limit import HoldLimit
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.tune.identify.excitation import excitation_steps
 from handctl.tune.identify.excitation_antagonists import (
     PAIR_HIGH_FRACTION,
@@ -141,19 +141,19 @@ def test_a_fault_that_holds_the_hand_ends_the_run() -> None:
     """Regression: the time of the program stops while a fault holds the hand, so such a run had no end."""
     limit = HoldLimit()
 
-    def ticks(action: Action, begin_s: float, end_s: float) -> list[str]:
+    def ticks(action: SafetyAction, begin_s: float, end_s: float) -> list[str]:
         requests = []
         for t in np.arange(begin_s, end_s, 0.1):
             event = SimpleNamespace(name="fault", text="N07 a noisy encoder: HOLD")
-            out = SimpleNamespace(mode=Mode.ACTIVE, action=action, events=(event,))
+            out = SimpleNamespace(mode=HandMode.ACTIVE, action=action, events=(event,))
             limit.on_tick(SimpleNamespace(t_ns=round(1e9 * t)), out)  # type: ignore[arg-type]
             requests += limit.poll_requests()
         return requests
 
-    assert ticks(Action.HOLD, 0.0, 4.0) == []
-    assert ticks(Action.WARN, 4.0, 9.0) == []
+    assert ticks(SafetyAction.HOLD, 0.0, 4.0) == []
+    assert ticks(SafetyAction.WARN, 4.0, 9.0) == []
     limit.refuse_stopped("a run")
-    assert ticks(Action.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
+    assert ticks(SafetyAction.HOLD, 9.0, 20.0) == ['{"do": "stop"}']
     with pytest.raises(DriveError, match=r"held for 5 s by N07 a noisy encoder.*tune design"):
         limit.refuse_stopped("a run")
 

@@ -19,7 +19,7 @@ from handctl.campaign.stage import advance_to, homed_run
 from handctl.cli.main import main
 from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import Gains
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.programs.program import Program
@@ -68,7 +68,7 @@ class RunRecording:
     t: Array
     values: dict[str, Array]
     phase: list[str]
-    mode: list[Mode]
+    mode: list[HandMode]
     events: list[tuple[float, str]] = field(default_factory=list)
 
 
@@ -104,7 +104,7 @@ def record_run(run: SimulatedRun, seconds: float, until: str = "") -> RunRecordi
         made.phase.append(out.phase)
         made.mode.append(out.mode)
         made.events += [(t, event.text) for event in out.events]
-        if out.mode == Mode.DONE or (until and out.phase == until):
+        if out.mode == HandMode.DONE or (until and out.phase == until):
             break
     made.t = np.array(times)
     made.values = {name: np.array(values) for name, values in rows.items()}

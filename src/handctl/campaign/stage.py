@@ -16,7 +16,7 @@ from handctl.campaign.scenarios import ARMING_STAGE, FREE_STAGE, GRASP_STAGE, MI
 from handctl.controller.bus_load import with_more_buses
 from handctl.controller.run_setup import make_controller
 from handctl.core.gains.gains import packaged_gains
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.document import validate_content
 from handctl.drives.motor_description import PROTOCOL_TRAITS
 from handctl.errors import ConfigError
@@ -133,7 +133,7 @@ def advance_to(simulation: SimulatedRun, stage: str) -> None:
     def reached(out: Any) -> bool:
         nonlocal free_ticks
         if stage == ARMING_STAGE:
-            return bool(out.mode == Mode.ARMING)
+            return bool(out.mode == HandMode.ARMING)
         # A run has reached the grasp if at least one digit is in contact and a tendon has at least
         # 16 N.
         free_ticks += out.phase == "free"

@@ -6,7 +6,7 @@ import numpy as np
 
 from handctl.controller import gain_change
 from handctl.controller.client_lease import begin_lease, renew_lease
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.hand_modes import OperatorRequests
 from handctl.controller.target_streams import (
     apply_target,
@@ -17,7 +17,7 @@ from handctl.controller.target_streams import (
 )
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import SHUTTING_DOWN, Mode, TickEvent
+from handctl.core.tick_types import SHUTTING_DOWN, HandMode, TickEvent
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live_session import (
     LiveProgram,
@@ -52,12 +52,12 @@ from handctl.programs.requests import (
 from handctl.programs.stream_plans import digits_of
 from handctl.safety.faults.table import DEBOUNCE_TICKS, FAULT_BY_ID
 
-BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
+BEFORE_READY = (HandMode.SILENT, HandMode.INVENTORY)
 """Modes in which a request to clear faults also clears the errors of the drives."""
 
 
 def apply_requests(
-    model: HandModel, program: Program, state: State, requests: tuple[str, ...]
+    model: HandModel, program: Program, state: ControllerState, requests: tuple[str, ...]
 ) -> tuple[OperatorRequests, tuple[TickEvent, ...]]:
     """Apply the requests of one tick, in the order of their arrival.
 
@@ -99,7 +99,7 @@ def apply_requests(
 
 
 def _apply_other(
-    model: HandModel, program: Program, state: State, request: Request
+    model: HandModel, program: Program, state: ControllerState, request: Request
 ) -> tuple[TickEvent, ...]:
     """Apply a request for gains, a client's sign of life, or a motion command."""
     if isinstance(request, SetGains):
@@ -112,7 +112,7 @@ def _apply_other(
 
 
 def _set_gains(
-    model: HandModel, program: Program, state: State, request: SetGains
+    model: HandModel, program: Program, state: ControllerState, request: SetGains
 ) -> tuple[TickEvent, ...]:
     """Begin the design of the controller for the gains that a request demands."""
     if isinstance(program, CommissionProgram):
@@ -126,7 +126,7 @@ def _set_gains(
 
 
 def _apply_command(
-    model: HandModel, program: Program, state: State, request: CommandBase
+    model: HandModel, program: Program, state: ControllerState, request: CommandBase
 ) -> tuple[TickEvent, ...]:
     """Execute a motion command if the run accepts commands from this client."""
     if refusal := _refusal_reason(program, state, request):
@@ -155,7 +155,7 @@ def _apply_command(
 
 
 def _apply_grasp(
-    model: HandModel, state: State, request: GraspRequest | ReleaseGrasp
+    model: HandModel, state: ControllerState, request: GraspRequest | ReleaseGrasp
 ) -> tuple[TickEvent, ...]:
     """Begin a grasp task, or end the hold of the running grasp task."""
     if isinstance(request, ReleaseGrasp):
@@ -169,7 +169,9 @@ def _apply_grasp(
     return events
 
 
-def _refusal_reason(program: Program, state: State, request: CommandBase) -> TickEvent | None:
+def _refusal_reason(
+    program: Program, state: ControllerState, request: CommandBase
+) -> TickEvent | None:
     """Return an event with the reason to refuse a command, or None to accept the command.
 
     A relaxing or commissioning hand must not pull, and only one client may send commands.
@@ -178,7 +180,7 @@ def _refusal_reason(program: Program, state: State, request: CommandBase) -> Tic
         return TickEvent("info", "request", "", "refused: the hand is letting go")
     if not isinstance(program, LiveProgram):
         return TickEvent("warn", "request", "", "refused: this run has goals of its own")
-    if state.mode != Mode.ACTIVE or state.progress.phase in ("start", "tighten"):
+    if state.mode != HandMode.ACTIVE or state.progress.phase in ("start", "tighten"):
         return TickEvent("warn", "request", "", "refused: the hand is not ready yet")
     commander = state.decisions.commander
     if commander in (None, request.client) or request.take_over:
@@ -190,7 +192,7 @@ def _refusal_reason(program: Program, state: State, request: CommandBase) -> Tic
 
 
 def _set_goal(
-    model: HandModel, state: State, request: MoveDigits | HoldTension
+    model: HandModel, state: ControllerState, request: MoveDigits | HoldTension
 ) -> tuple[TickEvent, ...]:
     """Set the goal of a request for its digits. A stream that includes one of these digits ends."""
     reference = reference_of(model, state)
@@ -211,7 +213,7 @@ def _set_goal(
     return events
 
 
-def clear_latched_faults(state: State) -> None:
+def clear_latched_faults(state: ControllerState) -> None:
     """Clear all latched faults at the request of the operator.
 
     A fault that is still present is detected again in this tick, and latches again.

@@ -13,7 +13,7 @@ from handctl.hand.file.sections import Bus
 
 
 @dataclass(frozen=True, slots=True)
-class FrameRow:
+class BusLoadRow:
     """Row of the bus-load table: all frames of one kind on a bus.
 
     Attributes:
@@ -45,7 +45,7 @@ class BusLoad:
 
     name: str
     motors: int
-    rows: tuple[FrameRow, ...]
+    rows: tuple[BusLoadRow, ...]
 
     @property
     def tick_s(self) -> float:
@@ -80,7 +80,7 @@ def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
     return tuple(_load_of_bus(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
 
 
-def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
+def drive_rows(drive: Drive, bus: Bus) -> tuple[BusLoadRow, ...]:
     """Return the rows of the bus-load table for the frames of a motor.
 
     Raises:
@@ -93,7 +93,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
             "missing, and a motor on it is set to CAN FD", f"bus[{bus.name}].data_bitrate", "bit/s"
         )
     return tuple(
-        FrameRow(
+        BusLoadRow(
             drive.name,
             size,
             fd,
@@ -105,7 +105,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[FrameRow, ...]:
     )
 
 
-def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
+def sensor_rows(hand: Hand, bus: Bus) -> tuple[BusLoadRow, ...]:
     """Return the rows of the bus-load table for the frames of the sensor node and for SYNC."""
     node = make_sensors(hand)
     if not node.ids:
@@ -121,7 +121,7 @@ def sensor_rows(hand: Hand, bus: Bus) -> tuple[FrameRow, ...]:
     ]
     kinds += [("heartbeats", size, 0.0, number) for size, number in node.background_frames]
     return tuple(
-        FrameRow(name, size, False, tick, second, frame_time_s(size, False, bus.bitrate))
+        BusLoadRow(name, size, False, tick, second, frame_time_s(size, False, bus.bitrate))
         for name, size, tick, second in kinds
     )
 

@@ -7,18 +7,18 @@ targets enter the tick as requests, so that a log is re-executed with the same l
 
 from dataclasses import replace
 
-from handctl.controller.controller_state import ClientLease, State
+from handctl.controller.controller_state import ClientLease, ControllerState
 from handctl.controller.target_streams import bring_to_rest, close_stream
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickEvent
+from handctl.core.tick_types import HandMode, TickEvent
 from handctl.programs.requests import CommandBase, LeaveRequest
 
 RELAX_FACTOR = 2
 """Silence of a client after which the hand relaxes, as a multiple of the duration of its lease."""
 
 
-def begin_lease(state: State, request: CommandBase) -> None:
+def begin_lease(state: ControllerState, request: CommandBase) -> None:
     """Start the lease of the client that sent a command.
 
     If the command has no lease, end the present lease.
@@ -29,7 +29,7 @@ def begin_lease(state: State, request: CommandBase) -> None:
     state.decide(lease=lease)
 
 
-def renew_lease(state: State, client: str) -> tuple[TickEvent, ...]:
+def renew_lease(state: ControllerState, client: str) -> tuple[TickEvent, ...]:
     """Renew the lease after a sign of life of a client.
 
     Returns:
@@ -42,7 +42,7 @@ def renew_lease(state: State, client: str) -> tuple[TickEvent, ...]:
     return (TickEvent("info", "lease", "", f"{client} answers again"),) if lease.resting else ()
 
 
-def expire_lease(model: HandModel, state: State) -> tuple[TickEvent, ...]:
+def expire_lease(model: HandModel, state: ControllerState) -> tuple[TickEvent, ...]:
     """Bring the digits to rest, or end the run, if the commanding client has been silent too long.
 
     A running task, and digits that hold a tension, continue until the run ends. Streamed targets
@@ -58,7 +58,7 @@ def expire_lease(model: HandModel, state: State) -> tuple[TickEvent, ...]:
     lease = state.decisions.lease
     if lease is None:
         return ()
-    if state.mode != Mode.ACTIVE:
+    if state.mode != HandMode.ACTIVE:
         state.decide(lease=None)
         return ()
     heard_ns = lease.renewed_ns

@@ -10,12 +10,12 @@ from handctl.controller.pending_gains import PendingGains
 from handctl.core import state_block as s
 from handctl.core.block_schema import BlockArray, BlockLayout
 from handctl.core.gains.gains import Gains
-from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.identity_cache import IdentityCache, SequenceCache
 from handctl.core.plain_values import plain_bytes
 from handctl.core.state_block import STATE
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DrivePhase, DriveState
 from handctl.programs.program import ProgramProgress
@@ -40,7 +40,7 @@ class ClientLease(NamedTuple):
     resting: bool = False
 
 
-class Decisions(NamedTuple):
+class ControllerDecisions(NamedTuple):
     """Part of the state that is not in the state block, because only events change it.
 
     Attributes:
@@ -85,7 +85,7 @@ _drives_cache, _goals_cache, _rest_cache = (
 )
 
 
-def _hash_decisions(decisions: Decisions) -> bytes:
+def _hash_decisions(decisions: ControllerDecisions) -> bytes:
     """Return an 8-byte hash of the decisions. An unchanged object is not serialized again."""
     drives = _drives_cache(decisions.drives)
     goals = _goals_cache(decisions.progress.goals)
@@ -95,7 +95,7 @@ def _hash_decisions(decisions: Decisions) -> bytes:
     return xxhash.xxh3_64_digest(b"".join([*drives, *goals, *rest]))
 
 
-_decision_hash_cache = IdentityCache[Decisions](_hash_decisions)
+_decision_hash_cache = IdentityCache[ControllerDecisions](_hash_decisions)
 
 
 def layout_of_state(model: HandModel, groups: int) -> BlockLayout:
@@ -135,7 +135,7 @@ def drive_values(
     )
 
 
-class State:
+class ControllerState:
     """State of the controller between ticks.
 
     A tick works on a copy. The block is copied as a whole. Decisions are immutable and shared.
@@ -143,20 +143,22 @@ class State:
     Attributes:
         layout: layout of the block.
         block: numbers of the state, see ``core.state_block``.
-        decisions: see ``Decisions``.
+        decisions: see ``ControllerDecisions``.
         tendon: (rows, N) table of the real numbers per tendon in the block.
         tendon_int: (rows, N) table of the integers per tendon in the block.
     """
 
     __slots__ = ("_run", "_run_int", "block", "decisions", "layout", "tendon", "tendon_int")
 
-    def __init__(self, layout: BlockLayout, block: BlockArray, decisions: Decisions) -> None:
+    def __init__(
+        self, layout: BlockLayout, block: BlockArray, decisions: ControllerDecisions
+    ) -> None:
         """Use a block of numbers without copying it, and make views of its tables.
 
         Args:
             layout: layout of the block.
             block: numbers of the state, not copied.
-            decisions: see ``Decisions``.
+            decisions: see ``ControllerDecisions``.
         """
         self.layout = layout
         self.block = block
@@ -167,9 +169,9 @@ class State:
         self._run = block[layout.start("run") :]
         self._run_int = block[layout.start("run_int") :].view(np.int64)
 
-    def copy(self) -> "State":
+    def copy(self) -> "ControllerState":
         """Return an independent copy of the state."""
-        return State(self.layout, self.block.copy(), self.decisions)
+        return ControllerState(self.layout, self.block.copy(), self.decisions)
 
     def decide(self, **changes: Any) -> None:
         """Replace the given fields of the decisions."""
@@ -209,12 +211,12 @@ class State:
         return self.run_integer(s.K)
 
     @property
-    def mode(self) -> Mode:
+    def mode(self) -> HandMode:
         """Return the mode of the hand."""
         return _MODE_BY_NUMBER[self.run_integer(s.MODE)]
 
     @mode.setter
-    def mode(self, mode: Mode) -> None:
+    def mode(self, mode: HandMode) -> None:
         self.set_run_integer(s.MODE, mode)
 
     @property
@@ -259,13 +261,13 @@ class State:
         return bool(self.run_integer(s.FILTER_STARTED))
 
     @property
-    def estimate(self) -> Estimate:
+    def estimate(self) -> HandEstimate:
         """Return the estimate of the tick, for programs."""
         layout = self.layout
         block = self.block
         joint = layout.table(block, "joint")
         digit = layout.table(block, "digit")
-        return Estimate(self.tendon, joint, digit, self.tendon_int[s.REGIME])
+        return HandEstimate(self.tendon, joint, digit, self.tendon_int[s.REGIME])
 
     @property
     def measured(self) -> TickMeasurements:
@@ -322,4 +324,4 @@ class State:
         return tuple([drive.phase for drive in self.decisions.drives])
 
 
-_MODE_BY_NUMBER = {int(mode): mode for mode in Mode}
+_MODE_BY_NUMBER = {int(mode): mode for mode in HandMode}

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.relaxing import (
     are_commands_relaxed,
     are_tensions_relaxed,
@@ -18,11 +18,11 @@ from handctl.controller.relaxing import (
     update_relax_rate,
 )
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import BEFORE_ARMING, TORQUE_MODES, Mode, TickEvent
+from handctl.core.tick_types import BEFORE_ARMING, TORQUE_MODES, HandMode, TickEvent
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 LISTEN_S = 0.5
 """Time before this host sends its first frame, in which it detects a second controller [s]."""
@@ -65,7 +65,7 @@ class ModeInputs(NamedTuple):
     model: HandModel
     drives: tuple[Drive, ...]
     elapsed: float
-    action: Action
+    action: SafetyAction
     operator: OperatorRequests
     foreign: tuple[str, ...]
     identities: tuple[str, ...] = ()
@@ -81,35 +81,35 @@ class ModeInputs(NamedTuple):
         return self.action < RELAX and not (self.foreign or self.operator.stop or self.operator.cut)
 
 
-RELAX = Action.RELAX
-NextMode = tuple[Mode, str]
+RELAX = SafetyAction.RELAX
+NextMode = tuple[HandMode, str]
 """Next mode, and the reason if the run has failed (else empty)."""
 
 
-def drive_target(mode: Mode) -> DriveTarget:
+def drive_target(mode: HandMode) -> DriveTarget:
     """Return the state that is requested from every drive in a mode of the hand."""
     return _DRIVE_TARGETS[mode]
 
 
 _DRIVE_TARGETS = {
-    Mode.SILENT: DriveTarget.LISTEN,
-    Mode.INVENTORY: DriveTarget.POLL,
-    Mode.READY: DriveTarget.POLL,
-    Mode.ARMING: DriveTarget.ENABLE,
-    Mode.ACTIVE: DriveTarget.ENABLE,
-    Mode.RELAX: DriveTarget.ENABLE,
-    Mode.DISARM: DriveTarget.DISABLE,
-    Mode.CUT: DriveTarget.DISABLE,
-    Mode.DONE: DriveTarget.LISTEN,
+    HandMode.SILENT: DriveTarget.LISTEN,
+    HandMode.INVENTORY: DriveTarget.POLL,
+    HandMode.READY: DriveTarget.POLL,
+    HandMode.ARMING: DriveTarget.ENABLE,
+    HandMode.ACTIVE: DriveTarget.ENABLE,
+    HandMode.RELAX: DriveTarget.ENABLE,
+    HandMode.DISARM: DriveTarget.DISABLE,
+    HandMode.CUT: DriveTarget.DISABLE,
+    HandMode.DONE: DriveTarget.LISTEN,
 }
 
 
-def shutdown_frames(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...]:
+def shutdown_frames(drives: tuple[Drive, ...], state: ControllerState) -> tuple[Frame, ...]:
     """Return the frames that release the drives at the end of a run.
 
     After a failure no frames are returned, and the drives stay as they are.
     """
-    if state.mode != Mode.DONE or state.failure:
+    if state.mode != HandMode.DONE or state.failure:
         return ()
     return tuple(
         frame
@@ -121,8 +121,8 @@ def shutdown_frames(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...
 def next_mode(
     model: HandModel,
     drives: tuple[Drive, ...],
-    state: State,
-    action: Action,
+    state: ControllerState,
+    action: SafetyAction,
     operator: OperatorRequests,
     other_host_frames: tuple[str, ...],
     time_s: float,
@@ -150,7 +150,7 @@ def next_mode(
     demanded = None if inputs.no_override else _overriding_mode(state, inputs)
     mode, failure = demanded or _NEXT_MODE_FUNCTIONS[before](state, inputs)
     if mode == before:
-        if mode == Mode.RELAX:
+        if mode == HandMode.RELAX:
             update_relax_rate(state)
         return ()
     failure = failure or (
@@ -158,7 +158,7 @@ def next_mode(
     )  # this includes a fault during the move home
     names = inputs.names
     level = "error" if failure else "info"
-    unconfirmed = _motors_possibly_on(model, state, names) if mode == Mode.DONE else ()
+    unconfirmed = _motors_possibly_on(model, state, names) if mode == HandMode.DONE else ()
     text = f"{before.name} -> {mode.name}" + (f": {failure}" if failure else "")
     if (
         unconfirmed and REMOVE_POWER not in text
@@ -170,40 +170,43 @@ def next_mode(
     state.decide(failure=reason, unconfirmed=unconfirmed)
     state.mode = mode
     state.mode_since = time_s
-    if mode == Mode.RELAX:
+    if mode == HandMode.RELAX:
         begin_relaxing(model, state)
     return (TickEvent(level, "mode", "", text),)
 
 
-def _overriding_mode(state: State, inputs: ModeInputs) -> NextMode | None:
+def _overriding_mode(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
     """Return the mode that the safety monitor or the operator demands, or None."""
     acting = state.mode in TORQUE_MODES
-    if acting and (inputs.operator.cut or inputs.action == Action.CUT):
-        return Mode.CUT, _latched_faults(state)
-    if state.mode in _MODE_AFTER_STOP and inputs.action == Action.RELAX:
+    if acting and (inputs.operator.cut or inputs.action == SafetyAction.CUT):
+        return HandMode.CUT, _latched_faults(state)
+    if state.mode in _MODE_AFTER_STOP and inputs.action == SafetyAction.RELAX:
         return _MODE_AFTER_STOP[state.mode], _latched_faults(state)
     if state.mode in _MODE_AFTER_STOP and inputs.operator.stop:
         return _MODE_AFTER_STOP[state.mode], ""
     return _before_arming(state, inputs) if state.mode in BEFORE_ARMING else None
 
 
-def _before_arming(state: State, inputs: ModeInputs) -> NextMode | None:
+def _before_arming(state: ControllerState, inputs: ModeInputs) -> NextMode | None:
     """Return the mode that ends a run before any torque, or None if the run continues."""
     if inputs.operator.stop or inputs.operator.cut:
-        return Mode.DONE, ""
+        return HandMode.DONE, ""
     if inputs.foreign:
-        return Mode.DONE, f"another controller is on the bus (heard: {', '.join(inputs.foreign)})"
-    return (Mode.DONE, _latched_faults(state)) if inputs.action >= Action.RELAX else None
+        return (
+            HandMode.DONE,
+            f"another controller is on the bus (heard: {', '.join(inputs.foreign)})",
+        )
+    return (HandMode.DONE, _latched_faults(state)) if inputs.action >= SafetyAction.RELAX else None
 
 
-_MODE_AFTER_STOP = {Mode.ARMING: Mode.DISARM, Mode.ACTIVE: Mode.RELAX}
+_MODE_AFTER_STOP = {HandMode.ARMING: HandMode.DISARM, HandMode.ACTIVE: HandMode.RELAX}
 """Mode that follows each mode after a fault or a stop.
 
 In ARMING no tension has been commanded and no further drive may be enabled, so DISARM follows.
 """
 
 
-def _latched_faults(state: State) -> str:
+def _latched_faults(state: ControllerState) -> str:
     """Return the latched faults as text, for the reason of a failure.
 
     The text is empty without faults.
@@ -213,28 +216,28 @@ def _latched_faults(state: State) -> str:
     return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
 
 
-def _after_silent(state: State, inputs: ModeInputs) -> NextMode:
-    return (Mode.INVENTORY if inputs.elapsed >= LISTEN_S else Mode.SILENT), ""
+def _after_silent(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    return (HandMode.INVENTORY if inputs.elapsed >= LISTEN_S else HandMode.SILENT), ""
 
 
-def _after_inventory(state: State, inputs: ModeInputs) -> NextMode:
+def _after_inventory(state: ControllerState, inputs: ModeInputs) -> NextMode:
     named = tuple(_named_drives(state, inputs))
     wrong = [
         f"{name}: {drive.error_text}" for name, drive in named if drive.phase == DrivePhase.FAULT
     ]
     if wrong_amplifiers := _wrong_amplifiers(state):
-        return Mode.DONE, "; ".join(wrong_amplifiers)
+        return HandMode.DONE, "; ".join(wrong_amplifiers)
     if wrong and not (state.clearing and inputs.elapsed < INVENTORY_TIMEOUT_S):
-        return Mode.DONE, "; ".join(wrong) + CLEAR_ADVICE
+        return HandMode.DONE, "; ".join(wrong) + CLEAR_ADVICE
     groups_missing = not state.view("group_frames").all()
     if (
         all(drive.phase == DrivePhase.READY for drive in state.drives)
         and state.started
         and not groups_missing
     ):
-        return Mode.READY, ""
+        return HandMode.READY, ""
     if inputs.elapsed < INVENTORY_TIMEOUT_S:
-        return Mode.INVENTORY, ""
+        return HandMode.INVENTORY, ""
     behind = [(name, drive) for name, drive in named if drive.phase != DrivePhase.READY]
     silent = [
         name for name, drive in behind if drive.phase == DrivePhase.SILENT and not drive.error_text
@@ -250,10 +253,10 @@ def _after_inventory(state: State, inputs: ModeInputs) -> NextMode:
         if silent
         else []
     )
-    return Mode.DONE, "; ".join([*stuck, *silence, *_missing_inputs(state, inputs)])
+    return HandMode.DONE, "; ".join([*stuck, *silence, *_missing_inputs(state, inputs)])
 
 
-def _wrong_amplifiers(state: State) -> list[str]:
+def _wrong_amplifiers(state: ControllerState) -> list[str]:
     """Return the amplifiers whose set-up has failed, with the reason."""
     return [
         f"{one.name}: {one.error_text}"
@@ -262,7 +265,7 @@ def _wrong_amplifiers(state: State) -> list[str]:
     ]
 
 
-def _silent_sensors(state: State) -> list[str]:
+def _silent_sensors(state: ControllerState) -> list[str]:
     """Return the names of silent sensors: amplifiers without a complete set-up, or else all sensors as one name."""
     amplifiers = state.decisions.amplifiers
     behind = [one for one in amplifiers if one.phase != DrivePhase.READY]
@@ -270,7 +273,7 @@ def _silent_sensors(state: State) -> list[str]:
     return silent or ["the load cells" if amplifiers else "the sensor node"]
 
 
-def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
+def _missing_inputs(state: ControllerState, inputs: ModeInputs) -> list[str]:
     """Return the missing inputs of the tension filter, when all drives are ready and all sensor frames have arrived."""
     drives = _named_drives(state, inputs)
     blind = [
@@ -281,18 +284,18 @@ def _missing_inputs(state: State, inputs: ModeInputs) -> list[str]:
     return [f"no position from {', '.join(blind)}"] if blind else []
 
 
-def _after_ready(state: State, inputs: ModeInputs) -> NextMode:
+def _after_ready(state: ControllerState, inputs: ModeInputs) -> NextMode:
     if wrong := _wrong_amplifiers(state):
-        return Mode.DONE, "; ".join(wrong)
+        return HandMode.DONE, "; ".join(wrong)
     if strange := _other_drives(state, inputs):
         return (
-            Mode.DONE,
+            HandMode.DONE,
             f"{strange}: the calibration is of another hand, give that of this hand or commission it",
         )
-    return (Mode.ARMING if state.armed and inputs.elapsed >= READY_S else Mode.READY), ""
+    return (HandMode.ARMING if state.armed and inputs.elapsed >= READY_S else HandMode.READY), ""
 
 
-def _other_drives(state: State, inputs: ModeInputs) -> str:
+def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
     """Return the drives whose identity differs from the calibration.
 
     Returns:
@@ -309,68 +312,68 @@ def _other_drives(state: State, inputs: ModeInputs) -> str:
     )
 
 
-def _after_arming(state: State, inputs: ModeInputs) -> NextMode:
+def _after_arming(state: ControllerState, inputs: ModeInputs) -> NextMode:
     if all(phase == DrivePhase.ENABLED for phase in state.phases):
-        return Mode.ACTIVE, ""
+        return HandMode.ACTIVE, ""
     if inputs.elapsed < ARMING_TIMEOUT_S:
-        return Mode.ARMING, ""
+        return HandMode.ARMING, ""
     late = [
         name for name, drive in _named_drives(state, inputs) if drive.phase != DrivePhase.ENABLED
     ]
-    return Mode.DISARM, f"not enabled: {', '.join(late)}"
+    return HandMode.DISARM, f"not enabled: {', '.join(late)}"
 
 
-def _after_active(state: State, inputs: ModeInputs) -> NextMode:
-    return (Mode.RELAX if state.progress.finished else Mode.ACTIVE), state.progress.failure
+def _after_active(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    return (HandMode.RELAX if state.progress.finished else HandMode.ACTIVE), state.progress.failure
 
 
-def _after_relax(state: State, inputs: ModeInputs) -> NextMode:
+def _after_relax(state: ControllerState, inputs: ModeInputs) -> NextMode:
     # A load cell may read too little, so the commands must also have fallen before the torque is
     # removed.
     relaxed = are_tensions_relaxed(inputs.model, state) and are_commands_relaxed(
         inputs.model, state
     )
-    return (Mode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
+    return (HandMode.DISARM if relaxed or inputs.elapsed >= RELAX_TIMEOUT_S else HandMode.RELAX), ""
 
 
-def _after_disarm(state: State, inputs: ModeInputs) -> NextMode:
+def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
     pulling = _pulling_motors(inputs.model, state, inputs.names)
     if pulling:
-        return Mode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
+        return HandMode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
     enabled = _enabled_motors(state, inputs.names)
     if not enabled:
-        return Mode.DONE, ""
+        return HandMode.DONE, ""
     if inputs.elapsed < DISARM_TIMEOUT_S:
-        return Mode.DISARM, ""
-    return Mode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
+        return HandMode.DISARM, ""
+    return HandMode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
 
 
-def _after_cut(state: State, inputs: ModeInputs) -> NextMode:
-    return (Mode.DISARM if inputs.elapsed >= CUT_S else Mode.CUT), ""
+def _after_cut(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    return (HandMode.DISARM if inputs.elapsed >= CUT_S else HandMode.CUT), ""
 
 
-def _after_done(state: State, inputs: ModeInputs) -> NextMode:
-    return Mode.DONE, ""
+def _after_done(state: ControllerState, inputs: ModeInputs) -> NextMode:
+    return HandMode.DONE, ""
 
 
-_NEXT_MODE_FUNCTIONS: dict[Mode, Callable[[State, ModeInputs], NextMode]] = {
-    Mode.SILENT: _after_silent,
-    Mode.INVENTORY: _after_inventory,
-    Mode.READY: _after_ready,
-    Mode.ARMING: _after_arming,
-    Mode.ACTIVE: _after_active,
-    Mode.RELAX: _after_relax,
-    Mode.DISARM: _after_disarm,
-    Mode.CUT: _after_cut,
-    Mode.DONE: _after_done,
+_NEXT_MODE_FUNCTIONS: dict[HandMode, Callable[[ControllerState, ModeInputs], NextMode]] = {
+    HandMode.SILENT: _after_silent,
+    HandMode.INVENTORY: _after_inventory,
+    HandMode.READY: _after_ready,
+    HandMode.ARMING: _after_arming,
+    HandMode.ACTIVE: _after_active,
+    HandMode.RELAX: _after_relax,
+    HandMode.DISARM: _after_disarm,
+    HandMode.CUT: _after_cut,
+    HandMode.DONE: _after_done,
 }
 
 
-def _named_drives(state: State, inputs: ModeInputs) -> Iterator[tuple[str, DriveState]]:
+def _named_drives(state: ControllerState, inputs: ModeInputs) -> Iterator[tuple[str, DriveState]]:
     return zip(inputs.names, state.drives, strict=True)
 
 
-def _enabled_motors(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+def _enabled_motors(state: ControllerState, names: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of motors whose drives have not confirmed that they are disabled."""
     disabled = (DrivePhase.READY, DrivePhase.FAULT)
     return tuple(
@@ -378,7 +381,9 @@ def _enabled_motors(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     )
 
 
-def _pulling_motors(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+def _pulling_motors(
+    model: HandModel, state: ControllerState, names: tuple[str, ...]
+) -> tuple[str, ...]:
     """Return the names of motors whose tendons still have tension after the torque was cut (N16)."""
     tendons = {mark.instance for mark in state.latched if mark.id == "N16"}
     return tuple(
@@ -388,7 +393,9 @@ def _pulling_motors(model: HandModel, state: State, names: tuple[str, ...]) -> t
     )
 
 
-def _motors_possibly_on(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+def _motors_possibly_on(
+    model: HandModel, state: ControllerState, names: tuple[str, ...]
+) -> tuple[str, ...]:
     """Return the names of motors that may make torque at the end of a run.
 
     If the run ends before arming, handctl has enabled no motor. Then only motors that report to be

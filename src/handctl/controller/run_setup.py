@@ -20,7 +20,7 @@ from handctl.drives.identifier_checks import check_identifiers
 from handctl.drives.protocol_registry import make_drive
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.sensors.sensor_node import SensorNode
-from handctl.drives.signals import Quantity
+from handctl.drives.signals import SignalQuantity
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.sections import Motor
@@ -213,11 +213,11 @@ def _check_position_loop(motor: Motor, drive: Drive) -> None:
         right = 'mit, cubemars, robstride, robstride_mit or moteus with control = "position"'
         reason = NO_POSITION_LOOP.get(motor.protocol, "")
         raise ConfigError(f'"{motor.protocol}"', f"{where}.protocol", f"{right}{reason}")
-    given = {Quantity.STIFFNESS: "kp_N_m_per_rad", Quantity.DAMPING: "kd_N_m_s_per_rad"}
+    given = {SignalQuantity.STIFFNESS: "kp_N_m_per_rad", SignalQuantity.DAMPING: "kd_N_m_s_per_rad"}
     for signal in message.signals:
         value = getattr(motor, given[signal.quantity]) if signal.quantity in given else None
         largest = signal.ends[1]
-        smallest = signal.step if signal.quantity == Quantity.STIFFNESS else 0.0
+        smallest = signal.step if signal.quantity == SignalQuantity.STIFFNESS else 0.0
         if value is not None and not smallest <= value <= largest:
             right = f"{smallest:.3g} to {largest:g} {signal.unit}, the codes of {motor.protocol}"
             raise ConfigError(f"{value:g}", f"{where}.{given[signal.quantity]}", right)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
 from handctl.drives.contract import DrivePhase, DriveTarget
@@ -19,13 +19,13 @@ class ShutdownStep(NamedTuple):
         enabled: names of motors whose drives have not confirmed that they are disabled.
     """
 
-    state: State
+    state: ControllerState
     frames: tuple[Frame, ...]
     enabled: tuple[str, ...]
 
 
 def shutdown_step(
-    controller: Controller, state: State, t_ns: int, received: Sequence[Frame]
+    controller: Controller, state: ControllerState, t_ns: int, received: Sequence[Frame]
 ) -> ShutdownStep:
     """Process received frames, and command every drive to disable.
 

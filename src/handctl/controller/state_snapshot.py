@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 
-from handctl.controller.controller_state import ClientLease, Decisions, State
+from handctl.controller.controller_state import ClientLease, ControllerDecisions, ControllerState
 from handctl.controller.pending_gains import PendingGains
 from handctl.core.block_schema import BlockLayout
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
@@ -39,8 +39,8 @@ from handctl.programs.task import Task
 from handctl.safety.tick_verdict import CountedFault, LatchedFault
 
 register_types(
-    Decisions, DriveState, DrivePhase, DriveTarget, ProgramProgress, GripState, DigitGoal, GoalKind, MinimumJerk,
-    BlendTrajectory, CurveTrajectory,
+    ControllerDecisions, DriveState, DrivePhase, DriveTarget, ProgramProgress, GripState, DigitGoal, GoalKind,
+    MinimumJerk, BlendTrajectory, CurveTrajectory,
     SampledTrajectory,
     ChirpTrajectory, StreamedTrajectory, StreamPlan, Task, LatchedFault, CountedFault, Gains, PendingGains,
     RecheckCursor, ReadbackCursor,
@@ -53,7 +53,7 @@ IDENTITY_BYTES = 8
 """Size of the layout's identity [bytes]."""
 
 
-def snapshot_bytes(state: State) -> bytes:
+def snapshot_bytes(state: ControllerState) -> bytes:
     """Return the snapshot of a state as bytes."""
     decisions = json.dumps(to_plain(state.decisions), separators=(",", ":"), default=_mark_bytes)
     return state.layout.identity + state.block.tobytes() + decisions.encode()
@@ -65,7 +65,7 @@ def _mark_bytes(value: object) -> tuple[str, str]:
     return BYTES_MARK, value.hex()
 
 
-def restore_state(layout: BlockLayout, data: bytes) -> State:
+def restore_state(layout: BlockLayout, data: bytes) -> ControllerState:
     """Return the state stored in a snapshot.
 
     Args:
@@ -84,6 +84,6 @@ def restore_state(layout: BlockLayout, data: bytes) -> State:
         decisions = from_plain(json.loads(data[end:]))
     except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"decisions that cannot be read: {error}") from None
-    if not isinstance(decisions, Decisions):
+    if not isinstance(decisions, ControllerDecisions):
         raise ValueError("no decisions in it")
-    return State(layout, block, decisions)
+    return ControllerState(layout, block, decisions)

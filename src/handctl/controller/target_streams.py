@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.core.control_law.digit_goal import GoalKind
 from handctl.core.control_law.streamed_motion import CLIP_TOLERANCE, begin_segments
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickEvent, Vector
+from handctl.core.tick_types import HandMode, TickEvent, Vector
 from handctl.programs.program import ProgramProgress, coordinates_by_excursion
 from handctl.programs.requests import OpenStream, StreamTarget
 from handctl.programs.stream_plans import (
@@ -42,18 +42,18 @@ OPEN_STREAM, RUNNING_STREAM = 1, 2
 """Values of the field ``block.STREAMING``."""
 
 
-def reference_of(model: HandModel, state: State) -> tuple[Vector, ...]:
+def reference_of(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
     """Return the present motion reference of each digit, (3, n): position, rate, and acceleration."""
     rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
     return tuple(rows[:, places] for places in model.digit_coordinates)
 
 
-def setpoints_of(model: HandModel, state: State) -> tuple[Vector, ...]:
+def setpoints_of(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
     """Return the present tension setpoints of each digit [N]."""
     return tuple(state.tendon[s.SETPOINT, tendons] for tendons in model.digit_tendons)
 
 
-def open_stream(model: HandModel, state: State, request: OpenStream) -> TickEvent:
+def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -> TickEvent:
     """Open a stream. The streamed digits keep their present reference until the first target."""
     stream = plan_of_request(model, request)
     if isinstance(stream, str):
@@ -80,7 +80,7 @@ def open_stream(model: HandModel, state: State, request: OpenStream) -> TickEven
     return TickEvent("info", "request", "", text)
 
 
-def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> None:
+def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int, ...]) -> None:
     """Start a stream of joint angles at the present reference of its digits."""
     rows = state.layout.table(state.block, "coordinate")
     reference = reference_of(model, state)
@@ -96,7 +96,7 @@ def _prepare_motion(model: HandModel, state: State, digits: tuple[int, ...]) -> 
     state.set_run_number(s.STREAM_DURATION, 0.0)
 
 
-def close_stream(model: HandModel, state: State) -> None:
+def close_stream(model: HandModel, state: ControllerState) -> None:
     """Close the open stream, if there is one. The streamed digits come to rest."""
     if state.decisions.stream is None:
         return
@@ -105,7 +105,9 @@ def close_stream(model: HandModel, state: State) -> None:
     state.tendon[[s.STIFFNESS_FRACTION, s.DAMPING_FRACTION]] = 1.0
 
 
-def bring_to_rest(model: HandModel, state: State, only_streamed: bool = False) -> ProgramProgress:
+def bring_to_rest(
+    model: HandModel, state: ControllerState, only_streamed: bool = False
+) -> ProgramProgress:
     """Return the program's progress with new goals that bring moving digits to rest."""
     reach = tuple(digit.reach for digit in model.digits)
     setpoints = setpoints_of(model, state)
@@ -115,7 +117,7 @@ def bring_to_rest(model: HandModel, state: State, only_streamed: bool = False) -
 
 
 def apply_target(
-    model: HandModel, state: State, target: StreamTarget | None, t_ns: int
+    model: HandModel, state: ControllerState, target: StreamTarget | None, t_ns: int
 ) -> tuple[TickEvent, ...]:
     """Apply a target of a stream, and begin the motion to the target.
 
@@ -132,7 +134,7 @@ def apply_target(
     stream = state.decisions.stream
     if (
         stream is None
-        or state.mode != Mode.ACTIVE
+        or state.mode != HandMode.ACTIVE
         or (target is not None and target.stream != stream.name)
     ):
         return ()  # the target belongs to a stream that has ended, or to another client
@@ -170,7 +172,12 @@ def apply_target(
 
 
 def _begin_ramp(
-    model: HandModel, state: State, stream: StreamPlan, values: Vector, sent_ns: int, t_ns: int
+    model: HandModel,
+    state: ControllerState,
+    stream: StreamPlan,
+    values: Vector,
+    sent_ns: int,
+    t_ns: int,
 ) -> bool:
     """Begin a ramp from the present tension setpoints to a target.
 
@@ -198,7 +205,12 @@ def _begin_ramp(
 
 
 def _begin_segment(
-    model: HandModel, state: State, stream: StreamPlan, values: Vector, sent_ns: int, t_ns: int
+    model: HandModel,
+    state: ControllerState,
+    stream: StreamPlan,
+    values: Vector,
+    sent_ns: int,
+    t_ns: int,
 ) -> bool:
     """Begin the motion from the present reference to a target.
 
@@ -239,7 +251,9 @@ def _begin_segment(
     )  # fmt: skip
 
 
-def _count_target(state: State, counter_row: int, event_text: str = "") -> tuple[TickEvent, ...]:
+def _count_target(
+    state: ControllerState, counter_row: int, event_text: str = ""
+) -> tuple[TickEvent, ...]:
     """Count a target in a counter of the state.
 
     Returns an event with the text for the first such target of a stream.
@@ -249,7 +263,7 @@ def _count_target(state: State, counter_row: int, event_text: str = "") -> tuple
     return (TickEvent("info", "stream", "", event_text),) if event_text and count == 1 else ()
 
 
-def stream_status(state: State) -> StreamStatus:
+def stream_status(state: ControllerState) -> StreamStatus:
     """Return the status of the open stream of targets."""
     if state.decisions.stream is None:
         return _NO_STREAM

@@ -25,7 +25,11 @@ from handctl.compiled import compile_kernels
 from handctl.controller import gain_change, hand_modes
 from handctl.controller.apply_requests import apply_requests
 from handctl.controller.client_lease import expire_lease
-from handctl.controller.controller_state import Decisions, State, layout_of_state
+from handctl.controller.controller_state import (
+    ControllerDecisions,
+    ControllerState,
+    layout_of_state,
+)
 from handctl.controller.monitor.safety_thresholds import compiled_constants, safety_limits
 from handctl.controller.monitor.unsolicited_replies import detect_unsolicited_replies
 from handctl.controller.relaxing import is_open_loop, present_relax_rate
@@ -40,7 +44,7 @@ from handctl.core.estimation.consistency_events import consistency_events
 from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickEvent, TickIn, TickOut, Vector
+from handctl.core.tick_types import HandMode, TickEvent, TickIn, TickOut, Vector
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
 from handctl.drives.frame import ERROR, Frame
@@ -56,7 +60,7 @@ from handctl.drives.frame_records import (
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.programs.program import TARE_PHASE, Program
 from handctl.programs.requests import REFUSED_PREFIX
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.safety.safety_limits import SafetyLimits
 from handctl.safety.tick_verdict import (
     FaultFinding,
@@ -70,11 +74,11 @@ NO_REQUESTS: tuple[hand_modes.OperatorRequests, tuple[TickEvent, ...]] = (
     hand_modes.OperatorRequests(),
     (),
 )
-ACTIVE = Mode.ACTIVE
-CUT = Mode.CUT
-DONE = Mode.DONE
-RELAX = Mode.RELAX
-SILENT = Mode.SILENT
+ACTIVE = HandMode.ACTIVE
+CUT = HandMode.CUT
+DONE = HandMode.DONE
+RELAX = HandMode.RELAX
+SILENT = HandMode.SILENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,15 +169,15 @@ class Controller:
         for name, value in made.items():
             object.__setattr__(self, name, value)
 
-    def initial_state(self) -> State:
+    def initial_state(self) -> ControllerState:
         """Return the state before the first tick, which follows from the configuration alone."""
         drives = tuple(drive.initial_state() for drive in self.drives)
-        decisions = Decisions(
+        decisions = ControllerDecisions(
             tuple(drive.with_values() for drive in drives),
             self.program.initial_progress(self.model),
             amplifiers=tuple(one.initial_state() for one in self.sensors.amplifiers),
         )
-        state = State(self.layout, self.layout.initial.copy(), decisions)
+        state = ControllerState(self.layout, self.layout.initial.copy(), decisions)
         state.armed = self.arm_at_once
         state.view("turn_sigma")[...] = self.constants.layout.view(
             self.constants.block, "range_sigma"
@@ -187,7 +191,9 @@ class Controller:
         """Return the frames that remove the torque of every motor."""
         return tuple(frame for drive in self.drives for frame in drive.cut_frames())
 
-    def tick(self, last_state: State, tick_input: TickIn) -> tuple[State, TickOut]:
+    def tick(
+        self, last_state: ControllerState, tick_input: TickIn
+    ) -> tuple[ControllerState, TickOut]:
         """Compute one tick of the controller.
 
         Args:
@@ -204,7 +210,7 @@ class Controller:
         step.command(tick_input.requests)
         return step.conclude()
 
-    def begin_tick(self, last_state: State, tick_input: TickIn) -> "OpenTick":
+    def begin_tick(self, last_state: ControllerState, tick_input: TickIn) -> "TickInProgress":
         """Process the received frames, and correct and predict the tension filter.
 
         Args:
@@ -221,10 +227,10 @@ class Controller:
         signs = controller._process_frames(
             last_state, state, tick_input, frames_as_records(tick_input.frames)
         )
-        return OpenTick(controller, last_state, state, tick_input, signs)
+        return TickInProgress(controller, last_state, state, tick_input, signs)
 
-    def _command_drives(self, open_tick: "OpenTick", requests: tuple[str, ...]) -> None:
-        """Apply requests, judge, decide, and compute the frames to send, see ``OpenTick.command``."""
+    def _command_drives(self, open_tick: "TickInProgress", requests: tuple[str, ...]) -> None:
+        """Apply requests, judge, decide, and compute the frames to send, see ``TickInProgress.command``."""
         before, state, entry = open_tick.before, open_tick.state, open_tick.entry
         operator, request_events = NO_REQUESTS
         if requests:
@@ -252,8 +258,8 @@ class Controller:
             events + tuple(map(_fault_event, findings)) + mode_events + program_events
         )
 
-    def _conclude_tick(self, open_tick: "OpenTick") -> tuple[State, TickOut]:
-        """Design pending gains, and complete state and output, see ``OpenTick.conclude``."""
+    def _conclude_tick(self, open_tick: "TickInProgress") -> tuple[ControllerState, TickOut]:
+        """Design pending gains, and complete state and output, see ``TickInProgress.conclude``."""
         state = open_tick.state
         if open_tick.unchanged:
             open_tick.events += self._design_pending_gains(
@@ -276,7 +282,11 @@ class Controller:
     # receive, estimate
 
     def _process_frames(
-        self, last_state: State, state: State, tick_input: TickIn, frames: Frames
+        self,
+        last_state: ControllerState,
+        state: ControllerState,
+        tick_input: TickIn,
+        frames: Frames,
     ) -> tuple[str, ...]:
         """Process received frames, and correct and predict the tension filter.
 
@@ -301,7 +311,9 @@ class Controller:
             )
         return signs
 
-    def _receive_frames(self, state: State, frames: Frames, fresh_ns: int) -> tuple[str, ...]:
+    def _receive_frames(
+        self, state: ControllerState, frames: Frames, fresh_ns: int
+    ) -> tuple[str, ...]:
         """Process received frames.
 
         Args:
@@ -348,7 +360,7 @@ class Controller:
             [group for one, groups in pairs if one.phase != DrivePhase.READY for group in groups]
         )
 
-    def _receive_amplifier_frame(self, state: State, frame: Frame) -> None:
+    def _receive_amplifier_frame(self, state: ControllerState, frame: Frame) -> None:
         """Pass a frame to the state machine of the amplifier that sent it."""
         i = self.amplifier_of[frame.bus, frame.can_id]
         before = state.decisions.amplifiers
@@ -357,7 +369,7 @@ class Controller:
             state.decide(amplifiers=(*before[:i], after, *before[i + 1 :]))
 
     def _advance_amplifiers(
-        self, state: State, target: DriveTarget, t_ns: int
+        self, state: ControllerState, target: DriveTarget, t_ns: int
     ) -> tuple[Frame, ...]:
         """Continue the set-up of the amplifiers, and return the frames to send."""
         states = list[AmplifierState]()
@@ -372,7 +384,7 @@ class Controller:
             state.decide(amplifiers=tuple(states))
         return tuple(out)
 
-    def store_drive_state(self, state: State, n: int, drive_state: DriveState) -> None:
+    def store_drive_state(self, state: ControllerState, n: int, drive_state: DriveState) -> None:
         """Store the state of a drive in the state block and in the decisions, after its state machine has run."""
         before = state.decisions.drives[n]
         drive = self.drives[n]
@@ -388,7 +400,9 @@ class Controller:
 
     # judge, decide
 
-    def _count_refusals(self, state: State, request_events: tuple[TickEvent, ...]) -> None:
+    def _count_refusals(
+        self, state: ControllerState, request_events: tuple[TickEvent, ...]
+    ) -> None:
         """Count the refused requests, and the malformed requests within the last second.
 
         A program may test which requests are in range, so refused requests are no fault. Only
@@ -407,11 +421,11 @@ class Controller:
 
     def _judge_faults(
         self,
-        last_state: State,
-        state: State,
+        last_state: ControllerState,
+        state: ControllerState,
         tick_input: TickIn,
         second_controller_signs: tuple[str, ...],
-    ) -> tuple[Action, tuple[FaultFinding, ...]]:
+    ) -> tuple[SafetyAction, tuple[FaultFinding, ...]]:
         """Detect faults, latch them, and choose the reaction."""
         state.set_run_integer(
             s.TARED, state.progress.phase != TARE_PHASE
@@ -447,19 +461,21 @@ class Controller:
             state.decide(latched=verdict.latched, reported_faults=verdict.reported_faults)
         return verdict.action, verdict.findings
 
-    def _any_node_seen(self, state: State) -> bool:
+    def _any_node_seen(self, state: ControllerState) -> bool:
         """Return True if any node has ever answered, or if torque may act."""
         heard = any(phase != DrivePhase.SILENT for phase in state.phases) or bool(
             state.view("group_frames").any()
         )
-        return heard or Mode.ARMING <= state.mode <= RELAX
+        return heard or HandMode.ARMING <= state.mode <= RELAX
 
-    def _advance_program(self, state: State, action: Action) -> tuple[TickEvent, ...]:
+    def _advance_program(
+        self, state: ControllerState, action: SafetyAction
+    ) -> tuple[TickEvent, ...]:
         """Advance the program while the hand is active.
 
         The program's time stops while the safety monitor holds the hand.
         """
-        if state.mode != ACTIVE or action >= Action.HOLD:
+        if state.mode != ACTIVE or action >= SafetyAction.HOLD:
             return ()
         t = state.goal_time + self.model.period
         progress, events = self.program.advance(
@@ -470,7 +486,7 @@ class Controller:
         state.goal_time = t
         return events
 
-    def _write_progress(self, state: State, last_state: State | None) -> None:
+    def _write_progress(self, state: ControllerState, last_state: ControllerState | None) -> None:
         """Write the goals that the program has changed into the state block."""
         progress = state.progress
         old = last_state.progress if last_state else None
@@ -487,7 +503,7 @@ class Controller:
 
     # command
 
-    def _compute_torques(self, state: State, action: Action, ticks: int) -> None:
+    def _compute_torques(self, state: ControllerState, action: SafetyAction, ticks: int) -> None:
         """Compute the motor torques of the tick.
 
         The torques are 0 unless the hand is active or relaxing.
@@ -507,7 +523,7 @@ class Controller:
         tick_stages.compute_motor_torques(block, places, *self._constants, rate, int(opened), ticks)
 
     def _design_pending_gains(
-        self, unchanged: State, state: State, action: Action, ticks: int
+        self, unchanged: ControllerState, state: ControllerState, action: SafetyAction, ticks: int
     ) -> tuple[TickEvent, ...]:
         """Design the next loop of the pending gains.
 
@@ -535,7 +551,7 @@ class Controller:
 
     # encode
 
-    def _encode_frames(self, state: State, t_ns: int) -> Frames:
+    def _encode_frames(self, state: ControllerState, t_ns: int) -> Frames:
         """Return the frames of the tick: cut frames first, then SYNC, then the command of each drive."""
         mode = state.mode
         if mode in (SILENT, DONE):
@@ -568,7 +584,7 @@ class Controller:
 
     def _write_commands(
         self,
-        state: State,
+        state: ControllerState,
         frame_words: WordRows,
         start: int,
         target: DriveTarget,
@@ -592,7 +608,7 @@ class Controller:
         first = 0
         pending_row = start
         count = 1
-        clearing = state.clearing and state.mode == Mode.INVENTORY
+        clearing = state.clearing and state.mode == HandMode.INVENTORY
         n = len(self.drives)
         while True:
             if target == DriveTarget.ENABLE:
@@ -621,7 +637,7 @@ class Controller:
 
 
 @dataclass(slots=True)
-class OpenTick:
+class TickInProgress:
     """A tick in progress, between its steps.
 
     Attributes:
@@ -637,14 +653,14 @@ class OpenTick:
     """
 
     controller: Controller
-    before: State
-    state: State
+    before: ControllerState
+    state: ControllerState
     entry: TickIn
     signs: tuple[str, ...]
     sent: Frames = NO_FRAMES
-    action: Action = Action.PASS
+    action: SafetyAction = SafetyAction.PASS
     events: tuple[TickEvent, ...] = ()
-    unchanged: State | None = None
+    unchanged: ControllerState | None = None
 
     def command(self, requests: tuple[str, ...]) -> Frames:
         """Apply requests, and return the frames to send.
@@ -658,26 +674,26 @@ class OpenTick:
         self.controller._command_drives(self, requests)
         return self.sent
 
-    def conclude(self) -> tuple[State, TickOut]:
+    def conclude(self) -> tuple[ControllerState, TickOut]:
         """Return the state after the tick and the output of the tick."""
         return self.controller._conclude_tick(self)
 
 
-def send_torque_only(state: State, n: int) -> None:
+def send_torque_only(state: ControllerState, n: int) -> None:
     """Write into the state that a drive's state machine has sent a torque command instead of the position command."""
     servo = state.layout.table(state.block, "servo")
     servo[[s.SERVO_KP, s.SERVO_KD], n] = 0.0
     servo[s.SERVO_TORQUE, n] = state.tendon[s.TORQUE, n]
 
 
-_ACTION_BY_NUMBER = {int(action): action for action in Action}
+_ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
 
 
 def _fault_event(finding: FaultFinding) -> TickEvent:
     """Return the event that reports a fault that the safety monitor has found."""
     fault = finding.fault
-    level = "error" if fault.action >= Action.RELAX else "warn"
+    level = "error" if fault.action >= SafetyAction.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"
     return TickEvent(
-        level if fault.action > Action.PASS else "info", "fault", finding.instance, text
+        level if fault.action > SafetyAction.PASS else "info", "fault", finding.instance, text
     )

@@ -22,7 +22,7 @@ from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.control_law.servo_commands import command_torque_only
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
-from handctl.core.state_block import Tables, state_tables
+from handctl.core.state_block import StateTables, state_tables
 from handctl.drives.contract import Drive
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
 from handctl.drives.frame_records import (
@@ -42,8 +42,8 @@ from handctl.drives.signals import (
     ORDER_COLUMN,
     QUANTITY_COLUMN,
     WINDOW_COLUMN,
-    Message,
-    Quantity,
+    CyclicMessage,
+    SignalQuantity,
     SignalTable,
     bytes_reversed,
     decode_signal,
@@ -79,9 +79,9 @@ ENABLED_PHASE = 3
 MISSING_ENTRY = -1
 """Index that stands for a missing entry."""
 POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(
-    int, tuple(Quantity)[:8]
+    int, tuple(SignalQuantity)[:8]
 )
-"""Values of ``drives.signals.Quantity``, for compiled code."""
+"""Values of ``drives.signals.SignalQuantity``, for compiled code."""
 ID_MASK = 0xFFFFFFFF
 """Mask of a CAN identifier with its flags."""
 BYTE_MASK = 0xFF
@@ -280,7 +280,7 @@ def receive_frames(
 
 @kernel_helper
 def _count_unknown_frame(
-    x: Tables, keys: IntArray, entries: IntArray, bus: Any, can_id: Any
+    x: StateTables, keys: IntArray, entries: IntArray, bus: Any, can_id: Any
 ) -> None:
     """Count a frame with an unknown identifier.
 
@@ -299,7 +299,7 @@ def _count_unknown_frame(
 
 
 @kernel_helper
-def _count_stale_frame(x: Tables, group: int) -> None:
+def _count_stale_frame(x: StateTables, group: int) -> None:
     """Count a sensor frame that answers an older SYNC."""
     x.run_int[s.STALE_FRAMES] += 1
     x.run_int[s.STALE_NOW] = max(
@@ -309,7 +309,7 @@ def _count_stale_frame(x: Tables, group: int) -> None:
 
 @kernel_helper
 def _decode_sensor_frame(
-    x: Tables,
+    x: StateTables,
     t_ns: Any,
     payload: Any,
     is_length_right: bool,
@@ -356,7 +356,7 @@ def _decode_sensor_frame(
 
 
 @kernel_helper
-def _is_nearer(x: Tables, c: ConstantTables, n: Any, position: float) -> bool:
+def _is_nearer(x: StateTables, c: ConstantTables, n: Any, position: float) -> bool:
     """Return True if a position is nearer to the predicted position than the position received before in this tick.
 
     The tension filter predicts the position at the time of the request. Before the filter has
@@ -371,7 +371,7 @@ def _is_nearer(x: Tables, c: ConstantTables, n: Any, position: float) -> bool:
 
 @kernel_helper
 def _decode_drive_frame(
-    x: Tables,
+    x: StateTables,
     c: ConstantTables,
     t_ns: Any,
     row: Any,
@@ -445,7 +445,7 @@ def _decode_drive_frame(
 
 
 @kernel_helper
-def _store_value(x: Tables, row: int, n: int, value: float) -> None:
+def _store_value(x: StateTables, row: int, n: int, value: float) -> None:
     """Write a value into the tendon table, unless it is NaN.
 
     NaN means that the frame has no such signal.
@@ -455,7 +455,7 @@ def _store_value(x: Tables, row: int, n: int, value: float) -> None:
 
 
 @kernel_helper
-def _can_be_encoded(x: Tables, n: int, reals: FloatArray, first: int, end: int) -> bool:
+def _can_be_encoded(x: StateTables, n: int, reals: FloatArray, first: int, end: int) -> bool:
     """Return True if each number of a drive's position command is within the range of its signal."""
     for i in range(first, end):
         if not reals[i, 2] <= x.servo[s.SERVO_POSITION + i - first, n] <= reals[i, 3]:
@@ -465,7 +465,7 @@ def _can_be_encoded(x: Tables, n: int, reals: FloatArray, first: int, end: int) 
 
 @kernel_helper
 def _write_position_command(
-    x: Tables,
+    x: StateTables,
     n: int,
     row: Any,
     template: Any,
@@ -678,7 +678,7 @@ class WireTables:
             self._entries_without[groups] = entries
         return entries
 
-    def _add_message(self, message: Message) -> tuple[int, int]:
+    def _add_message(self, message: CyclicMessage) -> tuple[int, int]:
         """Add the signals of a message to the tables. Return the range of their rows."""
         first = sum(len(table.wholes) for table in self._signals)
         self._signals.append(SignalTable(message))
@@ -736,15 +736,19 @@ class WireTables:
         self.servo_reals: FloatArray = np.concatenate(reals)
 
 
-def _ranges_of_signals(message: Message, torque_gain: float) -> FloatArray:
+def _ranges_of_signals(message: CyclicMessage, torque_gain: float) -> FloatArray:
     """Return scale, offset, smallest and largest value of each signal of a position command, (p, 4)."""
     rows = []
     for signal in message.signals:
-        if signal.quantity == Quantity.UNUSED:
+        if signal.quantity == SignalQuantity.UNUSED:
             continue
-        gain = 1.0 if signal.quantity in (Quantity.POSITION, Quantity.VELOCITY) else torque_gain
+        gain = (
+            1.0
+            if signal.quantity in (SignalQuantity.POSITION, SignalQuantity.VELOCITY)
+            else torque_gain
+        )
         low, high = signal.ends
-        if signal.quantity == Quantity.TORQUE:
+        if signal.quantity == SignalQuantity.TORQUE:
             low = max(low, -message.limit)
             high = min(high, message.limit)
         rows.append([gain * value for value in (signal.scale, signal.offset, low, high)])
@@ -755,7 +759,7 @@ def _frame_key(bus: int, can_id: int) -> int:
     return bus << 32 | can_id
 
 
-def _frame_template(message: Message, bus: int) -> WordRows:
+def _frame_template(message: CyclicMessage, bus: int) -> WordRows:
     payload = message.base.ljust(message.length, b"\0")
     row: WordRows = frames_as_records([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
     return row

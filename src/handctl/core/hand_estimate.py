@@ -9,7 +9,7 @@ from handctl.core.tick_types import Vector
 QuantityTable = NDArray[np.float64]
 
 
-class Estimate:
+class HandEstimate:
     """Estimate of the hand's state at the present time. Each property is (N,) unless its docstring gives another shape.
 
     Attributes:

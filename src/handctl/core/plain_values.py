@@ -25,7 +25,7 @@ ARRAY_MARK, MODEL_MARK, BYTES_MARK = ":array", ":model", ":bytes"
 NAMES_IN_LOGS = {
     "controller.pending_gains.PendingGains": "controller.coming.Coming",
     "drives.contract.DriveTarget": "drives.contract.Want",
-    "controller.controller_state.Decisions": "controller.state.Decisions",
+    "controller.controller_state.ControllerDecisions": "controller.state.Decisions",
     "controller.controller_state.ClientLease": "controller.state.Lease",
     "core.control_law.digit_goal.DigitGoal": "core.law.goal.DigitGoal",
     "core.control_law.trajectory.MinimumJerk": "core.law.trajectory.MinimumJerk",

@@ -256,7 +256,7 @@ SERVO_SHARE = _real("servo_share", "servo", "", "fraction of recent ticks with k
 SERVO_REPORT = _real("servo_report", "servo", "N",
     "motor force that the drive should report in this tick", initial=NAN)  # fmt: skip
 
-# Drives: values from their cyclic frames. The state of each drive's set-up is in ``State.drives``.
+# Drives: values from their cyclic frames. The state of each drive's set-up is in ``ControllerState.drives``.
 POSITION = _real("position", "tendon", "rad",
     "motor position, at the spool; NaN before any feedback", initial=NAN)  # fmt: skip
 VELOCITY = _real("velocity", "tendon", "rad/s",
@@ -437,7 +437,7 @@ CLEARING = _whole("clearing", "run", "",
     "1 while latched errors of the drives are cleared before arming")  # fmt: skip
 
 
-class Tables(NamedTuple):
+class StateTables(NamedTuple):
     """Tables of a state block, each (rows, length of the axis), except ``run`` and ``run_int``, which are (rows,)."""
 
     tendon: NDArray[np.float64]
@@ -456,7 +456,7 @@ class Tables(NamedTuple):
 
 
 @kernel_helper
-def state_tables(block: BlockArray, at: TablePlaces) -> Tables:
+def state_tables(block: BlockArray, at: TablePlaces) -> StateTables:
     """Return the tables of a state block.
 
     Args:
@@ -464,7 +464,7 @@ def state_tables(block: BlockArray, at: TablePlaces) -> Tables:
         at: ``Layout.places`` of the layout of the block.
     """
     whole = block.view(np.int64)
-    return Tables(
+    return StateTables(
         borrowed_array(block, at[9], ((at[10] - at[9]) // at[0], at[0])),
         borrowed_array(block, at[10], ((at[11] - at[10]) // at[1], at[1])),
         borrowed_array(block, at[11], ((at[12] - at[11]) // at[2], at[2])),
@@ -494,7 +494,7 @@ RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
 
 
 @kernel_helper
-def reset_monitor(x: Tables, initial: Tables) -> None:
+def reset_monitor(x: StateTables, initial: StateTables) -> None:
     """Reset the memory of the fault detectors that work while the hand is under torque."""
     for n in range(x.tendon.shape[1]):
         for row in range(TENDON_FIRST, TENDON_END):

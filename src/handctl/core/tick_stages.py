@@ -38,9 +38,9 @@ from handctl.core.estimation import (
 from handctl.core.state_block import state_tables
 
 SILENT, ARMING, ACTIVE, RELAX, DONE = 0, 3, 4, 5, 8
-"""Values of ``core.tick_types.Mode``."""
+"""Values of ``core.tick_types.HandMode``."""
 HOLD_ACTION = 2
-"""Value of ``safety.action.Action.HOLD``."""
+"""Value of ``safety.action.SafetyAction.HOLD``."""
 
 
 @kernel("block", "layout", "constants", "layout")

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.drives.frame import Frame
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 Vector = NDArray[np.float64]
 
 
-class Mode(enum.IntEnum):
+class HandMode(enum.IntEnum):
     """Mode of the whole hand during a run."""
 
     SILENT = 0
@@ -36,11 +36,11 @@ class Mode(enum.IntEnum):
     """Each drive is disarmed, or cannot confirm that it is. The control loop may end."""
 
 
-BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
+BEFORE_ARMING = (HandMode.SILENT, HandMode.INVENTORY, HandMode.READY)
 """Modes in which no drive was enabled yet."""
-TORQUE_MODES = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
+TORQUE_MODES = (HandMode.ARMING, HandMode.ACTIVE, HandMode.RELAX)
 """Modes in which torque may act."""
-SHUTTING_DOWN = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
+SHUTTING_DOWN = (HandMode.RELAX, HandMode.CUT, HandMode.DISARM, HandMode.DONE)
 """Modes after which the hand cannot become active again."""
 
 
@@ -240,9 +240,9 @@ class TickOut(NamedTuple):
     """
 
     frames: Sequence[Frame]
-    mode: Mode
+    mode: HandMode
     phase: str
-    action: Action
+    action: SafetyAction
     telemetry: Telemetry | PackedTelemetry
     events: tuple[TickEvent, ...]
     state_hash: bytes

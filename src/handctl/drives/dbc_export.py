@@ -13,7 +13,7 @@ from typing import NamedTuple
 from handctl.drives.contract import Drive
 from handctl.drives.frame import EXTENDED, REMOTE
 from handctl.drives.sensors.contract import SensorInterface
-from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
+from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
 # Names of the host and of the sensor node in a DBC.
 HOST_NODE_NAME = "host"
@@ -25,7 +25,7 @@ EXTENDED_BIT = 1 << 31
 class SentMessage(NamedTuple):
     """Cyclic frame with the names of sender and receiver."""
 
-    message: Message
+    message: CyclicMessage
     sender: str
     receiver: str
 
@@ -122,14 +122,16 @@ def _signal_line(signal: Signal, receiver: str) -> str:
     return f' SG_ {signal.name} : {layout} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver}'
 
 
-def _with_drive_name(message: Message, drive: str) -> Message:
+def _with_drive_name(message: CyclicMessage, drive: str) -> CyclicMessage:
     """Return the message with a new name: the name of the drive, then the name of the message."""
     return message._replace(name=f"{drive}_{message.name}")
 
 
-def _with_channel_names(message: Message, tendons: Sequence[str], joints: Sequence[str]) -> Message:
+def _with_channel_names(
+    message: CyclicMessage, tendons: Sequence[str], joints: Sequence[str]
+) -> CyclicMessage:
     """Return a message of the sensor node, with the names of tendons or joints on the signals."""
-    names = {Quantity.TENSION: tendons, Quantity.ANGLE: joints}
+    names = {SignalQuantity.TENSION: tendons, SignalQuantity.ANGLE: joints}
     signals = [
         signal._replace(name=names[signal.quantity][signal.channel])
         if signal.quantity in names

@@ -28,7 +28,7 @@ RealArray = NDArray[np.float64]
 IntegerArray = NDArray[np.int64]
 
 
-class Quantity(enum.IntEnum):
+class SignalQuantity(enum.IntEnum):
     """Physical quantity of a signal."""
 
     POSITION = 0
@@ -89,7 +89,7 @@ class Signal(NamedTuple):
     """
 
     name: str
-    quantity: Quantity
+    quantity: SignalQuantity
     start: int
     length: int
     big_endian: bool = False
@@ -112,7 +112,8 @@ class Signal(NamedTuple):
             high = self.largest
             low = (
                 0.0
-                if self.quantity in (Quantity.STIFFNESS, Quantity.DAMPING, Quantity.LIMIT)
+                if self.quantity
+                in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING, SignalQuantity.LIMIT)
                 else -high
             )
         values = (self.offset + low * self.scale, self.offset + high * self.scale)
@@ -124,7 +125,7 @@ class Signal(NamedTuple):
         return abs(self.scale) / (FLOAT_STEPS if self.coding == SignalCoding.FLOAT else 1)
 
 
-class Message(NamedTuple):
+class CyclicMessage(NamedTuple):
     """Frame exchanged in every tick.
 
     Attributes:
@@ -167,15 +168,16 @@ class CyclicMessages(NamedTuple):
             more after a failure of the host, so its command contains a torque limit.
     """
 
-    feedback: tuple[Message, ...]
-    commands: tuple[Message, ...]
+    feedback: tuple[CyclicMessage, ...]
+    commands: tuple[CyclicMessage, ...]
     feedback_timeout_ns: int = 0
-    position: Message | None = None
+    position: CyclicMessage | None = None
     moves_target: bool = False
 
 
 POSITION_COMMAND = (
-    Quantity.POSITION, Quantity.VELOCITY, Quantity.STIFFNESS, Quantity.DAMPING, Quantity.TORQUE, Quantity.LIMIT
+    SignalQuantity.POSITION, SignalQuantity.VELOCITY, SignalQuantity.STIFFNESS, SignalQuantity.DAMPING,
+    SignalQuantity.TORQUE, SignalQuantity.LIMIT,
 )  # fmt: skip
 """Signals of ``CyclicMessages.position``, in order. The last one is optional.
 
@@ -351,10 +353,10 @@ class SignalTable:
         reals: (signals, 2) scale and offset, see ``SCALE_COLUMN``.
     """
 
-    def __init__(self, message: Message) -> None:
+    def __init__(self, message: CyclicMessage) -> None:
         """Build the arrays of a message. Signals of quantity UNUSED are left out."""
         self.message = message
-        signals = [signal for signal in message.signals if signal.quantity != Quantity.UNUSED]
+        signals = [signal for signal in message.signals if signal.quantity != SignalQuantity.UNUSED]
         self.wholes: IntegerArray = np.array(
             [integer_columns(signal) for signal in signals], dtype=np.int64
         ).reshape(-1, INTEGER_COLUMN_COUNT)

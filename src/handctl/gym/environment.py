@@ -22,7 +22,7 @@ from handctl.controller.target_streams import stream_status
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import packaged_gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickOut, Vector
+from handctl.core.tick_types import HandMode, TickOut, Vector
 from handctl.errors import ConfigError
 from handctl.gym.observed import (
     FIELD_OF_NAME,
@@ -243,17 +243,17 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
             )
         out = run.tick(requests=tuple(self._step_requests(clipped)))
         refused = [event.text for event in out.events if event.text.startswith(REFUSED_PREFIX)]
-        if refused and out.mode == Mode.ACTIVE:
+        if refused and out.mode == HandMode.ACTIVE:
             raise ConfigError(
                 refused[0], f"the controller of {self.hand.name}", "targets within the limits"
             )
         for _ in range(self.ticks - 1):
-            if out.mode == Mode.DONE:
+            if out.mode == HandMode.DONE:
                 break
             out = run.tick()
         self.steps += 1
         reward, ended, information = self.judge()
-        failed = out.mode != Mode.ACTIVE
+        failed = out.mode != HandMode.ACTIVE
         truncated = self.steps >= self.longest and not (ended or failed)
         return (
             self._observation(),

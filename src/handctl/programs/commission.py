@@ -22,7 +22,7 @@ import numpy as np
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.tension_allocation import tensions_for_torque
-from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 from handctl.drives.sensors.sensor_node import TARE_MAX_N, TARE_MIN_N
@@ -106,7 +106,7 @@ class CommissionProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -224,7 +224,7 @@ class CommissionProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -285,7 +285,7 @@ class CommissionProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -409,7 +409,7 @@ def _pull_goal(tendons: slice, i: int) -> DigitGoal:
 
 
 def _known_tensions(
-    model: HandModel, measured: TickMeasurements, estimate: Estimate | None = None
+    model: HandModel, measured: TickMeasurements, estimate: HandEstimate | None = None
 ) -> Vector:
     """Return the tensions (N,) of a tick [N]: readings of load cells, and estimates of tendons without load cell.
 

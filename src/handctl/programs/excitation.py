@@ -12,7 +12,7 @@ from pydantic import Field
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import ChirpTrajectory, MinimumJerk
-from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 from handctl.document import Document
@@ -99,7 +99,7 @@ class ExciteProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -126,7 +126,7 @@ class ExciteProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         t: float,
         step_index: int,
     ) -> ProgressAndEvents:
@@ -155,7 +155,7 @@ class ExciteProgram:
 
 
 def _digit_goal(
-    model: HandModel, d: int, step: ExciteStep, estimate: Estimate, t: float
+    model: HandModel, d: int, step: ExciteStep, estimate: HandEstimate, t: float
 ) -> DigitGoal:
     """Return the goal of digit d in a step."""
     digit = model.digits[d]

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 from handctl.core.control_law.digit_goal import DigitGoal
-from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent
 from handctl.programs.live_session import LiveProgram
@@ -109,7 +109,7 @@ class ExerciseProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -134,7 +134,7 @@ class ExerciseProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         stage_index: int,
         t: float,
     ) -> ProgressAndEvents:
@@ -151,7 +151,7 @@ class ExerciseProgram:
 
 
 def _digit_goal(
-    model: HandModel, d: int, stage: ExerciseStage, estimate: Estimate, t: float
+    model: HandModel, d: int, stage: ExerciseStage, estimate: HandEstimate, t: float
 ) -> DigitGoal:
     """Return the goal of digit d in a stage."""
     if not math.isnan(stage.angle):

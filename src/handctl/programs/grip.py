@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
-from handctl.core.hand_estimate import Estimate
+from handctl.core.hand_estimate import HandEstimate
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 
@@ -56,7 +56,7 @@ class GripState(NamedTuple):
 
     @staticmethod
     def at_hold_start(
-        model: HandModel, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float
+        model: HandModel, goals: tuple[DigitGoal, ...], estimate: HandEstimate, t: float
     ) -> "GripState":
         """Return the grip at the beginning of a hold, for goals that have just been set."""
         tension = np.full(model.tendon_count, np.nan)
@@ -86,7 +86,7 @@ class GripPlan:
     limit: Vector
 
 
-def grip_excursions(model: HandModel, estimate: Estimate) -> Vector:
+def grip_excursions(model: HandModel, estimate: HandEstimate) -> Vector:
     """Return the excursions (N,) up to a constant [m]: the length wound on the spool less the stretch of the tendon."""
     return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
 
@@ -96,7 +96,7 @@ def advance_grip(
     grip: GripState,
     plan: GripPlan,
     goals: tuple[DigitGoal, ...],
-    estimate: Estimate,
+    estimate: HandEstimate,
     t: float,
 ) -> tuple[GripState, tuple[DigitGoal, ...], tuple[TickEvent, ...]]:
     """Advance a grip by one tick.

@@ -7,7 +7,7 @@ import numpy as np
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import PEAK_SPEED
-from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 from handctl.errors import ConfigError
@@ -61,7 +61,7 @@ class LiveProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -94,7 +94,7 @@ def _carry_out_task(
     model: HandModel,
     progress: ProgramProgress,
     task: Task,
-    estimate: Estimate,
+    estimate: HandEstimate,
     measured: TickMeasurements,
     t: float,
 ) -> ProgressAndEvents:
@@ -115,7 +115,7 @@ def end_task(progress: ProgramProgress) -> ProgramProgress:
 
 
 def begin_task(
-    model: HandModel, progress: ProgramProgress, task: Task, estimate: Estimate, t: float
+    model: HandModel, progress: ProgramProgress, task: Task, estimate: HandEstimate, t: float
 ) -> ProgressAndEvents:
     """Begin a task up to its first hold, which lasts until ``release_task``, at most an hour.
 
@@ -139,7 +139,9 @@ def begin_task(
     return progress, (TickEvent("info", "request", "", f"grasp {task.name}"), *events)
 
 
-def _start_refusal(model: HandModel, first_move: MovePhase, estimate: Estimate) -> TickEvent | None:
+def _start_refusal(
+    model: HandModel, first_move: MovePhase, estimate: HandEstimate
+) -> TickEvent | None:
     """Return an event if the first move is too fast from the present angles, or None if it is slow enough."""
     for d, name in enumerate(model.hand.digit_names):
         digit = model.digits[d]
@@ -185,7 +187,7 @@ class JogProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -209,7 +211,7 @@ def apply_goal(
     model: HandModel,
     progress: ProgramProgress,
     request: MoveDigits | HoldTension,
-    estimate: Estimate,
+    estimate: HandEstimate,
     t: float,
     reference: tuple[Vector, ...] | None = None,
 ) -> ProgressAndEvents:
@@ -268,7 +270,7 @@ def apply_goal(
 
 
 def _end_of_move(
-    model: HandModel, d: int, angles: Mapping[str, float], start: Estimate | Vector
+    model: HandModel, d: int, angles: Mapping[str, float], start: HandEstimate | Vector
 ) -> Vector | str | None:
     """Return the coordinates at the end of a digit's move [deg].
 
@@ -309,7 +311,7 @@ def _end_of_move(
 def _move_goal(
     model: HandModel,
     d: int,
-    estimate: Estimate,
+    estimate: HandEstimate,
     start: Vector | None,
     end: Vector,
     duration: float,
@@ -324,7 +326,7 @@ def _move_goal(
 
 
 def _reach_problem(
-    model: HandModel, d: int, estimate: Estimate, end: Vector, duration: float
+    model: HandModel, d: int, estimate: HandEstimate, end: Vector, duration: float
 ) -> str:
     """Return the reason why a digit cannot move to coordinates [deg] in a time [s], empty if it can."""
     digit = model.digits[d]

@@ -7,7 +7,7 @@ import numpy as np
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import MinimumJerk, SampledTrajectory
-from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 from handctl.programs.live_session import LiveProgram
@@ -82,7 +82,7 @@ class PlaybackProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -110,7 +110,7 @@ class PlaybackProgram:
         return self._follow_recording(model, replace(progress, step=progress.step + 1)), ()
 
     def _start_approach(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Start the slow move to the first pose of the recording."""
         goals = []

@@ -10,7 +10,7 @@ from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.tension_allocation import tensions_for_torque
 from handctl.core.control_law.trajectory import CurveTrajectory, duration_for
 from handctl.core.estimation.tip_force import joint_lever, reduced_tip_lever
-from handctl.core.hand_estimate import Estimate, TickMeasurements
+from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
 from handctl.hand.digit import DigitModel
@@ -82,7 +82,7 @@ class TaskProgram:
         self,
         model: HandModel,
         progress: ProgramProgress,
-        estimate: Estimate,
+        estimate: HandEstimate,
         measured: TickMeasurements,
         t: float,
     ) -> ProgressAndEvents:
@@ -97,14 +97,14 @@ class TaskProgram:
         return self._advance_phase(model, progress, estimate, t)
 
     def begin(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Begin with the first phase of the task, for a hand whose tendons are taut."""
         untouched = (0,) * len(model.digits)
         return self._enter_phase(model, replace(progress, step=0, touching=untouched), estimate, t)
 
     def _advance_phase(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Advance the present phase of the task by one tick."""
         progress, events = self._detect_contact(model, progress, estimate, t)
@@ -117,7 +117,7 @@ class TaskProgram:
         return progress, events
 
     def _wait_until_taut(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Wait until all tendons have been taut for a while.
 
@@ -139,7 +139,7 @@ class TaskProgram:
         return progress, ()
 
     def _enter_phase(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Enter the next phase of the task, or finish."""
         step = progress.step + 1
@@ -180,7 +180,7 @@ class TaskProgram:
         progress: ProgramProgress,
         d: int,
         name: str,
-        estimate: Estimate,
+        estimate: HandEstimate,
         t: float,
     ) -> DigitGoal:
         """Return the goal of digit d at the beginning of the present phase."""
@@ -223,7 +223,7 @@ class TaskProgram:
         )
 
     def _hold_tension(
-        self, model: HandModel, phase: HoldPhase, d: int, name: str, estimate: Estimate
+        self, model: HandModel, phase: HoldPhase, d: int, name: str, estimate: HandEstimate
     ) -> Vector | None:
         """Return the tension targets (n_t,) of a digit that holds [N], from a tension or from a tip force.
 
@@ -248,7 +248,7 @@ class TaskProgram:
         return tensions_for_torque(arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
     def _advance_hold(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Update the grip during a hold, and raise its tensions after slip."""
         phase = self.task.phase[progress.step - 1]
@@ -266,7 +266,7 @@ class TaskProgram:
         return replace(progress, grip=grip, goals=goals), events
 
     def _detect_contact(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> ProgressAndEvents:
         """Detect the contact of closing digits, and let these digits hold their tension."""
         phase = self.task.phase[progress.step - 1]
@@ -308,7 +308,7 @@ class TaskProgram:
         return replace(changed, closing=_closing_digits(phase, changed)), tuple(events)
 
     def _is_phase_over(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate, t: float
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate, t: float
     ) -> bool:
         """Return True if the present phase of the task has ended."""
         phase = self.task.phase[progress.step - 1]
@@ -335,7 +335,7 @@ class TaskProgram:
         )
 
     def _release_warnings(
-        self, model: HandModel, progress: ProgramProgress, estimate: Estimate
+        self, model: HandModel, progress: ProgramProgress, estimate: HandEstimate
     ) -> tuple[TickEvent, ...]:
         """Return warnings at the end of a release, for digits that are still under tension."""
         phase = self.task.phase[progress.step - 1]
@@ -366,7 +366,7 @@ def _closing_digits(
 
 
 def _still_tensioned(
-    model: HandModel, progress: ProgramProgress, phase: ReleasePhase, estimate: Estimate
+    model: HandModel, progress: ProgramProgress, phase: ReleasePhase, estimate: HandEstimate
 ) -> list[str]:
     """Return the names of tension-controlled digits whose tension is still above that of a release."""
     limit = np.maximum(phase.tension_N, model.redundancy.balance) + RELEASED_WITHIN_N
@@ -400,7 +400,7 @@ def _grip_plan(
     return GripPlan(1e3 * stiffness_N_per_mm, limit)
 
 
-def _distance_error(model: HandModel, phase: FollowPhase, estimate: Estimate) -> str:
+def _distance_error(model: HandModel, phase: FollowPhase, estimate: HandEstimate) -> str:
     """Return a message if a digit is too far from the start of its curve, else an empty text."""
     for digit in model.digits:
         angle = np.degrees(coordinates_by_excursion(digit, estimate))
@@ -419,7 +419,7 @@ def _distance_error(model: HandModel, phase: FollowPhase, estimate: Estimate) ->
 
 
 def _curve_of_digit(
-    phase: FollowPhase, digit: DigitModel, estimate: Estimate
+    phase: FollowPhase, digit: DigitModel, estimate: HandEstimate
 ) -> CurveTrajectory | None:
     """Return the curve of a digit, None if the phase gives it no angle.
 

@@ -20,7 +20,7 @@ from handctl.log.read.reader import RunLog
 from handctl.replay.execute import gc_disabled
 from handctl.replay.log_runner import TICKS_PER_PROGRESS_REPORT, refusal_error
 from handctl.replay.rebuild import rebuild_controller
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.safety.faults.table import FAULT_BY_ID
 from handctl.safety.safety_limits import (
     MIN_SILENT_TICKS,
@@ -173,10 +173,10 @@ def _judge_ticks(
         ticks += 1
         if progress and ticks % TICKS_PER_PROGRESS_REPORT == 0:
             progress(ticks)
-        stopped += verdict.action >= Action.HOLD
-        stopped_logged += out.action >= Action.HOLD
+        stopped += verdict.action >= SafetyAction.HOLD
+        stopped_logged += out.action >= SafetyAction.HOLD
         for event in verdict.events:
-            if event.name == "fault" and FAULT_BY_ID[_fault_id(event)].action >= Action.HOLD:
+            if event.name == "fault" and FAULT_BY_ID[_fault_id(event)].action >= SafetyAction.HOLD:
                 fault = FAULT_BY_ID[_fault_id(event)]
                 t_s = entry.t_ns / 1e9
                 # The text of a fault event ends with the reading in brackets.

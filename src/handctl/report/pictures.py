@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame import EXTENDED, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
@@ -205,7 +205,7 @@ def _phase_middles(log: RunLog) -> list[tuple[str, int]]:
     inside = [
         (name, i) for name, i in middles if name not in PASSIVE_PHASES and i < len(log)
     ]  # the ticks may be unordered
-    return [(name, i) for name, i in inside if log.mode[i] == int(Mode.ACTIVE)][: 2 * PER_ROW]
+    return [(name, i) for name, i in inside if log.mode[i] == int(HandMode.ACTIVE)][: 2 * PER_ROW]
 
 
 def draw_lateness(log: RunLog) -> str:

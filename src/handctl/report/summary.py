@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.control_law.tendon_redundancy import tendon_directions
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
@@ -45,7 +45,7 @@ def summarise_run(
     """
     truth = truth if truth and truth.covers(log.t_ns + offset_ns) else None
     late = log.late_ns / 1e3
-    active = np.isin(log.mode, (int(Mode.ACTIVE),))
+    active = np.isin(log.mode, (int(HandMode.ACTIVE),))
     result: dict[str, Any] = {
         "hand": hand.name,
         "ticks": len(log),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 from handctl.safety.faults.bus import NO_ACKNOWLEDGE_KINDS
 from handctl.safety.faults.fault import (
     JOINT_INSTANCE,
@@ -66,13 +66,13 @@ class TickVerdict(NamedTuple):
         reported_faults: faults that are reported in this tick.
     """
 
-    action: Action
+    action: SafetyAction
     findings: tuple[FaultFinding, ...]
     latched: tuple[LatchedFault, ...]
     reported_faults: tuple[CountedFault, ...]
 
 
-_ACTION_BY_NUMBER = {int(action): action for action in Action}
+_ACTION_BY_NUMBER = {int(action): action for action in SafetyAction}
 
 
 def judge_tick(

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from handctl.compiled import compile_kernels
 from handctl.controller import run_setup
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.controller.shutdown import shutdown_step
 from handctl.controller.state_snapshot import snapshot_bytes
 from handctl.controller.target_streams import stream_status
@@ -65,7 +65,7 @@ class RunOutcome:
         paused_ns: total duration of these pauses, in wall time [ns].
     """
 
-    state: State
+    state: ControllerState
     stats: LoopStats
     log: dict[str, object]
     priority: GrantedPriority | None
@@ -277,11 +277,11 @@ def _start_view(log: Path) -> Callable[[], None]:
     return child.terminate
 
 
-def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, State], None]:
+def snapshot_recorder(recorder: Recorder) -> Callable[[TickIn, ControllerState], None]:
     """Return a function that is called after each tick, and records a snapshot of the state once per second."""
     due_ns = SNAPSHOT_PERIOD_NS
 
-    def keep_snapshot(entry: TickIn, state: State) -> None:
+    def keep_snapshot(entry: TickIn, state: ControllerState) -> None:
         nonlocal due_ns
         if entry.t_ns >= due_ns:
             due_ns = entry.t_ns + SNAPSHOT_PERIOD_NS
@@ -298,7 +298,7 @@ def _build_loop(
     recorder: Recorder,
     requests: Callable[[], tuple[str, ...]],
     show: Callable[[TickIn, TickOut], None],
-) -> ControlLoop[State]:
+) -> ControlLoop[ControllerState]:
     def record_tick(entry: TickIn, out: TickOut) -> None:
         recorder.record(pack_tick_record(entry, out))
 
@@ -399,7 +399,7 @@ def _ignore_tick(entry: TickIn, out: TickOut) -> None:
 
 
 def _run_to_end(
-    loop: ControlLoop[State],
+    loop: ControlLoop[ControllerState],
     controller: Controller,
     recorder: Recorder,
     display: OperatorDisplay | None,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode, TickIn, TickOut
+from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.document import validate_content
 from handctl.hand.description import Hand
 from handctl.hand.hand_loading import hand_from_content
@@ -181,7 +181,7 @@ def score_run(
         truth: ground truth of the plant.
         failure: reason why the run ended early, or empty.
     """
-    active = [(entry.t_ns, out) for entry, out in ticks if out.mode == Mode.ACTIVE]
+    active = [(entry.t_ns, out) for entry, out in ticks if out.mode == HandMode.ACTIVE]
     tension = truth.values[
         :, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]
     ]

@@ -18,7 +18,7 @@ import pytest
 from firmware_sim.truth_file import TruthFile, read_truth
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
-from handctl.core.tick_types import Mode, TickIn, TickOut
+from handctl.core.tick_types import HandMode, TickIn, TickOut
 from handctl.errors import LogError
 from handctl.hand.hand_loading import load_hand
 from handctl.log.read.reader import RunLog
@@ -63,14 +63,14 @@ class FaultObserver:
 
     def reset(self) -> None:
         """Reset the record of made faults and of modes, for a new run."""
-        self.done_ns, self.modes, self.pulled, self.left = 0, list[Mode](), 0, list(self.acts)
+        self.done_ns, self.modes, self.pulled, self.left = 0, list[HandMode](), 0, list(self.acts)
 
     def poll_requests(self) -> tuple[str, ...]:
         return ()
 
     def on_tick(self, entry: TickIn, out: TickOut) -> None:
         self.modes.append(out.mode)
-        self.pulled += out.mode == Mode.ACTIVE
+        self.pulled += out.mode == HandMode.ACTIVE
         if self.left and self.pulled >= (len(self.acts) - len(self.left) + 1) * AT_S * RATE_HZ:
             self.left.pop(0)()
             self.done_ns = round(time.monotonic_ns() * TIME_SCALE)
@@ -171,9 +171,9 @@ def test_an_interface_taken_down_cuts_the_run_and_the_drives_drop_torque(
     outcome, truth = run_until_done(tmp_path, observer, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure
     assert outcome.exit_code == ExitCode.REMOVE_POWER, "no drive confirmed the end of torque"
-    after = observer.modes[observer.modes.index(Mode.ACTIVE) :]
+    after = observer.modes[observer.modes.index(HandMode.ACTIVE) :]
     acted = round(AT_S * RATE_HZ)
-    assert after[: acted + 3].count(Mode.ACTIVE) <= acted + 1, "the next tick removes torque"
+    assert after[: acted + 3].count(HandMode.ACTIVE) <= acted + 1, "the next tick removes torque"
     torque = np.array([truth.column(f"torque/{digit}_motor") for digit in DIGITS])
     driven = truth.t_ns[np.abs(torque).max(axis=0) > 1e-3]
     late_ms = (int(driven[-1]) - observer.done_ns) * 1e-6

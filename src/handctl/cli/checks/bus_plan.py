@@ -9,7 +9,7 @@ from typing import Any
 
 from handctl.cli.console.options import print_json
 from handctl.cli.console.verbosity import is_verbose
-from handctl.controller.bus_load import BusLoad, FrameRow, bus_loads, split_motors_over_buses
+from handctl.controller.bus_load import BusLoad, BusLoadRow, bus_loads, split_motors_over_buses
 from handctl.drives.frame_time import MAX_BUS_LOAD
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -85,7 +85,7 @@ def _bus_fields(load: BusLoad, rate: float) -> dict[str, Any]:
     }
 
 
-def _row_fields(row: FrameRow) -> dict[str, Any]:
+def _row_fields(row: BusLoadRow) -> dict[str, Any]:
     return {"what": row.what, "bytes": row.size, "fd": row.fd, "per_tick": row.per_tick,
             "per_second": row.per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
 

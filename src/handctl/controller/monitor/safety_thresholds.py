@@ -9,7 +9,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
 from handctl.drives.contract import Drive
 from handctl.drives.sensors.contract import SensorInterface
-from handctl.drives.signals import Quantity, SignalCoding
+from handctl.drives.signals import SignalCoding, SignalQuantity
 from handctl.safety.faults.node import NOISE_FACTOR
 from handctl.safety.safety_limits import (
     MIN_FRAMES_LIMIT,
@@ -124,14 +124,14 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
     steps = np.ones((2, len(drives)))
     largest = np.full((2, len(drives)), np.inf)
     torque = np.zeros(len(drives))
-    inputs = {Quantity.POSITION: "servo_stiffness", Quantity.VELOCITY: "servo_damping"}
+    inputs = {SignalQuantity.POSITION: "servo_stiffness", SignalQuantity.VELOCITY: "servo_damping"}
     for n, drive in enumerate(drives):
         if drive.cyclic_messages.position is None:
             continue
         for signal in drive.cyclic_messages.position.signals:
-            if signal.quantity in (Quantity.STIFFNESS, Quantity.DAMPING):
-                steps[signal.quantity - Quantity.STIFFNESS, n] = signal.step * gain[n]
-                largest[signal.quantity - Quantity.STIFFNESS, n] = signal.ends[1] * gain[n]
+            if signal.quantity in (SignalQuantity.STIFFNESS, SignalQuantity.DAMPING):
+                steps[signal.quantity - SignalQuantity.STIFFNESS, n] = signal.step * gain[n]
+                largest[signal.quantity - SignalQuantity.STIFFNESS, n] = signal.ends[1] * gain[n]
         for signal in (
             signal for message in drive.cyclic_messages.feedback for signal in message.signals
         ):
@@ -140,7 +140,7 @@ def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object
                 encoder = model.space.encoder_step[n] / model.space.spool[n]
                 step = (
                     max(signal.step, encoder)
-                    if signal.quantity == Quantity.POSITION
+                    if signal.quantity == SignalQuantity.POSITION
                     else signal.step
                 )
                 torque[n] += step * loop[inputs[signal.quantity]][n]
@@ -164,7 +164,7 @@ def torque_resolution(drive: Drive) -> float:
         signal
         for message in messages
         for signal in message.signals
-        if signal.quantity == Quantity.TORQUE
+        if signal.quantity == SignalQuantity.TORQUE
     ]
     return max(
         (abs(signal.scale) for signal in signals if signal.coding != SignalCoding.FLOAT),

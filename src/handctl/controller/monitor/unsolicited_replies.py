@@ -10,7 +10,7 @@ replies.
 
 from collections.abc import Sequence
 
-from handctl.controller.controller_state import State
+from handctl.controller.controller_state import ControllerState
 from handctl.core import state_block as s
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
@@ -26,8 +26,8 @@ A busy node may answer its queued requests over many ticks.
 def detect_unsolicited_replies(
     drives: tuple[Drive, ...],
     sensors: SensorInterface,
-    last_state: State,
-    state: State,
+    last_state: ControllerState,
+    state: ControllerState,
     frames: Sequence[Frame],
 ) -> tuple[str, ...]:
     """Detect unsolicited and duplicate replies in a tick.
@@ -61,7 +61,10 @@ def detect_unsolicited_replies(
 
 
 def _detect_duplicate_answers(
-    sensors: SensorInterface, last_state: State, state: State, frames: Sequence[Frame]
+    sensors: SensorInterface,
+    last_state: ControllerState,
+    state: ControllerState,
+    frames: Sequence[Frame],
 ) -> None:
     """Write duplicate answers of the load cells into ``DUPLICATES``, and count late answers in ``STALE_FRAMES``."""
     duplicates = state.view("twice")
@@ -85,7 +88,7 @@ def _detect_duplicate_answers(
             duplicates[-1] = max(duplicates[-1], _duplicate_kind(fresh, 1))
 
 
-def _has_lost_answers(last_state: State) -> bool:
+def _has_lost_answers(last_state: ControllerState) -> bool:
     """Return True if answers of the load cells were missing in the last ``LATE_TICKS`` ticks.
 
     An additional answer without a counter then counts as late, and not as a duplicate. The same
@@ -103,7 +106,7 @@ def _duplicate_kind(payloads: list[bytes], due: int) -> int:
 
 
 def _accepted_payloads(
-    drive: Drive, last_state: State, n: int, frames: Sequence[Frame]
+    drive: Drive, last_state: ControllerState, n: int, frames: Sequence[Frame]
 ) -> list[bytes]:
     """Return the payloads that the drive's state machine accepts as replies, in the order of reception."""
     drive_state = last_state.drive(n)

@@ -55,7 +55,7 @@ from handctl.core.estimation.varying_moment_arms import (
     moment_arm,
     motor_speed,
 )
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
@@ -89,7 +89,7 @@ RELAX_FLOOR_N = 5.0
 
 
 @kernel_helper
-def command_no_torque(x: Tables, c: ConstantTables) -> None:
+def command_no_torque(x: StateTables, c: ConstantTables) -> None:
     """Command no torque. The setpoint of a later tension loop starts at the present tension."""
     begin_servo_commands(x, c)
     for n in range(x.tendon.shape[1]):
@@ -106,7 +106,7 @@ def command_no_torque(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
+def update_hold_limits(x: StateTables, c: ConstantTables, hold: bool) -> None:
     """Start or end a hold that safety demands. Each tension at the start of the hold is its limit until the end.
 
     Args:
@@ -124,7 +124,7 @@ def update_hold_limits(x: Tables, c: ConstantTables, hold: bool) -> None:
 
 
 @kernel_helper
-def present_tension_limits(x: Tables, c: ConstantTables) -> Vector:
+def present_tension_limits(x: StateTables, c: ConstantTables) -> Vector:
     """Return the present tension limits (N,) [N], which apply in addition to the limits of the hand file.
 
     The limit of a warm drive falls from the ceiling at the soft temperature to the floor at the
@@ -150,7 +150,7 @@ def present_tension_limits(x: Tables, c: ConstantTables) -> Vector:
 
 
 @kernel_helper
-def _derated_tension(x: Tables, c: ConstantTables, n: int) -> float:
+def _derated_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the largest tension that the drive's temperature allows.
 
     A drive without temperature counts as cool.
@@ -168,7 +168,12 @@ def _derated_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 @kernel_helper
 def write_motor_torques(
-    x: Tables, c: ConstantTables, trajectory: Matrix, relax_rate: float, open_loop: bool, ticks: int
+    x: StateTables,
+    c: ConstantTables,
+    trajectory: Matrix,
+    relax_rate: float,
+    open_loop: bool,
+    ticks: int,
 ) -> None:
     """Write the motor torques of the tick, and the state of the control law for the next tick.
 
@@ -253,7 +258,9 @@ def _limited_force(c: ConstantTables, n: int, force: float, limit: float) -> flo
 
 
 @kernel_helper
-def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carried: float) -> None:
+def _write_filter_force(
+    x: StateTables, c: ConstantTables, n: int, force: float, carried: float
+) -> None:
     """Write the force with which the tension filter predicts the motion of the rotor.
 
     Args:
@@ -274,7 +281,9 @@ def _write_filter_force(x: Tables, c: ConstantTables, n: int, force: float, carr
 
 
 @kernel_helper
-def _write_joint_torques(x: Tables, c: ConstantTables, trajectory: Matrix, load: Vector) -> None:
+def _write_joint_torques(
+    x: StateTables, c: ConstantTables, trajectory: Matrix, load: Vector
+) -> None:
     """Write the joint torques that the tensions make, and the goals of joints on a trajectory.
 
     Args:
@@ -304,7 +313,7 @@ def _write_joint_torques(x: Tables, c: ConstantTables, trajectory: Matrix, load:
 
 @kernel_helper
 def _relaxing_force(
-    x: Tables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool
+    x: StateTables, c: ConstantTables, n: int, force: float, ceiling: float, open_loop: bool
 ) -> float:
     """Return the motor force of a relaxing hand [N]: limited by the envelope, or in open loop the envelope itself.
 
@@ -325,7 +334,7 @@ def _relaxing_force(
 
 @kernel_helper
 def _motion_terms(
-    x: Tables, c: ConstantTables, trajectory: Matrix, limit: Vector
+    x: StateTables, c: ConstantTables, trajectory: Matrix, limit: Vector
 ) -> tuple[Vector, Matrix, Matrix]:
     """Return pulley efficiency (N,), tension goal and feedback (2, N) [N], null-space force and integral (2, N) [N].
 
@@ -391,7 +400,7 @@ def _motion_terms(
 
 
 @kernel_helper
-def _takes_up_slack(x: Tables, c: ConstantTables, n: int) -> bool:
+def _takes_up_slack(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True for a slack tendon of a streamed digit. A spool pair is never slack."""
     if c.tendon_int[h.IS_SPOOL_PAIR, n] or not is_tendon_streamed(x, c, n):
         return False
@@ -401,7 +410,7 @@ def _takes_up_slack(x: Tables, c: ConstantTables, n: int) -> bool:
 
 
 @kernel_helper
-def _is_moved_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
+def _is_moved_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the drive of a tendon closes the position loop, while the tendon takes up no slack."""
     return is_loop_closed_by_drive(x, c, n) and not _takes_up_slack(x, c, n)
 
@@ -414,7 +423,7 @@ def _take_up_speed(rate: float) -> float:
 
 @kernel_helper
 def _take_up_slack(
-    x: Tables, c: ConstantTables, trajectory: Matrix, terms: Matrix, internal: Matrix
+    x: StateTables, c: ConstantTables, trajectory: Matrix, terms: Matrix, internal: Matrix
 ) -> None:
     """Replace the feedback on slack tendons of streamed digits, so that their spools wind at a low speed.
 
@@ -493,7 +502,7 @@ def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: fl
 
 @kernel_helper
 def _motion_force(
-    x: Tables,
+    x: StateTables,
     c: ConstantTables,
     n: int,
     tension: float,
@@ -535,7 +544,7 @@ def _motion_force(
 
 @kernel_helper
 def _tension_force(
-    x: Tables, c: ConstantTables, n: int, limit: float
+    x: StateTables, c: ConstantTables, n: int, limit: float
 ) -> tuple[float, float, float]:
     """Return motor force, setpoint and integral of the tension loop [N].
 
@@ -575,7 +584,7 @@ def _tension_force(
 
 
 @kernel_helper
-def _feedforward_force(x: Tables, c: ConstantTables, n: int) -> float:
+def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the feedforward motor force of a tension-controlled tendon on an expected trajectory [N]."""
     speed = 0.0
     acceleration = 0.0
@@ -590,7 +599,9 @@ def _feedforward_force(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def _relaxing_force_limit(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> float:
+def _relaxing_force_limit(
+    x: StateTables, c: ConstantTables, n: int, rate: float, ticks: int
+) -> float:
     """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
     last = x.tendon[s.COMMANDED_FORCE, n]
     if c.tendon_int[h.IS_SPOOL_PAIR, n]:
@@ -601,7 +612,7 @@ def _relaxing_force_limit(x: Tables, c: ConstantTables, n: int, rate: float, tic
 
 
 @kernel_helper
-def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) -> float:
+def _motor_friction(x: StateTables, c: ConstantTables, n: int, command_force: float) -> float:
     """Return the average Coulomb friction of the motor in the coming period [N].
 
     It is computed by the implicit midpoint rule, so that friction can stop a rotor within a period,
@@ -614,7 +625,7 @@ def _motor_friction(x: Tables, c: ConstantTables, n: int, command_force: float) 
 
 
 @kernel_helper
-def _fade_trim(x: Tables, c: ConstantTables) -> None:
+def _fade_trim(x: StateTables, c: ConstantTables) -> None:
     """Reduce the trim of all tendons. Set all trims to 0 when the largest trim is negligible."""
     if not x.run_int[s.TRIMMED]:
         return

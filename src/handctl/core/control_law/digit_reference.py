@@ -12,7 +12,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.control_law.streamed_motion import advance_reference
 from handctl.core.estimation.statics import subtract_passing_torque
 from handctl.core.estimation.varying_moment_arms import motor_speed
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.hand.rigid_body import write_newton_euler
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
@@ -25,7 +25,7 @@ NO_TRAJECTORY, MINIMUM_JERK, SAMPLED, STREAMED = 0, 1, 2, 3
 
 
 @kernel_helper
-def follow_trajectories(x: Tables, c: ConstantTables, is_time_frozen: bool) -> None:
+def follow_trajectories(x: StateTables, c: ConstantTables, is_time_frozen: bool) -> None:
     """Write position, rate and acceleration of every coordinate on its trajectory, 0 if it has no trajectory.
 
     Args:
@@ -69,7 +69,7 @@ def follow_trajectories(x: Tables, c: ConstantTables, is_time_frozen: bool) -> N
 
 
 @kernel_helper
-def _add_blend(x: Tables, k: int, elapsed: float, blend_duration: float) -> None:
+def _add_blend(x: StateTables, k: int, elapsed: float, blend_duration: float) -> None:
     """Add the part of a minimum-jerk move that continues an earlier motion, see ``trajectory.MinimumJerk``.
 
     Args:
@@ -100,7 +100,7 @@ def _add_blend(x: Tables, k: int, elapsed: float, blend_duration: float) -> None
 
 
 @kernel_helper
-def joint_trajectories(x: Tables, c: ConstantTables) -> Matrix:
+def joint_trajectories(x: StateTables, c: ConstantTables) -> Matrix:
     """Return angles, rates and accelerations (3, J) of all joints on the trajectories."""
     joints = x.joint.shape[1]
     way = np.zeros((3, joints))
@@ -114,7 +114,7 @@ def joint_trajectories(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def is_digit_moving(x: Tables, c: ConstantTables, d: int) -> bool:
+def is_digit_moving(x: StateTables, c: ConstantTables, d: int) -> bool:
     """Return True if at least one tendon of a digit follows a trajectory."""
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
         if x.tendon_int[s.GOAL_KIND, n] == MOTION:
@@ -123,13 +123,13 @@ def is_digit_moving(x: Tables, c: ConstantTables, d: int) -> bool:
 
 
 @kernel_helper
-def is_tendon_streamed(x: Tables, c: ConstantTables, n: int) -> bool:
+def is_tendon_streamed(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the digit of a tendon follows streamed angles."""
     return bool(x.digit_int[s.TRAJECTORY_KIND, c.tendon_int[h.DIGIT_OF_TENDON, n]] == STREAMED)
 
 
 @kernel_helper
-def write_required_torque(x: Tables, c: ConstantTables, trajectory: Matrix) -> None:
+def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix) -> None:
     """Write the joint torques that the trajectories require, by inverse dynamics, springs and damping.
 
     Args:
@@ -177,7 +177,7 @@ def write_required_torque(x: Tables, c: ConstantTables, trajectory: Matrix) -> N
 
 
 @kernel_helper
-def write_required_tensions(x: Tables, c: ConstantTables) -> int:
+def write_required_tensions(x: StateTables, c: ConstantTables) -> int:
     """Write the tensions at the joints that make the required joint torques.
 
     Returns:

@@ -16,7 +16,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.spool_pair import net_tension_at_spool
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 MIN_SLIDING_SPEED = 1.3 * CAPSTAN_FRICTION_SPEED
@@ -32,7 +32,7 @@ MAX_EFFICIENCY = 1.0 - 1e-9
 
 @kernel_helper
 def predict_moving_tension(
-    x: Tables, c: ConstantTables, n: int, rate: float, efficiency: float
+    x: StateTables, c: ConstantTables, n: int, rate: float, efficiency: float
 ) -> None:
     """Write the tension of a moving tendon a period from now, its rate of change, and the development of friction.
 
@@ -98,7 +98,7 @@ def tension_after_period(
 
 @kernel_helper
 def _predict_pair_tension(
-    x: Tables,
+    x: StateTables,
     c: ConstantTables,
     n: int,
     coming_tension: float,

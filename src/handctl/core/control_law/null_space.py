@@ -17,7 +17,7 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import MOTION
 from handctl.core.estimation.statics import part_explained_by_motion
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -34,7 +34,7 @@ feedback has to move.
 
 @kernel_helper
 def raise_tensions_to_floor(
-    x: Tables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix
+    x: StateTables, c: ConstantTables, limit: Vector, terms: Matrix, internal: Matrix
 ) -> None:
     """Raise the tension goals of moving surplus tendons above the floor, and write the null-space forces.
 

@@ -32,7 +32,7 @@ def write_tension_goals(
         layout: layout of the state block.
         constants: constants of the hand.
         block: state block, modified in place.
-        action: reaction that safety demands, a number of ``safety.action.Action``.
+        action: reaction that safety demands, a number of ``safety.action.SafetyAction``.
     """
     constants_in = constants.block, constants.layout.places
     undecided = tick_stages.evaluate_goals(block, layout.places, *constants_in, action)

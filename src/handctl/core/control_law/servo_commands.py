@@ -37,10 +37,10 @@ from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import MOTION
 from handctl.core.estimation.take_up import SLACK_REGIME
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 
 ACTIVE_MODE = 4
-"""Value of ``core.tick_types.Mode.ACTIVE``."""
+"""Value of ``core.tick_types.HandMode.ACTIVE``."""
 MAX_PHASE_RAD = 0.3
 """Largest product of the natural frequency of a drive's position loop and the control period [rad].
 
@@ -58,7 +58,7 @@ In free motions, the force changes by less than 1 N within a period.
 
 
 @kernel_helper
-def begin_servo_commands(x: Tables, c: ConstantTables) -> None:
+def begin_servo_commands(x: StateTables, c: ConstantTables) -> None:
     """Store the commands of the last tick, and set the commands of this tick to 0.
 
     The position of a drive that moves it is stored as the drive has it now.
@@ -73,14 +73,14 @@ def begin_servo_commands(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def command_torque_only(x: Tables, n: int) -> None:
+def command_torque_only(x: StateTables, n: int) -> None:
     """Replace the command of a drive by a torque command, in a hand with at least one position loop in a drive."""
     x.servo[s.SERVO_KP, n] = x.servo[s.SERVO_KD, n] = 0.0
     x.servo[s.SERVO_TORQUE, n] = x.tendon[s.TORQUE, n]
 
 
 @kernel_helper
-def is_loop_closed_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
+def is_loop_closed_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the drive of a tendon closes the position loop in this tick."""
     if not c.tendon_int[h.DRIVE_CLOSES_LOOP, n] or x.tendon_int[s.GOAL_KIND, n] != MOTION:
         return False
@@ -99,7 +99,7 @@ def is_loop_closed_by_drive(x: Tables, c: ConstantTables, n: int) -> bool:
 
 
 @kernel_helper
-def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
+def servo_stiffness(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the stiffness kp of a drive's loop for the present goal, rounded to the command's resolution [N m/rad]."""
     step = c.tendon[h.SERVO_KP_STEP, n]
     wanted = x.tendon[s.STIFFNESS_FRACTION, n] * max(c.tendon[h.SERVO_STIFFNESS, n], step)
@@ -107,7 +107,7 @@ def servo_stiffness(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
+def servo_damping(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the damping kd of a drive's loop for the present goal, rounded to the command's resolution [N m s/rad]."""
     step = c.tendon[h.SERVO_KD_STEP, n]
     wanted = x.tendon[s.DAMPING_FRACTION, n] * c.tendon[h.SERVO_DAMPING, n]
@@ -115,7 +115,7 @@ def servo_damping(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def servo_speed_force(x: Tables, c: ConstantTables, n: int, rate: float) -> float:
+def servo_speed_force(x: StateTables, c: ConstantTables, n: int, rate: float) -> float:
     """Return the mean force that the speed error causes in a drive's loop over the coming period [N].
 
     The speed error also changes the position error within the period, on average for half a period.
@@ -136,7 +136,7 @@ def servo_speed_force(x: Tables, c: ConstantTables, n: int, rate: float) -> floa
 
 @kernel_helper
 def servo_force(
-    x: Tables, c: ConstantTables, n: int, excursion: float, rate: float, tension: float
+    x: StateTables, c: ConstantTables, n: int, excursion: float, rate: float, tension: float
 ) -> float:
     """Return the predicted mean force of the drive's loop over the coming period [N].
 
@@ -161,7 +161,7 @@ def servo_force(
 
 @kernel_helper
 def write_servo_command(
-    x: Tables, c: ConstantTables, n: int, rate: float, feedforward: float, force: float
+    x: StateTables, c: ConstantTables, n: int, rate: float, feedforward: float, force: float
 ) -> None:
     """Write the command with which a drive makes a given mean force over the coming period.
 
@@ -198,7 +198,7 @@ def write_servo_command(
 
 
 @kernel_helper
-def predict_reports(x: Tables, c: ConstantTables) -> None:
+def predict_reports(x: StateTables, c: ConstantTables) -> None:
     """Write the force that each drive of the servo table should report in this tick [N].
 
     A drive reports position, speed and torque of one instant, at which it obeyed the command before

@@ -18,7 +18,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.block_schema import BlockArray, TablePlaces
 from handctl.core.constants import ConstantTables
-from handctl.core.state_block import Tables, state_tables
+from handctl.core.state_block import StateTables, state_tables
 from handctl.core.tick_types import Vector
 
 MAX_LEAD = math.radians(8.0)
@@ -83,7 +83,7 @@ def begin_segments(
 
 @kernel_helper
 def _write_segment(
-    x: Tables, k: int, target: float, speed: float, duration: float, minimum_jerk: bool
+    x: StateTables, k: int, target: float, speed: float, duration: float, minimum_jerk: bool
 ) -> None:
     """Write the polynomial of a coordinate's motion to a target, lowest power first [rad, s].
 
@@ -121,7 +121,7 @@ def _write_segment(
 
 
 @kernel_helper
-def position_on_segment(x: Tables, k: int, t: float) -> tuple[float, float]:
+def position_on_segment(x: StateTables, k: int, t: float) -> tuple[float, float]:
     """Return position [rad] and rate [rad/s] of a coordinate on the present segment at time t [s]."""
     after = t - x.run[s.STREAM_SINCE]
     if after >= x.run[s.STREAM_DURATION]:
@@ -134,7 +134,7 @@ def position_on_segment(x: Tables, k: int, t: float) -> tuple[float, float]:
 
 
 @kernel_helper
-def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
+def advance_reference(x: StateTables, c: ConstantTables, d: int, k: int) -> None:
     """Move the reference of a streamed coordinate from the last tick to the present tick.
 
     Args:
@@ -179,7 +179,7 @@ def advance_reference(x: Tables, c: ConstantTables, d: int, k: int) -> None:
 
 @kernel_helper
 def _allowed_rates(
-    x: Tables, c: ConstantTables, d: int, k: int, period: float
+    x: StateTables, c: ConstantTables, d: int, k: int, period: float
 ) -> tuple[float, float]:
     """Return the lowest and the highest allowed rate of a coordinate's reference [rad/s].
 
@@ -213,7 +213,7 @@ def _allowed_rates(
 
 
 @kernel_helper
-def _estimated_coordinate(x: Tables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
+def _estimated_coordinate(x: StateTables, c: ConstantTables, d: int, k: int) -> tuple[float, float]:
     """Return the estimate of a digit's coordinate [rad] and of its rate [rad/s], from the joints that it moves."""
     position = rate = total = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):

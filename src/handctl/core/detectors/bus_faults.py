@@ -12,7 +12,7 @@ from handctl.core.detectors.frame_losses import (
     count_set_bits,
     motor_ticks_overdue,
 )
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.bus import (
     B01,
     B02,
@@ -39,7 +39,7 @@ Evidence = NDArray[np.float64]
 
 
 @kernel_helper
-def detect_bus_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_bus_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of bus faults, and write their results into the evidence table."""
     if x.run[s.UNKNOWN_RATE] > MAX_UNKNOWN_FRAMES_PER_S:
         evidence[B10, 0] = x.run[s.UNKNOWN_RATE]
@@ -58,7 +58,7 @@ def detect_bus_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evide
 
 
 @kernel_helper
-def _detect_overdue_feedback(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def _detect_overdue_feedback(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
     """Find motors with overdue feedback.
 
     In a tick that the host missed, no feedback was requested.
@@ -77,7 +77,7 @@ def _detect_overdue_feedback(x: Tables, c: ConstantTables, evidence: Evidence) -
 
 
 @kernel_helper
-def _detect_lost_replies(x: Tables, evidence: Evidence) -> None:
+def _detect_lost_replies(x: StateTables, evidence: Evidence) -> None:
     """Find nodes of which many replies are missing."""
     for node in range(x.node_int.shape[1]):
         number = count_lost_replies(x, node)
@@ -88,7 +88,7 @@ def _detect_lost_replies(x: Tables, evidence: Evidence) -> None:
 
 
 @kernel_helper
-def _detect_bad_frames(x: Tables, evidence: Evidence) -> None:
+def _detect_bad_frames(x: StateTables, evidence: Evidence) -> None:
     """Find malformed frames, and duplicate replies with equal or different bytes."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MALFORMED, node] & 1:

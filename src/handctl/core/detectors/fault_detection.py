@@ -27,19 +27,21 @@ from handctl.core.detectors import (
     torque_correlation,
 )
 from handctl.core.detectors.bus_faults import Evidence
-from handctl.core.state_block import Tables, reset_monitor
+from handctl.core.state_block import StateTables, reset_monitor
 from handctl.safety.faults.table import ACTION_NUMBERS, DEBOUNCE_TICKS
 
 FAULT_ROWS = len(ACTION_NUMBERS)
 ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
-"""Values of ``core.tick_types.Mode``.
+"""Values of ``core.tick_types.HandMode``.
 
 Motor torque may act from ARMING to RELAX, and must not act in DISARM and CUT.
 """
 
 
 @kernel_helper
-def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Evidence]:
+def find_and_debounce_faults(
+    x: StateTables, c: ConstantTables, initial: StateTables
+) -> tuple[int, Evidence]:
     """Find the faults of a tick, debounce them, and write the number of newly active faults to ``NEW_FAULTS``.
 
     Args:
@@ -79,7 +81,7 @@ def find_and_debounce_faults(x: Tables, c: ConstantTables, initial: Tables) -> t
 
 
 @kernel_helper
-def update_fault_memory(x: Tables, c: ConstantTables) -> None:
+def update_fault_memory(x: StateTables, c: ConstantTables) -> None:
     """Update the memory of the detectors that work while the hand is under torque."""
     missed = x.run_int[s.MISSED_TICKS]
     tared = x.run_int[s.TARED] == 1
@@ -94,7 +96,7 @@ def update_fault_memory(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def debounce_faults(x: Tables, evidence: Evidence) -> int:
+def debounce_faults(x: StateTables, evidence: Evidence) -> int:
     """Count the ticks in a row in which each fault is present.
 
     Return the most severe action of the active faults.

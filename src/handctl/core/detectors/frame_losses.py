@@ -8,7 +8,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS, MALFORMED_WINDOW_TICKS
 from handctl.safety.faults.node import HALF_RATE_MISSES
 
@@ -39,7 +39,7 @@ def ticks_overdue(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) ->
 
 
 @kernel_helper
-def motor_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
+def motor_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the feedback of motor n is overdue."""
     return ticks_overdue(
         now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS]
@@ -47,7 +47,7 @@ def motor_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> in
 
 
 @kernel_helper
-def cell_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
+def cell_ticks_overdue(x: StateTables, c: ConstantTables, n: int, now_ns: int) -> int:
     """Return by how many ticks the reading of a tendon's load cell is overdue.
 
     For a tendon without a load cell, the latest load-cell frame of the sensor node is used. The
@@ -65,7 +65,7 @@ def cell_ticks_overdue(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int
 
 @kernel_helper
 def update_loss_counts(
-    x: Tables, c: ConstantTables, now_ns: int, unknown: int, counts_losses: bool
+    x: StateTables, c: ConstantTables, now_ns: int, unknown: int, counts_losses: bool
 ) -> None:
     """Update the counts of lost, malformed and unknown frames of all nodes.
 
@@ -113,7 +113,7 @@ def count_set_bits(bits: int) -> int:
 
 
 @kernel_helper
-def count_lost_replies(x: Tables, node: int) -> int:
+def count_lost_replies(x: StateTables, node: int) -> int:
     """Return in how many of the last ``LOSS_WINDOW_TICKS`` ticks a node sent no reply."""
     return count_set_bits(x.node_int[s.LOST_REPLIES, node]) + count_set_bits(
         x.node_int[s.LOST_REPLIES + 1, node]
@@ -121,7 +121,7 @@ def count_lost_replies(x: Tables, node: int) -> int:
 
 
 @kernel_helper
-def misses_every_second(x: Tables, node: int) -> bool:
+def misses_every_second(x: StateTables, node: int) -> bool:
     """Return True if about every second reply of a node is missing in the last ``MALFORMED_WINDOW_TICKS`` ticks.
 
     Two replies in a row may be missing at most once.

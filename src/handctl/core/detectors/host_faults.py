@@ -5,7 +5,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors.bus_faults import Evidence
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.host import (
     H01,
     H02,
@@ -20,7 +20,7 @@ from handctl.safety.faults.host import (
 
 
 @kernel_helper
-def detect_host_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_host_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of host faults, and write their results into the evidence table."""
     # Delay of the tick's start, as a fraction of the control period.
     late = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS]

@@ -10,7 +10,7 @@ from handctl.core.detectors import residuals, stuck_sensors, torque_correlation
 from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.detectors.frame_losses import cell_ticks_overdue, misses_every_second
 from handctl.core.detectors.tendon_slip import DEG_PER_RAD
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.node import (
     N01,
     N02,
@@ -54,7 +54,7 @@ PHASE_FAULT = 4
 
 
 @kernel_helper
-def detect_node_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_node_faults(x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
     """Run the detectors of node faults that need no torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
@@ -74,7 +74,7 @@ def detect_node_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evid
 
 
 @kernel_helper
-def _detect_drive_errors(x: Tables, evidence: Evidence) -> None:
+def _detect_drive_errors(x: StateTables, evidence: Evidence) -> None:
     """Find the errors that drives report.
 
     Each cause of an error has its row in the evidence table.
@@ -87,7 +87,7 @@ def _detect_drive_errors(x: Tables, evidence: Evidence) -> None:
 
 
 @kernel_helper
-def _detect_silent_sensors(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def _detect_silent_sensors(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
     """Find load cells and joint encoders that have sent no reading for too long."""
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
@@ -105,7 +105,7 @@ def _detect_silent_sensors(x: Tables, c: ConstantTables, evidence: Evidence) -> 
 
 
 @kernel_helper
-def _detect_rejected_positions(x: Tables, evidence: Evidence) -> None:
+def _detect_rejected_positions(x: StateTables, evidence: Evidence) -> None:
     """Find rejected positions of motors and joints.
 
     The evidence row of joints follows the evidence row of motors.
@@ -125,7 +125,7 @@ def _detect_rejected_positions(x: Tables, evidence: Evidence) -> None:
 
 
 @kernel_helper
-def detect_node_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def detect_node_faults_under_torque(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
     """Run the detectors of node faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
@@ -147,7 +147,7 @@ def detect_node_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evid
 
 
 @kernel_helper
-def _detect_stuck_encoders(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def _detect_stuck_encoders(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
     """Find encoders whose readings are constant despite motion.
 
     The evidence row of joints follows that of motors.
@@ -175,7 +175,7 @@ def _detect_stuck_encoders(x: Tables, c: ConstantTables, evidence: Evidence) -> 
 
 
 @kernel_helper
-def detect_tension_after_cut(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def detect_tension_after_cut(x: StateTables, c: ConstantTables, evidence: Evidence) -> None:
     """Find tendons that are still under tension after the torque was cut."""
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < STILL_PULLING_S:
         return

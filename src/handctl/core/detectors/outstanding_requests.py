@@ -11,7 +11,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.bus import LOSS_WINDOW_TICKS
 
 MAX_REQUESTS = 8
@@ -24,7 +24,7 @@ PHASE_READY = 2
 
 
 @kernel_helper
-def close_answered_requests(x: Tables, c: ConstantTables) -> bool:
+def close_answered_requests(x: StateTables, c: ConstantTables) -> bool:
     """Close the newest outstanding request for each reply of this tick.
 
     The request of a lost reply stays outstanding.
@@ -49,7 +49,7 @@ def close_answered_requests(x: Tables, c: ConstantTables) -> bool:
 
 
 @kernel_helper
-def add_requests(x: Tables, k: int) -> None:
+def add_requests(x: StateTables, k: int) -> None:
     """Add an outstanding request for every motor in tick k.
 
     A motor that was not ready before this tick does not answer older requests. The new request is

@@ -11,7 +11,7 @@ import math
 
 from handctl.compiled import kernel_helper
 from handctl.core import state_block as s
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.tendon import MIN_REPEATS, REPEAT_WINDOW
 
 MAX_AGE_TICKS = 64
@@ -30,7 +30,7 @@ reaches the threshold. With noise of 1.5 counts, a run of 22 pairs is necessary.
 
 
 @kernel_helper
-def update_repetitions(x: Tables, tared: bool) -> None:
+def update_repetitions(x: StateTables, tared: bool) -> None:
     """Compare the load-cell readings of this tick with the readings of the last ``MAX_AGE_TICKS`` ticks."""
     count = x.tendon.shape[1]
     for n in range(count):
@@ -50,7 +50,7 @@ def update_repetitions(x: Tables, tared: bool) -> None:
 
 
 @kernel_helper
-def age_of_repeated_readings(x: Tables, n: int) -> int:
+def age_of_repeated_readings(x: StateTables, n: int) -> int:
     """Return the age of the readings that a load-cell channel repeats [ticks], 0 if it repeats none."""
     longest = x.tendon_int[s.LONGEST_REPETITION, n]
     # The probability of a run of this length is compared as a logarithm, because the power itself
@@ -67,7 +67,7 @@ def age_of_repeated_readings(x: Tables, n: int) -> int:
 
 
 @kernel_helper
-def _chance_of_equal_readings(x: Tables, n: int) -> float:
+def _chance_of_equal_readings(x: StateTables, n: int) -> float:
     """Return the probability that two readings are equal, from all pairs of the last ``REPEAT_WINDOW`` readings."""
     pairs = 0
     different = 0

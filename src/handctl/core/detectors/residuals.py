@@ -16,7 +16,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.measurements import monitored_tension
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 
 BALANCE, MOTOR_FORCE, COMMAND_DIFFERENCE, TENSION, QUICK_FORCE, SLIP, JERK, EXCESS_FRICTION = range(
     8
@@ -31,7 +31,7 @@ FULL_FRICTION_SPEED = 5e-3
 
 
 @kernel_helper
-def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
+def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool) -> None:
     """Update the low-passed residuals of all tendons.
 
     Args:
@@ -89,7 +89,7 @@ def update_residuals(x: Tables, c: ConstantTables, missed: int, tared: bool) -> 
 
 
 @kernel_helper
-def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
+def unexplained_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the difference of tension that friction and torque-constant tolerance do not explain [N], 0 or more."""
     explained = c.tendon[h.MOTOR_COULOMB, n] + GAIN_FRACTION * abs(
         x.tendon[s.RESIDUAL + MOTOR_FORCE, n]
@@ -98,7 +98,7 @@ def unexplained_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def excess_friction(x: Tables, n: int) -> float:
+def excess_friction(x: StateTables, n: int) -> float:
     """Return by how much the friction of a moving rotor exceeds the friction of the model [N], 0 or more."""
     return max(
         x.tendon[s.RESIDUAL + EXCESS_FRICTION, n]

@@ -7,7 +7,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.detectors.residuals import TENSION
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.tendon import SLACK_N, TAUT_N
 
 LATE_READING_S = 0.08
@@ -15,7 +15,7 @@ LATE_READING_S = 0.08
 
 
 @kernel_helper
-def update_slack_history(x: Tables, c: ConstantTables) -> None:
+def update_slack_history(x: StateTables, c: ConstantTables) -> None:
     """Update the tension history of a hand under torque.
 
     Tensions of a spool pair are positive in the direction of the commanded tension.
@@ -47,7 +47,7 @@ def update_slack_history(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def update_history_after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
+def update_history_after_cut(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the tension history of a hand whose torque was cut.
 
     The tension at the cut is the reading of the tick in which the torque is cut. If this reading is

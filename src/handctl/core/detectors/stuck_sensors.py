@@ -15,7 +15,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.control_law.digit_reference import is_tendon_streamed
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.estimation.varying_moment_arms import joint_excursion
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 
 FOLLOW_S = 0.1
 """Time constant that is assumed for a motor that follows a jump of its goal, with a large margin [s]."""
@@ -30,7 +30,7 @@ PRESSED_N = 8.0
 
 
 @kernel_helper
-def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
+def update_stuck_counts(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the number of constant readings of each sensor. A missing reading changes no number.
 
     Args:
@@ -76,7 +76,7 @@ def update_stuck_counts(x: Tables, c: ConstantTables, tared: bool) -> None:
 
 
 @kernel_helper
-def reference_tension(x: Tables, c: ConstantTables, n: int) -> float:
+def reference_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the tension of a tendon as a reference for its motor's encoder [N], NaN if other motors change it too.
 
     In a digit with surplus tendons an antagonist can stretch a tendon whose own motor is at rest.
@@ -85,7 +85,7 @@ def reference_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def are_all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
+def are_all_tendons_taut(x: StateTables, c: ConstantTables, j: int) -> bool:
     """Return True if all tendons that move a joint are taut.
 
     The spool of a slack tendon does not move the joint.
@@ -97,7 +97,7 @@ def are_all_tendons_taut(x: Tables, c: ConstantTables, j: int) -> bool:
 
 
 @kernel_helper
-def joint_angle_by_spools(x: Tables, c: ConstantTables, j: int) -> float:
+def joint_angle_by_spools(x: StateTables, c: ConstantTables, j: int) -> float:
     """Return the joint angle by the positions of the spools [rad], NaN if a tendon that moves the joint is slack."""
     if not are_all_tendons_taut(x, c, j):
         return math.nan
@@ -119,7 +119,7 @@ def motion_since_reading(reference: float, anchor: float) -> float:
 
 
 @kernel_helper
-def filter_goals(x: Tables, c: ConstantTables) -> None:
+def filter_goals(x: StateTables, c: ConstantTables) -> None:
     """Filter the goal of each motor to the speed of a motor, so that no motor counts as stuck when its goal jumps.
 
     While the encoder's reading changes, the filtered goal equals the goal. The detector judges the
@@ -158,7 +158,7 @@ def filter_goals(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def _is_digit_pressing(x: Tables, c: ConstantTables, n: int) -> bool:
+def _is_digit_pressing(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a streamed digit presses: the tension of its tendon is much larger than the tension goal."""
     return (
         is_tendon_streamed(x, c, n)

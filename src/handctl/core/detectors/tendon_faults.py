@@ -12,7 +12,7 @@ from handctl.core.detectors.bus_faults import Evidence
 from handctl.core.detectors.replayed_readings import age_of_repeated_readings
 from handctl.core.estimation.measurements import monitored_tension
 from handctl.core.estimation.varying_moment_arms import moment_arm
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.tendon import (
     CELL_FORCE_N,
     CELL_TICKS,
@@ -45,11 +45,13 @@ from handctl.safety.faults.tendon import (
 )
 
 MODE_RELAX = 5
-"""Value of ``core.tick_types.Mode.RELAX``."""
+"""Value of ``core.tick_types.HandMode.RELAX``."""
 
 
 @kernel_helper
-def detect_tendon_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Evidence) -> None:
+def detect_tendon_faults(
+    x: StateTables, c: ConstantTables, armed: bool, evidence: Evidence
+) -> None:
     """Run the detectors of tendon faults that need no torque, and write their results into the evidence table."""
     rail = c.run[h.TENSION_RAIL]
     low = c.run[h.TENSION_LOW]
@@ -75,7 +77,9 @@ def detect_tendon_faults(x: Tables, c: ConstantTables, armed: bool, evidence: Ev
 
 
 @kernel_helper
-def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Evidence) -> None:
+def detect_tendon_faults_under_torque(
+    x: StateTables, c: ConstantTables, evidence: Evidence
+) -> None:
     """Run the detectors of tendon faults that need torque, and write their results into the evidence table."""
     for n in range(x.tendon.shape[1]):
         _detect_slack(x, c, n, evidence)
@@ -102,7 +106,7 @@ def detect_tendon_faults_under_torque(x: Tables, c: ConstantTables, evidence: Ev
 
 
 @kernel_helper
-def _planned_speed(x: Tables, c: ConstantTables, n: int) -> float:
+def _planned_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon on the streamed trajectory of its joints [m/s].
 
     It is 0 for a digit without a stream. The moves of tasks are slow, and the spool of a torn
@@ -120,7 +124,7 @@ def _planned_speed(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def _detect_slack(x: Tables, c: ConstantTables, n: int, evidence: Evidence) -> None:
+def _detect_slack(x: StateTables, c: ConstantTables, n: int, evidence: Evidence) -> None:
     """Find a tendon that lost its tension: snapped if its spool runs, slack if tension is commanded."""
     period = c.run[h.PERIOD]
     commanded = x.tendon[s.COMMANDED_TENSION, n]

@@ -7,7 +7,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.measurements import monitored_tension
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.tendon import DERAILED_DEG, SLACK_N, TAUT_N
 
 SETTLE_S = 0.1
@@ -16,7 +16,7 @@ DEG_PER_RAD = 180.0 / math.pi
 
 
 @kernel_helper
-def update_slip(x: Tables, c: ConstantTables, tared: bool) -> None:
+def update_slip(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the slip of each tendon.
 
     Args:

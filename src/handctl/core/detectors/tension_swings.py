@@ -11,7 +11,7 @@ from handctl.compiled import kernel_helper, square
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.node import SWING_N
 
 SLOW_S = 0.02
@@ -24,7 +24,7 @@ MEAN_S = 0.025
 
 
 @kernel_helper
-def update_swing(x: Tables, c: ConstantTables, tared: bool) -> None:
+def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the mean square of the oscillation of each tension, from measured minus commanded tension."""
     period = c.run[h.PERIOD]
     slow = 1.0 - math.exp(-period / SLOW_S)

@@ -31,7 +31,7 @@ from handctl.compiled import kernel_helper, square
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.safety.faults.node import REPORTED_FRACTION, REPORTED_S
 
 MIN_FILLING = 0.9
@@ -77,7 +77,7 @@ comes a tick late), report squared, and the response of the filter to a constant
 
 
 @kernel_helper
-def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
+def update_correlation(x: StateTables, c: ConstantTables, missed: int) -> None:
     """Update the low-passed products of the increments of command and report.
 
     A drive replies to a command before it obeys the command, so its report in this tick belongs to
@@ -129,7 +129,7 @@ def update_correlation(x: Tables, c: ConstantTables, missed: int) -> None:
 
 
 @kernel_helper
-def _smallest_increment(x: Tables, c: ConstantTables, n: int) -> float:
+def _smallest_increment(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the smallest increment of a motor's torque, as force at the spool, that counts as a change [N]."""
     rounding = max(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n], 0.5 * c.tendon[h.TORQUE_STEP, n])
     if c.tendon_int[h.DRIVE_CLOSES_LOOP, n] and x.servo[s.SERVO_SHARE, n] > MIN_SERVO_SHARE:
@@ -146,14 +146,14 @@ def _clipped_increment(increment: float, largest: float) -> float:
 
 
 @kernel_helper
-def _low_pass_moment(x: Tables, n: int, moment: int, fraction: float, value: float) -> None:
+def _low_pass_moment(x: StateTables, n: int, moment: int, fraction: float, value: float) -> None:
     x.tendon[s.REPORT_MOMENTS + moment, n] += fraction * (
         value - x.tendon[s.REPORT_MOMENTS + moment, n]
     )
 
 
 @kernel_helper
-def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
+def is_command_ignored(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if the torque that a motor reports does not follow its commanded torque."""
     aa = x.tendon[s.REPORT_MOMENTS + COMMAND_SQUARED_ROW, n]
     bb = x.tendon[s.REPORT_MOMENTS + REPORT_SQUARED_ROW, n]
@@ -173,7 +173,7 @@ def is_command_ignored(x: Tables, c: ConstantTables, n: int) -> bool:
 
 
 @kernel_helper
-def fraction_of_command_reported(x: Tables, n: int) -> float:
+def fraction_of_command_reported(x: StateTables, n: int) -> float:
     """Return the fraction of the changes of a motor's command that its reports show, 1 for a drive that obeys."""
     ab = max(
         x.tendon[s.REPORT_MOMENTS + COMMAND_REPORT_ROW, n],

@@ -10,7 +10,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 
 SMOOTH_S = 20e-3
 """Time constant of the low-pass filter for the unexplained tension of a digit [s]."""
@@ -34,7 +34,7 @@ safety.
 
 
 @kernel_helper
-def update_blocked(x: Tables, c: ConstantTables) -> None:
+def update_blocked(x: StateTables, c: ConstantTables) -> None:
     """Update for each digit whether it is blocked."""
     for d in range(x.digit.shape[1]):
         first = c.digit_int[h.TENDONS_FIRST, d]
@@ -54,7 +54,7 @@ def update_blocked(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def reset_blocked(x: Tables) -> None:
+def reset_blocked(x: StateTables) -> None:
     """Set all digits to not blocked, because no contact is observable without torque."""
     for d in range(x.digit.shape[1]):
         x.digit[s.TOUCH, d] = 0.0

@@ -27,7 +27,7 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.kalman import write_free_angles
 from handctl.core.estimation.statics import link_poses_of_hand, write_tip_levers
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 
 Vector = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ SLOW_GRIP_S = 0.2
 
 
 @kernel_helper
-def update_tip_forces(x: Tables, c: ConstantTables) -> None:
+def update_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """Update the tip forces of closing digits.
 
     Reset those of all other digits, but keep their drift.
@@ -76,7 +76,7 @@ def update_tip_forces(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def _write_tip_levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
+def _write_tip_levers(x: StateTables, c: ConstantTables, lever: Vector) -> None:
     """Write the lever (J,) [m] of a force at a digit's tip about each joint, at the joint angles of a free digit.
 
     A digit that closes counts as free until its contact is found.
@@ -89,7 +89,7 @@ def _write_tip_levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
 
 
 @kernel_helper
-def _fit_tip_force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float:
+def _fit_tip_force(x: StateTables, c: ConstantTables, d: int, lever: Vector) -> float:
     """Return the tip force that fits the unexplained tensions of a digit best, by least squares [N]."""
     work = 0.0
     size = 0.0
@@ -103,7 +103,7 @@ def _fit_tip_force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float
 
 
 @kernel_helper
-def average_grip_travel(x: Tables, c: ConstantTables) -> None:
+def average_grip_travel(x: StateTables, c: ConstantTables) -> None:
     """Update both averages of wound length minus stretch.
 
     The slow one equals the fast one until slip is judged.

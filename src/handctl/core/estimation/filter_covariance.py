@@ -16,7 +16,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -37,7 +37,7 @@ After this time the watchdogs of the drives have removed the torque.
 
 @kernel_helper
 def correct_covariance(
-    x: Tables,
+    x: StateTables,
     c: ConstantTables,
     n: int,
     z: Vector,
@@ -105,7 +105,7 @@ def correct_covariance(
 
 
 @kernel_helper
-def predict_covariances(x: Tables, c: ConstantTables, predicted: Matrix, missed: int) -> None:
+def predict_covariances(x: StateTables, c: ConstantTables, predicted: Matrix, missed: int) -> None:
     """Predict the covariances (N, 7, 7) of all tendons to the next tick. End the propagation if all are steady.
 
     If the filter design of a tendon has changed, its covariance becomes the steady covariance of
@@ -140,7 +140,7 @@ def ticks_to_predict(c: ConstantTables, missed: int) -> int:
 
 
 @kernel_helper
-def predicted_tension_sigma(x: Tables, c: ConstantTables, n: int) -> float:
+def predicted_tension_sigma(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the standard deviation of a tendon's predicted tension [N], from the propagated covariance."""
     kind = x.tendon_int[s.FILTER_KIND, n]
     P = np.empty((STATE_COUNT, STATE_COUNT))
@@ -151,7 +151,7 @@ def predicted_tension_sigma(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def _present_covariance(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
+def _present_covariance(x: StateTables, c: ConstantTables, n: int, kind: int) -> Matrix:
     """Return the covariance (7, 7) of a tendon's predicted states: the propagated or else the steady covariance."""
     P = _copy_design_matrix(c, n, kind, h.P_AT)
     if x.run_int[s.COVARIANCE_PROPAGATED]:

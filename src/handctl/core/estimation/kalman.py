@@ -33,7 +33,7 @@ from handctl.core.estimation.take_up import (
     set_offset_of_newly_taut,
 )
 from handctl.core.estimation.varying_moment_arms import motor_speed
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
 
 Vector = NDArray[np.float64]
@@ -98,14 +98,14 @@ MAX_NIS_SAMPLE = 100.0
 
 
 @kernel_helper
-def filter_kind(x: Tables, n: int) -> int:
+def filter_kind(x: StateTables, n: int) -> int:
     """Return the index of a tendon's filter design: the regime, plus 3 while process noise is added."""
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.ADDED_NOISE_S, n] > 0.0 else regime
 
 
 @kernel_helper
-def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
+def correct_filter(x: StateTables, c: ConstantTables, missed: int) -> None:
     """Correct the filter by the measurements of a tick, and judge the slack, the stop and the contact of each tendon.
 
     A digit with ``PLANNED_CONTACT`` or ``BLOCKED`` counts as held, see ``is_in_contact``.
@@ -146,7 +146,7 @@ def correct_filter(x: Tables, c: ConstantTables, missed: int) -> None:
 
 
 @kernel_helper
-def _usable_measurements(x: Tables) -> Matrix:
+def _usable_measurements(x: StateTables) -> Matrix:
     """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN if missing.
 
     A lost or saturated measurement counts as missing. If a tendon is neither taut nor certainly
@@ -169,7 +169,7 @@ def _usable_measurements(x: Tables) -> Matrix:
 
 
 @kernel_helper
-def _innovations(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
+def _innovations(x: StateTables, c: ConstantTables, z: Matrix) -> Matrix:
     """Return the measurements minus their expected values, (N, 3), NaN where a measurement is missing."""
     innovation = np.empty_like(z)
     for n in range(len(z)):
@@ -185,7 +185,7 @@ def _innovations(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
 
 
 @kernel_helper
-def _is_measurement_missing(x: Tables, c: ConstantTables, z: Matrix) -> bool:
+def _is_measurement_missing(x: StateTables, c: ConstantTables, z: Matrix) -> bool:
     """Return True if a measurement is missing that the steady gains assume.
 
     For a slack tendon, these gains assume no load-cell reading.
@@ -211,7 +211,7 @@ def _write_steady_gain(
 
 @kernel_helper
 def _gate_and_correct(
-    x: Tables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector
+    x: StateTables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector
 ) -> None:
     """Correct the states by the innovations. Reject a single outlier of a load cell, but accept two in a row.
 
@@ -250,7 +250,7 @@ def _gate_and_correct(
 
 
 @kernel_helper
-def _move_slack_with_taut(x: Tables, c: ConstantTables) -> None:
+def _move_slack_with_taut(x: StateTables, c: ConstantTables) -> None:
     """Move the excursion of each slack tendon with the other tendons of its digit, in digits with surplus tendons.
 
     The excursions of a digit are R q. If one tendon is slack, its excursion follows from those of
@@ -287,7 +287,7 @@ def _normalised_innovation_squared(
 
 @kernel_helper
 def _judge_consistency(
-    x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool
+    x: StateTables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool
 ) -> None:
     """Average the normalised innovations squared (NIS), and judge whether the model of each tendon is consistent.
 
@@ -324,7 +324,7 @@ def _judge_consistency(
 
 
 @kernel_helper
-def _judge_noise(x: Tables, c: ConstantTables) -> None:
+def _judge_noise(x: StateTables, c: ConstantTables) -> None:
     """Decide by the fast average of NIS which tendons get added process noise.
 
     The noise is kept for ``MAX_ADDED_NOISE_S``. A wrong friction in the model is visible only while
@@ -345,7 +345,7 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
+def filtered_tension(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the tension of a tendon at its load cell, computed from the filter's states [N].
 
     It may be negative.
@@ -358,7 +358,7 @@ def filtered_tension(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @kernel_helper
-def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) -> None:
+def write_free_angles(x: StateTables, c: ConstantTables, row: int, result: Vector) -> None:
     """Write the angles or rates (J,) that all joints have if their digits are free, q = B R_r^+ s.
 
     B is the coupling of the joints. R_r are the reduced moment arms, and s the excursions or their
@@ -377,7 +377,7 @@ def write_free_angles(x: Tables, c: ConstantTables, row: int, result: Vector) ->
 
 
 @kernel_helper
-def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
+def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
     """Return resistance, speed-signed pull and pull of all tendons, (3, N) [N].
 
     Resistance is the tension at the joints in balance with springs and gravity. Pull is the
@@ -412,7 +412,7 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
+def _judge_regimes(x: StateTables, c: ConstantTables) -> Matrix:
     """Update the regime of each tendon, and set the stretch offset of a newly taut tendon.
 
     The regime depends on slack, on the open stop and on contact. The result is that of
@@ -485,7 +485,7 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def is_in_contact(x: Tables, d: int) -> bool:
+def is_in_contact(x: StateTables, d: int) -> bool:
     """Return True if a digit is blocked, or if the program knows that it touches an object while torque may act."""
     acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
@@ -500,14 +500,14 @@ def _is_at_stop(was_at_stop: bool, excursion: float, force: float, resistance: f
 
 
 @kernel_helper
-def _choose_filter_kinds(x: Tables) -> None:
+def _choose_filter_kinds(x: StateTables) -> None:
     """Choose the filter design of each tendon for the prediction."""
     for n in range(x.tendon.shape[1]):
         x.tendon_int[s.FILTER_KIND, n] = filter_kind(x, n)
 
 
 @kernel_helper
-def _write_external_tension(x: Tables, c: ConstantTables, force: Matrix) -> None:
+def _write_external_tension(x: StateTables, c: ConstantTables, force: Matrix) -> None:
     """Write the unexplained load force of each tendon, positive if it acts against closing.
 
     The force is 0 for a slack tendon, and while the digit is on its open stop.
@@ -522,7 +522,7 @@ def _write_external_tension(x: Tables, c: ConstantTables, force: Matrix) -> None
 
 
 @kernel_helper
-def write_unknown_estimate(x: Tables) -> None:
+def write_unknown_estimate(x: StateTables) -> None:
     """Write the estimate for a tick before all sensors have been read: no contact and no innovation."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL_TENSION, n] = 0.0
@@ -531,7 +531,7 @@ def write_unknown_estimate(x: Tables) -> None:
 
 
 @kernel_helper
-def derive_estimate(x: Tables, c: ConstantTables) -> None:
+def derive_estimate(x: StateTables, c: ConstantTables) -> None:
     """Derive the estimate from the predicted states: tensions, standard deviations, angles of free digits."""
     for n in range(x.tendon.shape[1]):
         tension = filtered_tension(x, c, n)

@@ -11,11 +11,11 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.kalman import write_free_angles
 from handctl.core.estimation.varying_moment_arms import carrier_excursion, joint_excursion
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 
 
 @kernel_helper
-def write_measurements(x: Tables, c: ConstantTables) -> None:
+def write_measurements(x: StateTables, c: ConstantTables) -> None:
     """Write the readings received in this tick as measurements, and NaN for missing readings."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
@@ -43,7 +43,7 @@ def write_measurements(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def reject_outliers(x: Tables, c: ConstantTables, missed: int) -> None:
+def reject_outliers(x: StateTables, c: ConstantTables, missed: int) -> None:
     """Reject positions that rotor or joint cannot have reached since the last accepted position.
 
     Args:
@@ -108,7 +108,7 @@ def _reject_outlier(
 
 
 @kernel_helper
-def clear_rejected_steps(x: Tables) -> None:
+def clear_rejected_steps(x: StateTables) -> None:
     """Set all rejected steps to 0, because positions are not tested while no torque acts."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.REJECTED_STEP, n] = 0.0
@@ -117,7 +117,7 @@ def clear_rejected_steps(x: Tables) -> None:
 
 
 @kernel_helper
-def convert_positions(x: Tables, c: ConstantTables) -> None:
+def convert_positions(x: StateTables, c: ConstantTables) -> None:
     """Write the measured travel, motor force and excursion of each tendon from the accepted positions."""
     for n in range(x.tendon.shape[1]):
         spool = c.tendon[h.SPOOL_RADIUS, n]
@@ -140,7 +140,7 @@ def convert_positions(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> float:
+def monitored_tension(x: StateTables, c: ConstantTables, n: int, tared: bool) -> float:
     """Return the tension that detectors judge [N]: the load-cell reading, or the estimate if there is no load cell.
 
     Args:
@@ -155,7 +155,7 @@ def monitored_tension(x: Tables, c: ConstantTables, n: int, tared: bool) -> floa
 
 
 @kernel_helper
-def start_filter(x: Tables, c: ConstantTables) -> None:
+def start_filter(x: StateTables, c: ConstantTables) -> None:
     """Start the tension filter once all encoders and load cells were read.
 
     The first state assumes that the hand is open and its tendons are slack.

@@ -33,7 +33,7 @@ from handctl.core.estimation.statics import (
     write_tip_levers,
 )
 from handctl.core.estimation.varying_moment_arms import keep_excursion
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.hand.rigid_body import LENGTH_ROW, write_levers, write_turned_levers
 
 Vector = NDArray[np.float64]
@@ -73,7 +73,7 @@ TURN_SMOOTHING_S = 20e-3
 
 
 @kernel_helper
-def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
+def estimate_joint_angles(x: StateTables, c: ConstantTables, k: int, t_ns: int) -> None:
     """Write the estimated joint angles of a tick, and their standard deviations.
 
     Args:
@@ -108,7 +108,7 @@ def estimate_joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> No
 
 
 @kernel_helper
-def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
+def _excursion_deviations(x: StateTables, c: ConstantTables) -> tuple[Matrix, Vector]:
     """Return the deviations (J, N) of the joint angles by the error of each excursion [rad], and the variances (J,)."""
     joints = x.joint.shape[1]
     tendons = x.tendon.shape[1]
@@ -134,7 +134,7 @@ def _excursion_deviations(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]
 
 
 @kernel_helper
-def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
+def _covariance_columns(x: StateTables, c: ConstantTables) -> Matrix:
     """Return deviations (2 H + 2, J) of the joint angles in the null space [rad], and write the turn by contact.
 
     The covariance of the angles is the sum of the products of these deviations. H is the number of
@@ -177,7 +177,7 @@ def _covariance_columns(x: Tables, c: ConstantTables) -> Matrix:
 
 
 @kernel_helper
-def _contact_turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
+def _contact_turns(x: StateTables, c: ConstantTables) -> tuple[Matrix, Matrix]:
     """Return how far a contact at each place turns each joint, and the standard deviations, both (H, J) [rad]."""
     places = c.place_joint.shape[1]
     joints = x.joint.shape[1]
@@ -225,7 +225,7 @@ def _write_place_levers(
 
 @kernel_helper
 def _write_digit_turn(
-    x: Tables,
+    x: StateTables,
     c: ConstantTables,
     d: int,
     lever: Vector,
@@ -270,7 +270,7 @@ def _write_digit_turn(
 
 
 @kernel_helper
-def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
+def _range_fraction(x: StateTables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
     """Return the fraction, 0 to 1, of a turn (J,) [rad] by which the joints of a digit can turn within their ranges.
 
     The turn starts at the angles of the free digit.
@@ -285,7 +285,7 @@ def _range_fraction(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: fl
 
 
 @kernel_helper
-def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
+def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
     """Write how far friction, and springs with gravity, turn free digits out of the coupling, (2, J) [rad]."""
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
@@ -308,7 +308,7 @@ def _write_free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
 
 @kernel_helper
 def _fuse_encoders(
-    x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int
+    x: StateTables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int
 ) -> None:
     """Correct the joint angles by the joint encoders, one after the other.
 
@@ -363,7 +363,7 @@ def _fuse_encoders(
 
 
 @kernel_helper
-def estimate_tip_forces(x: Tables, c: ConstantTables) -> None:
+def estimate_tip_forces(x: StateTables, c: ConstantTables) -> None:
     """Write the tip-equivalent forces of all digits, and their standard deviations by errors of angles and tensions.
 
     The tip-equivalent force acts at the tip, along the y axis of the last link, and makes the

@@ -6,7 +6,7 @@ from handctl.compiled import kernel_helper
 from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 
 SLACK_REGIME = 2
 SLACK_BELOW_N = 1.0
@@ -104,7 +104,7 @@ def regime_evidence_without_cell(regime: int, points: int, tension: float, missi
 
 
 @kernel_helper
-def is_nearly_taut(x: Tables, n: int) -> bool:
+def is_nearly_taut(x: StateTables, n: int) -> bool:
     """Return True if the encoder shows that a slack tendon of known length is nearly taut."""
     return (
         x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
@@ -123,7 +123,7 @@ def is_regime_over(regime: int, points: int, without_cell: bool) -> bool:
 
 
 @kernel_helper
-def set_offset_of_newly_taut(x: Tables, c: ConstantTables, n: int, cell: float) -> None:
+def set_offset_of_newly_taut(x: StateTables, c: ConstantTables, n: int, cell: float) -> None:
     """Set stretch offset or excursion of a newly taut tendon, so that its stretch agrees with the load cell.
 
     If the excursion is known, from the open stop or from joint encoders, the stretch offset is set.

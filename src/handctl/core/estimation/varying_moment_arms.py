@@ -28,7 +28,7 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import part_explained_by_motion
-from handctl.core.state_block import Tables
+from handctl.core.state_block import StateTables
 from handctl.hand.file.quantities import POLYNOMIAL_COEFFICIENTS
 
 Vector = NDArray[np.float64]
@@ -98,7 +98,7 @@ def carrier_excursion(c: ConstantTables, n: int, values: Vector) -> float:
 
 
 @kernel_helper
-def motor_speed(x: Tables, c: ConstantTables, n: int) -> float:
+def motor_speed(x: StateTables, c: ConstantTables, n: int) -> float:
     """Return the speed of a tendon at its spool [m/s], including the speed that the carriers of its digit cause."""
     speed = x.tendon[s.SPEED, n]
     if c.run_int[h.HAS_CARRIER_ARMS]:
@@ -122,7 +122,7 @@ def arm_slope(c: ConstantTables, n: int, j: int, q: float) -> float:
 
 
 @kernel_helper
-def update_structure(x: Tables, c: ConstantTables) -> None:
+def update_structure(x: StateTables, c: ConstantTables) -> None:
     """Write the structure tables of all digits with varying moment arms, for the joint angles of the free digits."""
     q = np.empty(x.joint.shape[1])
     for d in range(x.digit.shape[1]):
@@ -149,7 +149,7 @@ def update_structure(x: Tables, c: ConstantTables) -> None:
 
 
 @kernel_helper
-def keep_excursion(x: Tables, c: ConstantTables) -> None:
+def keep_excursion(x: StateTables, c: ConstantTables) -> None:
     """Correct the joint angles of digits with varying moment arms, so that they agree with the estimated excursions."""
     for d in range(x.digit.shape[1]):
         if not c.digit_int[h.DIGIT_VARYING, d]:

@@ -39,7 +39,7 @@ from handctl.drives.option_checks import (
     checked_whole_number,
     refuse_unknown_options,
 )
-from handctl.drives.signals import CyclicMessages, Message, SignalTable
+from handctl.drives.signals import CyclicMessage, CyclicMessages, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
@@ -233,7 +233,7 @@ class Cia402Drive:
     @property
     def cyclic_messages(self) -> CyclicMessages:
         """Return the signal tables of RPDO and TPDO, and also of SYNC if the option ``sync`` is set."""
-        sync = (Message("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
+        sync = (CyclicMessage("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
         return CyclicMessages(
             (self.feedback.message,), (self.command.message, *sync), self.life_sign_timeout_ns
         )

@@ -27,7 +27,7 @@ from handctl.drives.cia404.settings import (
     required_steps,
 )
 from handctl.drives.frame import Frame
-from handctl.drives.signals import Message, Quantity, Signal, SignalCoding
+from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
 TARE_MARGIN_N = 6.0
 """Largest accepted tare of a load cell [N]."""
@@ -212,24 +212,26 @@ class Cia404LoadCells:
         return ((1, 1e3 / HEARTBEAT_MS),) * len(self.amplifiers)
 
     @property
-    def messages(self) -> tuple[Message, ...]:
+    def messages(self) -> tuple[CyclicMessage, ...]:
         """Return the signal tables of the frames. ``Signal.channel`` is the index of the tendon."""
         messages = []
         for amplifier, groups in zip(self.amplifiers, self.group_ranges, strict=True):
             for tpdo, group in enumerate(groups):
                 signals = [
-                    Signal(f"tension_{slot}", Quantity.TENSION, 32 * slot, 32, False, self.coding, self.scale, 0.0, "N",
-                           index)
+                    Signal(f"tension_{slot}", SignalQuantity.TENSION, 32 * slot, 32, False, self.coding, self.scale,
+                           0.0, "N", index)
                     for slot, index in enumerate(self.channels[group])
                 ]  # fmt: skip
                 name = f"amplifier_{amplifier.node_id:02x}_tpdo{tpdo + 1}"
-                messages.append(Message(name, self.ids[group], self.lengths[group], tuple(signals)))
+                messages.append(
+                    CyclicMessage(name, self.ids[group], self.lengths[group], tuple(signals))
+                )
         return tuple(messages)
 
     @property
-    def sync_message(self) -> Message:
+    def sync_message(self) -> CyclicMessage:
         """Return the signal table of SYNC, without a counter: a node without object 0x1019 expects none."""
-        return Message("sync", self.sync_id, 0)
+        return CyclicMessage("sync", self.sync_id, 0)
 
     @property
     def has_counter(self) -> bool:

@@ -42,7 +42,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from handctl.drives.signals import Message, Quantity, Signal, SignalCoding, SignalTable
+from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity, SignalTable
 
 BROADCAST_ID = 0x7FF
 """Identifier of register requests to all motors.
@@ -148,7 +148,7 @@ FeedbackValues = tuple[int, float, float, float, float]
 
 def command_message(
     can_id: int, ranges: MotorRanges, direction: int = 1, flags: int = 0
-) -> Message:
+) -> CyclicMessage:
     """Return the signal table of the torque command, in which kp = kd = 0.
 
     This format has no code for zero torque. 0 N m is sent as the nearest code, half a step (TMAX /
@@ -160,15 +160,17 @@ def command_message(
         direction: 1 if positive torque of the motor winds the tendon, else -1.
         flags: flags of the frame, see ``frame``.
     """
-    unused = Quantity.UNUSED
+    unused = SignalQuantity.UNUSED
     signals = (
         _signal_over_range("position", unused, 7, 16, ranges.position, "rad"),
         _signal_over_range("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
         Signal("kp", unused, 27, 12, True, scale=KP_MAX / MAX_COUNT, unit="N m/rad"),
         Signal("kd", unused, 47, 12, True, scale=KD_MAX / MAX_COUNT, unit="N m s/rad"),
-        _signal_over_range("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", direction),
+        _signal_over_range(
+            "torque", SignalQuantity.TORQUE, 51, 12, ranges.torque, "N m", direction
+        ),
     )
-    return Message(
+    return CyclicMessage(
         "command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque
     )
 
@@ -180,7 +182,7 @@ def impedance_message(
     zero: float = 0.0,
     flags: int = 0,
     gains: tuple[float, float] = (KP_MAX, KD_MAX),
-) -> Message:
+) -> CyclicMessage:
     """Return the signal table of the command with position, velocity, kp, kd and torque, see ``POSITION_COMMAND``.
 
     Args:
@@ -194,23 +196,27 @@ def impedance_message(
     """
     kp, kd = gains
     position = _signal_over_range(
-        "position", Quantity.POSITION, 7, 16, ranges.position, "rad", direction
+        "position", SignalQuantity.POSITION, 7, 16, ranges.position, "rad", direction
     )
     signals = (
         position._replace(offset=position.offset - direction * zero),
         _signal_over_range(
-            "velocity", Quantity.VELOCITY, 23, 12, ranges.velocity, "rad/s", direction
+            "velocity", SignalQuantity.VELOCITY, 23, 12, ranges.velocity, "rad/s", direction
         ),
-        Signal("kp", Quantity.STIFFNESS, 27, 12, True, scale=kp / MAX_COUNT, unit="N m/rad"),
-        Signal("kd", Quantity.DAMPING, 47, 12, True, scale=kd / MAX_COUNT, unit="N m s/rad"),
-        _signal_over_range("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", direction),
+        Signal("kp", SignalQuantity.STIFFNESS, 27, 12, True, scale=kp / MAX_COUNT, unit="N m/rad"),
+        Signal("kd", SignalQuantity.DAMPING, 47, 12, True, scale=kd / MAX_COUNT, unit="N m s/rad"),
+        _signal_over_range(
+            "torque", SignalQuantity.TORQUE, 51, 12, ranges.torque, "N m", direction
+        ),
     )
-    return Message("position_command", can_id, 8, signals, flags, bytes(8), False, ranges.torque)
+    return CyclicMessage(
+        "position_command", can_id, 8, signals, flags, bytes(8), False, ranges.torque
+    )
 
 
 def position_message(
     can_id: int, ranges: MotorRanges, speed: float, direction: int, zero: float, flags: int
-) -> Message:
+) -> CyclicMessage:
     """Return the signal table of the command in position-velocity mode, which has a constant speed limit.
 
     Args:
@@ -222,16 +228,16 @@ def position_message(
         flags: flags of the frame.
     """
     signals = (
-        _float_signal("position", Quantity.POSITION, 0, "rad", direction, -direction * zero),
-        _float_signal("speed", Quantity.UNUSED, 4, "rad/s"),
+        _float_signal("position", SignalQuantity.POSITION, 0, "rad", direction, -direction * zero),
+        _float_signal("speed", SignalQuantity.UNUSED, 4, "rad/s"),
     )
     base = struct.pack("<ff", 0.0, speed)
-    return Message(
+    return CyclicMessage(
         "position_velocity", 0x100 + can_id, 8, signals, flags, base, limit=ranges.position
     )
 
 
-def velocity_message(can_id: int, limit: float, direction: int, flags: int) -> Message:
+def velocity_message(can_id: int, limit: float, direction: int, flags: int) -> CyclicMessage:
     """Return the signal table of the command in velocity mode.
 
     Args:
@@ -240,8 +246,8 @@ def velocity_message(can_id: int, limit: float, direction: int, flags: int) -> M
         direction: 1 if a positive velocity of the motor winds the tendon, else -1.
         flags: flags of the frame.
     """
-    signal = _float_signal("velocity", Quantity.VELOCITY, 0, "rad/s", direction)
-    return Message("velocity", 0x200 + can_id, 4, (signal,), flags, bytes(4), limit=limit)
+    signal = _float_signal("velocity", SignalQuantity.VELOCITY, 0, "rad/s", direction)
+    return CyclicMessage("velocity", 0x200 + can_id, 4, (signal,), flags, bytes(4), limit=limit)
 
 
 def force_position_message(
@@ -251,7 +257,7 @@ def force_position_message(
     direction: int,
     zero: float,
     flags: int,
-) -> Message:
+) -> CyclicMessage:
     """Return the signal table of the command in force-position mode, which has constant limits.
 
     Args:
@@ -273,17 +279,19 @@ def force_position_message(
             f"no code for speed {speed:g} rad/s and current {fraction:g}, expected at most 100 and 1"
         )
     signals = (
-        _float_signal("position", Quantity.POSITION, 0, "rad", direction, -direction * zero),
-        Signal("speed", Quantity.UNUSED, 32, 16, scale=1.0 / SPEED_CODES, unit="rad/s"),
-        Signal("current", Quantity.UNUSED, 48, 16, scale=1.0 / FULL_SCALE_COUNT),
+        _float_signal("position", SignalQuantity.POSITION, 0, "rad", direction, -direction * zero),
+        Signal("speed", SignalQuantity.UNUSED, 32, 16, scale=1.0 / SPEED_CODES, unit="rad/s"),
+        Signal("current", SignalQuantity.UNUSED, 48, 16, scale=1.0 / FULL_SCALE_COUNT),
     )
     base = struct.pack("<fHH", 0.0, *codes)
-    return Message("force_position", 0x300 + can_id, 8, signals, flags, base, limit=ranges.position)
+    return CyclicMessage(
+        "force_position", 0x300 + can_id, 8, signals, flags, base, limit=ranges.position
+    )
 
 
 def _float_signal(
     name: str,
-    quantity: Quantity,
+    quantity: SignalQuantity,
     first_byte: int,
     unit: str,
     scale: float = 1.0,
@@ -297,7 +305,7 @@ def _float_signal(
 
 def feedback_message(
     can_id: int, ranges: MotorRanges, direction: int = 1, zero: float = 0.0
-) -> Message:
+) -> CyclicMessage:
     """Return the signal table of the feedback frame.
 
     Args:
@@ -308,23 +316,23 @@ def feedback_message(
         zero: motor angle at spool angle zero [rad].
     """
     position = _signal_over_range(
-        "position", Quantity.POSITION, 15, 16, ranges.position, "rad", direction
+        "position", SignalQuantity.POSITION, 15, 16, ranges.position, "rad", direction
     )
-    return Message("feedback", can_id, 8, (
+    return CyclicMessage("feedback", can_id, 8, (
         # The nibbles of state and node form one status byte, so that one comparison checks both.
-        Signal("state", Quantity.STATUS, 7, 8, True),
+        Signal("state", SignalQuantity.STATUS, 7, 8, True),
         # The spool angle is sign * (motor angle - zero).
         position._replace(offset=position.offset - direction * zero),
-        _signal_over_range("velocity", Quantity.VELOCITY, 31, 12, ranges.velocity, "rad/s", direction),
-        _signal_over_range("torque", Quantity.TORQUE, 35, 12, ranges.torque, "N m", direction),
-        Signal("mosfet", Quantity.TEMPERATURE, 55, 8, True, unit="degC"),
-        Signal("winding", Quantity.TEMPERATURE, 63, 8, True, unit="degC"),
+        _signal_over_range("velocity", SignalQuantity.VELOCITY, 31, 12, ranges.velocity, "rad/s", direction),
+        _signal_over_range("torque", SignalQuantity.TORQUE, 35, 12, ranges.torque, "N m", direction),
+        Signal("mosfet", SignalQuantity.TEMPERATURE, 55, 8, True, unit="degC"),
+        Signal("winding", SignalQuantity.TEMPERATURE, 63, 8, True, unit="degC"),
     ))  # fmt: skip
 
 
 def _signal_over_range(
     name: str,
-    quantity: Quantity,
+    quantity: SignalQuantity,
     start: int,
     length: int,
     largest: float,

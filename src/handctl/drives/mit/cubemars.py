@@ -31,7 +31,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import check_full_scale, pop_motor_model, refuse_unknown_options
-from handctl.drives.signals import CyclicMessages, Quantity, Signal, SignalTable
+from handctl.drives.signals import CyclicMessages, Signal, SignalQuantity, SignalTable
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = DriveTarget
@@ -160,14 +160,14 @@ class CubemarsDrive:
             torque,
             Signal(
                 "temperature",
-                Quantity.TEMPERATURE,
+                SignalQuantity.TEMPERATURE,
                 55,
                 8,
                 True,
                 offset=self.temperature_offset,
                 unit="degC",
             ),
-            Signal("error", Quantity.STATUS, 63, 8, True),
+            Signal("error", SignalQuantity.STATUS, 63, 8, True),
         )
         object.__setattr__(self, "command", SignalTable(command._replace(limit=self.torque_limit)))
         object.__setattr__(self, "feedback", SignalTable(feedback._replace(signals=signals)))

@@ -16,7 +16,7 @@ from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import checked_positive
-from handctl.drives.signals import Message, SignalTable
+from handctl.drives.signals import CyclicMessage, SignalTable
 from handctl.errors import ConfigError
 
 _CONTROL_MODES = {
@@ -47,7 +47,7 @@ class MitModeDrive(MitDrive):
         MitDrive.__post_init__(self)
         object.__setattr__(self, "command", SignalTable(self._mode_command_message()))
 
-    def _mode_command_message(self) -> Message:
+    def _mode_command_message(self) -> CyclicMessage:
         """Return the signal table of the command in this mode."""
         if self.mode == DriveMode.VELOCITY:
             return codec.velocity_message(

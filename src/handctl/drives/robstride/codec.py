@@ -32,7 +32,13 @@ import struct
 from typing import NamedTuple
 
 from handctl.drives.frame import EXTENDED
-from handctl.drives.signals import IDENTIFIER_BIT, Message, Quantity, Signal, SignalCoding
+from handctl.drives.signals import (
+    IDENTIFIER_BIT,
+    CyclicMessage,
+    Signal,
+    SignalCoding,
+    SignalQuantity,
+)
 
 # Types of frames, in bits 28..24 of an identifier.
 GET_ID = 0x00
@@ -170,7 +176,9 @@ def joined_status(mode: int, fault: int) -> int:
     return mode << 6 | fault
 
 
-def command_message(node_id: int, ranges: ModelRanges, limit: float, direction: int = 1) -> Message:
+def command_message(
+    node_id: int, ranges: ModelRanges, limit: float, direction: int = 1
+) -> CyclicMessage:
     """Return the signal table of the torque command. The identifier contains the torque.
 
     The format has no code for exactly 0 N m. 0 N m is sent as the nearest code, half a step away.
@@ -184,16 +192,22 @@ def command_message(node_id: int, ranges: ModelRanges, limit: float, direction: 
     scale = direction * 2 * ranges.torque / MAX_COUNT
     offset = -direction * ranges.torque
     torque = Signal(
-        "torque", Quantity.TORQUE, IDENTIFIER_BIT + 8, 16, scale=scale, offset=offset, unit="N m"
+        "torque",
+        SignalQuantity.TORQUE,
+        IDENTIFIER_BIT + 8,
+        16,
+        scale=scale,
+        offset=offset,
+        unit="N m",
     )
-    return Message(
+    return CyclicMessage(
         "command", EXTENDED | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit
     )
 
 
 def impedance_message(
     node_id: int, ranges: ModelRanges, limit: float, direction: int = 1, zero: float = 0.0
-) -> Message:
+) -> CyclicMessage:
     """Return the signal table of the command with position, velocity, kp, kd and torque, see ``POSITION_COMMAND``.
 
     Args:
@@ -206,13 +220,31 @@ def impedance_message(
     """
     torque = command_message(node_id, ranges, limit, direction)
     position = _signal_over_range(
-        "position", Quantity.POSITION, 7, POSITION_RANGE_RAD, "rad", direction
+        "position", SignalQuantity.POSITION, 7, POSITION_RANGE_RAD, "rad", direction
     )
     signals = (
         position._replace(offset=position.offset - direction * zero),
-        _signal_over_range("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", direction),
-        Signal("kp", Quantity.STIFFNESS, 39, 16, True, scale=ranges.kp / MAX_COUNT, unit="N m/rad"),
-        Signal("kd", Quantity.DAMPING, 55, 16, True, scale=ranges.kd / MAX_COUNT, unit="N m s/rad"),
+        _signal_over_range(
+            "velocity", SignalQuantity.VELOCITY, 23, ranges.velocity, "rad/s", direction
+        ),
+        Signal(
+            "kp",
+            SignalQuantity.STIFFNESS,
+            39,
+            16,
+            True,
+            scale=ranges.kp / MAX_COUNT,
+            unit="N m/rad",
+        ),
+        Signal(
+            "kd",
+            SignalQuantity.DAMPING,
+            55,
+            16,
+            True,
+            scale=ranges.kd / MAX_COUNT,
+            unit="N m s/rad",
+        ),
         *torque.signals,
     )
     return torque._replace(name="position_command", signals=signals, base=EMPTY_DATA)
@@ -220,7 +252,7 @@ def impedance_message(
 
 def feedback_message(
     node_id: int, host: int, ranges: ModelRanges, direction: int = 1, zero: float = 0.0
-) -> Message:
+) -> CyclicMessage:
     """Return the signal table of the feedback from a running motor without a fault.
 
     Args:
@@ -232,19 +264,19 @@ def feedback_message(
         zero: motor angle at spool angle zero [rad].
     """
     position = _signal_over_range(
-        "position", Quantity.POSITION, 7, POSITION_RANGE_RAD, "rad", direction
+        "position", SignalQuantity.POSITION, 7, POSITION_RANGE_RAD, "rad", direction
     )
-    return Message("feedback", reply_id(FEEDBACK, node_id, host, joined_status(RUNNING_MODE, 0)), 8, (
+    return CyclicMessage("feedback", reply_id(FEEDBACK, node_id, host, joined_status(RUNNING_MODE, 0)), 8, (
         # The spool angle is sign * (motor angle - zero).
         position._replace(offset=position.offset - direction * zero),
-        _signal_over_range("velocity", Quantity.VELOCITY, 23, ranges.velocity, "rad/s", direction),
-        _signal_over_range("torque", Quantity.TORQUE, 39, ranges.torque, "N m", direction),
-        Signal("winding", Quantity.TEMPERATURE, 55, 16, True, SignalCoding.SIGNED, 0.1, unit="degC"),
+        _signal_over_range("velocity", SignalQuantity.VELOCITY, 23, ranges.velocity, "rad/s", direction),
+        _signal_over_range("torque", SignalQuantity.TORQUE, 39, ranges.torque, "N m", direction),
+        Signal("winding", SignalQuantity.TEMPERATURE, 55, 16, True, SignalCoding.SIGNED, 0.1, unit="degC"),
     ))  # fmt: skip
 
 
 def _signal_over_range(
-    name: str, quantity: Quantity, start: int, largest: float, unit: str, direction: int
+    name: str, quantity: SignalQuantity, start: int, largest: float, unit: str, direction: int
 ) -> Signal:
     """Return the description of a 16-bit signal whose codes cover the values from -largest to largest."""
     scale = direction * 2 * largest / MAX_COUNT

@@ -47,7 +47,7 @@ from handctl.drives.option_checks import (
 )
 from handctl.drives.robstride import codec
 from handctl.drives.robstride.progress import cause_of_error, fault_text
-from handctl.drives.signals import Quantity, Signal, SignalCoding, SignalTable
+from handctl.drives.signals import Signal, SignalCoding, SignalQuantity, SignalTable
 from handctl.errors import ConfigError
 
 POSITION_RANGE_RAD = 12.57
@@ -98,7 +98,14 @@ class RobstrideMitDrive(CubemarsDrive):
         feedback = mit.feedback_message(self.host_id, self.ranges, self.direction, self.zero)
         state, position, velocity, torque, _, _ = feedback.signals
         winding = Signal(
-            "winding", Quantity.TEMPERATURE, 55, 16, True, SignalCoding.SIGNED, 0.1, unit="degC"
+            "winding",
+            SignalQuantity.TEMPERATURE,
+            55,
+            16,
+            True,
+            SignalCoding.SIGNED,
+            0.1,
+            unit="degC",
         )
         # Byte 0 of this feedback is the whole number of the motor, without a state nibble.
         signals = (state._replace(name="node"), position, velocity, torque, winding)

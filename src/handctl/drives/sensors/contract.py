@@ -7,7 +7,7 @@ from typing import Protocol
 
 from handctl.drives.cia404.amplifier import LoadCellAmplifier
 from handctl.drives.frame import Frame
-from handctl.drives.signals import Message
+from handctl.drives.signals import CyclicMessage
 
 
 class SensorInterface(Protocol):
@@ -108,12 +108,12 @@ class SensorInterface(Protocol):
         ...
 
     @property
-    def messages(self) -> tuple[Message, ...]:
+    def messages(self) -> tuple[CyclicMessage, ...]:
         """Return the signal tables of the cyclic frames, in the order of ``ids``."""
         ...
 
     @property
-    def sync_message(self) -> Message:
+    def sync_message(self) -> CyclicMessage:
         """Return the signal table of the SYNC frame."""
         ...
 

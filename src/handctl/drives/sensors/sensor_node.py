@@ -23,7 +23,7 @@ from typing import Protocol, Self
 
 from handctl.drives.cia404.amplifier import LoadCellAmplifier
 from handctl.drives.frame import Frame
-from handctl.drives.signals import Message, Quantity, Signal
+from handctl.drives.signals import CyclicMessage, Signal, SignalQuantity
 
 CHANNELS_PER_FRAME = 5
 """Number of channels in a frame."""
@@ -202,9 +202,11 @@ class SensorNode:
         return ()
 
     @property
-    def sync_message(self) -> Message:
+    def sync_message(self) -> CyclicMessage:
         """Return the signal table of the SYNC frame: a single byte with the counter."""
-        return Message("sync", self.sync_id, 1, (Signal("counter", Quantity.COUNTER, 0, 8),))
+        return CyclicMessage(
+            "sync", self.sync_id, 1, (Signal("counter", SignalQuantity.COUNTER, 0, 8),)
+        )
 
     @property
     def has_counter(self) -> bool:
@@ -246,7 +248,7 @@ class SensorNode:
         return ((1, 1.0), *zip(self.lengths, rates, strict=True)) if self.ids else ()
 
     @property
-    def messages(self) -> tuple[Message, ...]:
+    def messages(self) -> tuple[CyclicMessage, ...]:
         """Return the signal tables of the node's frames, in the order of ``ids``.
 
         ``Signal.channel`` is the index of the tendon or joint.
@@ -256,12 +258,12 @@ class SensorNode:
             zip(self.ids, self.channels, self.lengths, strict=True)
         ):
             tensions = g < self.tension_frames
-            signals = [Signal("counter", Quantity.COUNTER, 0, COUNTER_BITS)]
+            signals = [Signal("counter", SignalQuantity.COUNTER, 0, COUNTER_BITS)]
             signals += [
                 _channel_signal(slot, index, tensions) for slot, index in enumerate(channels)
             ]
             name = f"tensions_{g}" if tensions else f"joints_{g - self.tension_frames}"
-            messages.append(Message(name, can_id, length, tuple(signals)))
+            messages.append(CyclicMessage(name, can_id, length, tuple(signals)))
         return tuple(messages)
 
     def counter(self, k: int) -> int:
@@ -300,10 +302,11 @@ def _channel_signal(slot: int, index: int, tension: bool) -> Signal:
     Channels follow the counter.
     """
     if tension:
-        return Signal(f"tension_{slot}", Quantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS, scale=TENSION_STEP_N,
-                      offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
-    return Signal(f"angle_{slot}", Quantity.ANGLE, CHANNEL_SHIFTS[slot], CHANNEL_BITS, scale=JOINT_STEP_RAD,
-                  offset=-JOINT_ZERO_COUNT * JOINT_STEP_RAD, unit="rad", channel=index)  # fmt: skip
+        return Signal(f"tension_{slot}", SignalQuantity.TENSION, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
+                      scale=TENSION_STEP_N, offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
+    return Signal(f"angle_{slot}", SignalQuantity.ANGLE, CHANNEL_SHIFTS[slot], CHANNEL_BITS,
+                  scale=JOINT_STEP_RAD, offset=-JOINT_ZERO_COUNT * JOINT_STEP_RAD, unit="rad",
+                  channel=index)  # fmt: skip
 
 
 @functools.lru_cache(maxsize=16)

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.tick_types import TELEMETRY_AXES, Mode
+from handctl.core.tick_types import TELEMETRY_AXES, HandMode
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.read.reader import RunLog
-from handctl.safety.action import Action
+from handctl.safety.action import SafetyAction
 
 BLOCK_TICKS = 4096
 """Number of ticks that an export holds in memory at a time."""
@@ -90,8 +90,8 @@ def table_blocks(log: RunLog) -> Iterator[TableBlock]:
         data = b"".join(next(rows) for _ in range(part.start, part.stop))
         numbers = np.frombuffer(data, "<f8").reshape(part.stop - part.start, -1)
         phase = [names[i] for i in np.searchsorted(starts, log.k[part], "right") - 1]
-        mode = [Mode(value).name for value in log.mode[part].tolist()]
-        action = [Action(value).name for value in log.action[part].tolist()]
+        mode = [HandMode(value).name for value in log.mode[part].tolist()]
+        action = [SafetyAction(value).name for value in log.action[part].tolist()]
         yield TableBlock(
             log.k[part], log.t_ns[part], log.late_ns[part], mode, phase, action, numbers
         )

@@ -262,12 +262,12 @@ class RunLog:
 
     @property
     def mode(self) -> NDArray[np.uint8]:
-        """Return the `core.tick_types.Mode` of each tick (ticks,)."""
+        """Return the `core.tick_types.HandMode` of each tick (ticks,)."""
         return self._fixed["mode"]
 
     @property
     def action(self) -> NDArray[np.uint8]:
-        """Return the `safety.action.Action` of each tick (ticks,)."""
+        """Return the `safety.action.SafetyAction` of each tick (ticks,)."""
         return self._fixed["action"]
 
     @property

@@ -36,7 +36,7 @@ from handctl.core.estimation.filter_prediction import predict_filter_states
 from handctl.core.estimation.filter_stack import TendonRegime
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.digit import DigitModel
 
 Matrix = NDArray[np.float64]
@@ -324,14 +324,14 @@ class _LinearizationBench:
 
         No contact is detected, because no torque acts yet.
         """
-        self.layout.view(block, "mode")[...] = Mode.ARMING
+        self.layout.view(block, "mode")[...] = HandMode.ARMING
         tick_stages.correct_estimate(block, self.layout.places, *self._constant_args)
         predict_filter_states(self.model, self.layout, block)
         tick_stages.conclude_estimate(block, self.layout.places, *self._constant_args)
 
     def act(self, block: BlockArray) -> None:
         """Calculate the torque commands from the goals and the estimates."""
-        self.layout.view(block, "mode")[...] = Mode.ACTIVE
+        self.layout.view(block, "mode")[...] = HandMode.ACTIVE
         write_tension_goals(self.model, self.layout, self._constants, block)
         tick_stages.compute_motor_torques(
             block, self.layout.places, *self._constant_args, 0.0, 0, 1

@@ -12,7 +12,7 @@ import numpy as np
 
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_model import HandModel
-from handctl.core.tick_types import Mode
+from handctl.core.tick_types import HandMode
 from handctl.hand.description import Hand
 from handctl.programs.exercise import HOME_ANGLE_RAD, ExerciseProgram, ExerciseStage
 from handctl.report.truth import TruthRecord
@@ -126,7 +126,7 @@ def simulate_swing(
         seed: seed of the simulated noise.
     """
     ticks, truth, failure = simulate_program(hand, model, StepExercise(), factors, seed)
-    active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == Mode.ACTIVE]
+    active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == HandMode.ACTIVE]
     ends = {
         name: max((t for t, phase in active if phase == name), default=None)
         for name in ("move", "hold")
