@@ -14,7 +14,7 @@ from typing import NamedTuple
 from fuzz.drives import FUZZED_DRIVES
 from handctl.core.block_schema import BlockArray
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from tests.drives.protocol_bench import Bench, hand_file
 from tests.drives.wired import Wired
 
@@ -23,7 +23,7 @@ STEP_NS, LONG_SILENCE_NS = 2_000_000, 1_000_000_000
 """Time from one frame to the next, and silence after which every drive counts as lost [ns]."""
 SILENCE_BYTE = 240
 """Smallest third byte that puts a long silence before its frame."""
-IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
+IDENTIFIER_FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 MAX_FRAMES = 5
 DRIVE_TARGETS = tuple(DriveTarget)
 CLEAR_BIT = 0x40

@@ -3,7 +3,7 @@
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 
-from firmware_sim.bus.frame import ERROR, Frame
+from firmware_sim.bus.frame import ERROR_FLAG, Frame
 from firmware_sim.simulated_world import SimulatedWorld
 from firmware_sim.wire.can_controller import CanController
 from firmware_sim.wire.simulated_wire import SimulatedWire
@@ -50,7 +50,7 @@ class TimedLockstep:
     def _to_nodes(self, bus: int) -> Callable[[Frame, int], None]:
         def receive(frame: Frame, t_ns: int) -> None:
             can_id, data, flags, _, _ = frame
-            if not can_id & ERROR:
+            if not can_id & ERROR_FLAG:
                 self._received.append(Frame(can_id, data, flags, bus, t_ns))
 
         return receive

@@ -9,7 +9,14 @@ from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from heapq import heappop, heappush
 
-from firmware_sim.bus.frame import ERROR, EXTENDED, RECORD_SIZE, REMOTE, Frame, pack_record
+from firmware_sim.bus.frame import (
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    RECORD_SIZE,
+    REMOTE_FLAG,
+    Frame,
+    pack_record,
+)
 from firmware_sim.bus.hub import Hub, HubConnection
 from firmware_sim.bus.local_ports import split_records
 from firmware_sim.wire.can_adapter import NO_LATENCY_CLASS, AdapterLatency
@@ -20,7 +27,7 @@ from firmware_sim.wire.wire_options import parse_wire_options
 
 DEFAULT_BITRATES = (1_000_000, 5_000_000)
 """Bit rates of a bus that belongs to no hand: nominal and data phase [bit/s]."""
-QUEUE_REPORT = EXTENDED | REMOTE | ERROR
+QUEUE_REPORT = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
 """Identifier of a record with the level of a client's queue.
 
 No CAN frame has this combination of flags.
@@ -170,7 +177,7 @@ class TimedPort:
             frames, unreadable = split_records(records, self._bus)
             self._unreadable += unreadable
             for frame in frames:
-                if not frame.can_id & ERROR:
+                if not frame.can_id & ERROR_FLAG:
                     self._clients[link].offer(frame, self._latencies[link].send(now_ns))
         self._drop_closed()
 
@@ -195,7 +202,7 @@ class TimedPort:
 
     def _receive_on_nodes(self, frame: Frame, t_ns: int) -> None:
         """Store a frame that the nodes have received from the wire. Error frames are ignored."""
-        if not frame.can_id & ERROR:
+        if not frame.can_id & ERROR_FLAG:
             self._received.append(frame)
 
     def send(self, frames: list[Frame]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.bus.frame import FDF, REMOTE
+from firmware_sim.bus.frame import FDF, REMOTE_FLAG
 from firmware_sim.bus.frame_records import FRAME_DTYPE
 from firmware_sim.compiled import compiled, kernel_helper, rows_at
 from firmware_sim.nodes import sensor_node
@@ -110,10 +110,10 @@ def empty_table(buses: int) -> Any:
 @kernel_helper
 def table_index(bus: int, can_id: int) -> int:
     """Return the index of an identifier in the table of receivers, -1 for an identifier of more than 11 bits."""
-    if can_id & ~REMOTE >= _STANDARD_ID_COUNT:
+    if can_id & ~REMOTE_FLAG >= _STANDARD_ID_COUNT:
         return -1
     # The index selects the blocks of the bus, and then the block of data frames or remote frames.
-    return (2 * bus + (1 if can_id & REMOTE else 0)) * _STANDARD_ID_COUNT + (
+    return (2 * bus + (1 if can_id & REMOTE_FLAG else 0)) * _STANDARD_ID_COUNT + (
         can_id & (_STANDARD_ID_COUNT - 1)
     )
 
@@ -198,7 +198,7 @@ def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
     if frame.flags & FDF or rotor.faulty != 0 or node.motion_due_ns > 0:
         return True
     return bool(
-        frame.can_id & REMOTE == 0
+        frame.can_id & REMOTE_FLAG == 0
         and (frame.length < 4 or not math.isfinite(_get_float(frame.data)))
     )
 
@@ -218,7 +218,7 @@ def _answer_odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
     Returns:
         Number of answers in ``answers``.
     """
-    if frame.can_id & REMOTE:
+    if frame.can_id & REMOTE_FLAG:
         _write_encoder_frame(node, rotor, frame.bus, answers[count])
         return count + 1
     set_torque(node, rotor.servo_row, _get_float(frame.data), t_ns)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from firmware_sim.bus.frame import EXTENDED, Frame
+from firmware_sim.bus.frame import EXTENDED_FLAG, Frame
 from firmware_sim.hand_description import MotorSpec
 from firmware_sim.plant.motor import Motor
 
@@ -96,7 +96,7 @@ def unchanged_frame(frame: Frame) -> Frame:
     return frame
 
 
-UNADDRESSED_FRAME = Frame(EXTENDED, b"")
+UNADDRESSED_FRAME = Frame(EXTENDED_FLAG, b"")
 """A frame with an identifier of no node."""
 
 

@@ -2,7 +2,7 @@
 
 Error frame (8 bytes):
 
-    can_id   ERROR flag and the error classes below
+    can_id   ERROR_FLAG and the error classes below
     data[1]  status bits of a CRTL frame
     data[3]  location of a protocol error
     data[6]  transmit error counter, at most 255
@@ -15,7 +15,7 @@ import enum
 from collections import deque
 from collections.abc import Callable
 
-from firmware_sim.bus.frame import ERROR, Frame
+from firmware_sim.bus.frame import ERROR_FLAG, Frame
 from firmware_sim.wire.frame_bits import arbitration_number
 
 WARNING_ERROR_COUNT = 96
@@ -245,4 +245,4 @@ class CanController:
             data[3] = LOC_ACK
         data[6] = min(MAX_REPORTED_ERROR_COUNT, self.tx_errors)
         data[7] = self.rx_errors
-        self.on_receive(Frame(ERROR | CAN_ERR_CNT | kind, bytes(data)), t_ns)
+        self.on_receive(Frame(ERROR_FLAG | CAN_ERR_CNT | kind, bytes(data)), t_ns)

@@ -11,7 +11,7 @@ four bits.
 from dataclasses import dataclass
 from functools import lru_cache
 
-from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 
 INTERFRAME_BITS = 3
 """Number of bits of the interframe space."""
@@ -60,8 +60,8 @@ def arbitration_number(can_id: int) -> int:
 
     Arbitration cannot decide between frames with equal numbers.
     """
-    remote = bool(can_id & REMOTE)
-    if can_id & EXTENDED:
+    remote = bool(can_id & REMOTE_FLAG)
+    if can_id & EXTENDED_FLAG:
         base = can_id >> 18 & 0x7FF
         rest = can_id & 0x3FFFF
         # The field of a 29-bit identifier has 11 bits of the base, SRR and IDE (both recessive, 1),
@@ -85,9 +85,11 @@ def _frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[int
 def _classical_frame_bits(can_id: int, data: bytes, actual: bool) -> tuple[int, int]:
     """Count the bits of a classical frame. All bits have the nominal bit rate."""
     body = (
-        _identifier_bits(can_id) + ("00" if can_id & EXTENDED else "0") + format(len(data), "04b")
+        _identifier_bits(can_id)
+        + ("00" if can_id & EXTENDED_FLAG else "0")
+        + format(len(data), "04b")
     )
-    body += "" if can_id & REMOTE else "".join(format(byte, "08b") for byte in data)
+    body += "" if can_id & REMOTE_FLAG else "".join(format(byte, "08b") for byte in data)
     exposed = body + _crc15(body)
     return len(exposed) + (
         _stuff_bit_count(exposed) if actual else (len(exposed) - 1) // 4
@@ -113,8 +115,8 @@ def _fd_frame_bits(can_id: int, data: bytes, flags: int, actual: bool) -> tuple[
 
 def _identifier_bits(can_id: int) -> str:
     """Return the bits from start of frame to IDE, or to the RTR bit of a 29-bit identifier."""
-    remote = "1" if can_id & REMOTE else "0"
-    if can_id & EXTENDED:
+    remote = "1" if can_id & REMOTE_FLAG else "0"
+    if can_id & EXTENDED_FLAG:
         return (
             "0"
             + format(can_id >> 18 & 0x7FF, "011b")

@@ -28,7 +28,7 @@ from handctl.compiled import (
 )
 from handctl.core.block_schema import BlockLayout
 from handctl.core.control_law.streamed_motion import begin_segments
-from handctl.core.state_block import STATE, STREAM_RANGE
+from handctl.core.state_block import STATE_SCHEMA, STREAM_RANGE
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import rebuild_controller
 from tests.contracts.random_hands import TICKS, tick_hashes
@@ -122,7 +122,7 @@ def hash_of_segments() -> str:
     digest = hashlib.blake2b(digest_size=16)
     draw = np.random.default_rng(0)
     axes = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
-    layout = BlockLayout(STATE, dict.fromkeys(axes, 3))
+    layout = BlockLayout(STATE_SCHEMA, dict.fromkeys(axes, 3))
     for i in range(200):
         block = layout.initial.copy()
         rows = layout.table(block, "coordinate")

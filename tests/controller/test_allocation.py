@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from handctl.core.control_law.tension_allocation import (
-    REGULARISATION,
+    REGULARISATION_WEIGHT,
     solve_bounded,
     tensions_for_torque,
 )
@@ -62,7 +62,7 @@ def cost(arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.nd
     r = np.abs(arms).mean()
     return float(
         ((arms.T @ tension - torque) ** 2).sum() / r**2
-        + REGULARISATION * ((tension - floor) ** 2).sum()
+        + REGULARISATION_WEIGHT * ((tension - floor) ** 2).sum()
     )
 
 
@@ -80,7 +80,7 @@ def test_bounded_solution_has_the_smallest_error(case: str) -> None:
         assert (tension >= floor).all()
         assert (tension <= ceiling).all()
         np.testing.assert_allclose(missing, torque - arms.T @ tension, atol=1e-15)
-        weight = np.sqrt(REGULARISATION)
+        weight = np.sqrt(REGULARISATION_WEIGHT)
         rows, right = (
             np.vstack([arms.T / r, weight * np.eye(n)]),
             np.concatenate([torque / r, weight * floor]),

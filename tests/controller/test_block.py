@@ -25,14 +25,19 @@ from handctl.controller.run_setup import make_drives, make_sensors
 from handctl.core import constants, hand_constants
 from handctl.core import state_block as state_block
 from handctl.core.block_schema import INTEGER_TABLE_SUFFIX, BlockField, BlockSchema
-from handctl.core.constants import ELEMENTS, HAND, KINDS, constant_tables
+from handctl.core.constants import (
+    CONSTANT_SCHEMA,
+    DESIGN_ELEMENT_COUNT,
+    FILTER_DESIGN_COUNT,
+    constant_tables,
+)
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.core.gains.gain_bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
-from handctl.core.state_block import STATE, state_tables
+from handctl.core.state_block import STATE_SCHEMA, state_tables
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DrivePhase, DriveState
 from handctl.drives.readback import ReadbackCursor
@@ -117,9 +122,9 @@ def state(request: pytest.FixtureRequest) -> ControllerState:
     model: HandModel = request.getfixturevalue(request.param)
     # A drive of this hand closes a position loop, so that no table of the state is empty.
     axes = layout_of_state(model, 3).axes | {"servo": model.tendon_count}
-    layout, rng = STATE.layout(axes), np.random.default_rng(5)
+    layout, rng = STATE_SCHEMA.layout(axes), np.random.default_rng(5)
     block = layout.initial.copy()
-    for field in STATE.fields:
+    for field in STATE_SCHEMA.fields:
         part = layout.view(block, field.name)
         whole = field.table.endswith(INTEGER_TABLE_SUFFIX)
         part[...] = (
@@ -149,7 +154,9 @@ def constants_by_field(module: Any) -> dict[str, str]:
     return declared
 
 
-@pytest.mark.parametrize(("schema", "module"), [(STATE, state_block), (HAND, constants)])
+@pytest.mark.parametrize(
+    ("schema", "module"), [(STATE_SCHEMA, state_block), (CONSTANT_SCHEMA, constants)]
+)
 def test_every_field_is_declared_once_and_found_by_its_name(
     schema: BlockSchema, module: Any
 ) -> None:
@@ -165,7 +172,7 @@ def test_every_field_is_declared_once_and_found_by_its_name(
 
 def test_kernels_see_every_field_where_the_layout_has_it(state: ControllerState) -> None:
     seen = interpreted(state_tables)(state.block, state.layout.places)
-    for field in STATE.fields:
+    for field in STATE_SCHEMA.fields:
         rows = getattr(seen, field.table)[field.first : field.first + field.rows]
         np.testing.assert_array_equal(
             rows.ravel(), state.view(field.name).ravel(), err_msg=field.name
@@ -180,12 +187,12 @@ def test_a_copy_is_another_block_of_the_same_numbers(state: ControllerState) -> 
     copy = state.copy()
     assert copy.digest() == state.digest()
     assert state.layout.difference(copy.block, state.block) is None
-    for field in STATE.fields:
+    for field in STATE_SCHEMA.fields:
         copy.view(field.name)[...] = 77
-    assert not any((state.view(field.name) == 77).all() for field in STATE.fields)
+    assert not any((state.view(field.name) == 77).all() for field in STATE_SCHEMA.fields)
 
 
-@pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
+@pytest.mark.parametrize("field", STATE_SCHEMA.fields, ids=names_of(STATE_SCHEMA.fields))
 def test_a_difference_names_its_field(state: ControllerState, field: BlockField) -> None:
     """The message names the first field that differs, in the order of the schema.
 
@@ -196,7 +203,7 @@ def test_a_difference_names_its_field(state: ControllerState, field: BlockField)
     at = len(values) // 2
     before, values[at] = values[at].item(), 3
     assert state.layout.difference(state.block, other.block) == (field.name, at, before, 3)
-    for later in STATE.fields[STATE.fields.index(field) + 1 :]:
+    for later in STATE_SCHEMA.fields[STATE_SCHEMA.fields.index(field) + 1 :]:
         other.view(later.name)[...] = 3
     found = state.layout.difference(state.block, other.block)
     assert found is not None
@@ -300,11 +307,11 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
         else HandModel.from_hand(load_hand(hand), Gains(), 200.0)
     )
     found, values = packed_constants(model, monkeypatch)
-    assert values.keys() == set(names_of(HAND.fields)), "every field is packed"
+    assert values.keys() == set(names_of(CONSTANT_SCHEMA.fields)), "every field is packed"
     assert not found.block.flags.writeable
     seen = interpreted(constant_tables)(found.block, found.layout.places)
-    assert seen.design.shape == (model.tendon_count, KINDS, ELEMENTS)
-    for field in HAND.fields:
+    assert seen.design.shape == (model.tendon_count, FILTER_DESIGN_COUNT, DESIGN_ELEMENT_COUNT)
+    for field in CONSTANT_SCHEMA.fields:
         view = found.layout.view(found.block, field.name)
         value = np.asarray(values[field.name])
         np.testing.assert_array_equal(view, np.broadcast_to(value, view.shape), err_msg=field.name)
@@ -319,7 +326,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(
 # Digest of a state.
 
 
-@pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
+@pytest.mark.parametrize("field", STATE_SCHEMA.fields, ids=names_of(STATE_SCHEMA.fields))
 def test_every_element_of_every_field_changes_the_digest(active: Bench, field: BlockField) -> None:
     """Change each element of a state by one unit in the last place.
 

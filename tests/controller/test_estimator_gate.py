@@ -5,7 +5,7 @@ import pytest
 
 from handctl.core.estimation.consistency_events import consistency_events
 from handctl.core.estimation.filter_stack import STATE_COUNT, E, S, TendonRegime, V, X
-from handctl.core.estimation.kalman import MEAN_NIS_S, SLACK_LENGTH_M
+from handctl.core.estimation.kalman import NIS_AVERAGING_TIME_S, SLACK_LENGTH_M
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent
 from tests.controller.filter_runs import FilterState, parts, state_of, tick
@@ -133,13 +133,13 @@ def test_the_error_stays_as_it_is_while_the_tendon_is_taut(model: HandModel) -> 
 def test_a_model_that_does_not_fit_is_reported_once(model: HandModel) -> None:
     hand = Held(model).settled()
     names, events = model.hand.tendon_names, list[TickEvent]()
-    for k in range(round(3 * MEAN_NIS_S / model.period)):
+    for k in range(round(3 * NIS_AVERAGING_TIME_S / model.period)):
         before = hand.state
         hand.sample(TENSION, travel=4e-5 * (-1) ** k)
         events += consistency_events(model, state_of(model, before), state_of(model, hand.state))
     assert sorted(event.where for event in events) == sorted(names), "every tendon, each once"
     assert {event.level for event in events} == {"warn"}
-    for _ in range(round(5 * MEAN_NIS_S / model.period)):
+    for _ in range(round(5 * NIS_AVERAGING_TIME_S / model.period)):
         before = hand.state
         hand.sample(TENSION)
         events += consistency_events(model, state_of(model, before), state_of(model, hand.state))

@@ -154,7 +154,7 @@ def test_the_transition_of_all_tendons_is_that_of_its_blocks(
 def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
     """The kernels get all parts of the filter design, and the variances that are derived from them."""
     design = constant_tables_of(model).design
-    assert design.shape == (model.tendon_count, h.KINDS, h.ELEMENTS)
+    assert design.shape == (model.tendon_count, h.FILTER_DESIGN_COUNT, h.DESIGN_ELEMENT_COUNT)
     parts = {
         "F": h.F_AT,
         "B": h.B_AT,

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.control_law.friction_band import MIN_SLIDING_SPEED, tension_after_period
+from handctl.core.control_law.friction_band import MIN_SLIDING_SPEED_M_S, tension_after_period
 from handctl.core.hand_model import HandModel
 from handctl.document import validate_content
 from handctl.programs.task import Task
@@ -25,7 +25,7 @@ def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     The command is 12 N, and friction takes 20 %.
     """
     n = model.tendon_count
-    now, found, crept = [begin] * n, [], MIN_SLIDING_SPEED * model.period
+    now, found, crept = [begin] * n, [], MIN_SLIDING_SPEED_M_S * model.period
     for speed in speeds:
         wound = speed * model.period
         now = [

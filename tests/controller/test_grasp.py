@@ -8,7 +8,7 @@ import pytest
 
 from handctl.core import constants as h
 from handctl.core.control_law.digit_goal import GoalKind
-from handctl.core.estimation.contact_force import SMOOTH_S
+from handctl.core.estimation.contact_force import TIP_FORCE_TIME_CONSTANT_S
 from handctl.core.estimation.filter_stack import STATE_COUNT, S, X
 from handctl.core.estimation.tip_force import joint_lever, tip_force
 from handctl.core.hand_model import HandModel
@@ -90,7 +90,10 @@ class ProgramRun:
 
     def touch(self, estimate: Estimate) -> None:
         """Run so many ticks with an estimate that contact detection has time to find its contact."""
-        for _ in range(round(5 * SMOOTH_S / self.model.period) + self.model.gains.contact.ticks):
+        for _ in range(
+            round(5 * TIP_FORCE_TIME_CONSTANT_S / self.model.period)
+            + self.model.gains.contact.ticks
+        ):
             self.tick(estimate)
 
     def until(self, phase: str, estimate: Estimate, timeout: float = 20.0) -> float:

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.control_law.computed_torque import MOTOR_FRICTION_SPEED
+from handctl.core.control_law.computed_torque import MOTOR_FRICTION_SPEED_M_S
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.trajectory import MinimumJerk
 from handctl.core.hand_model import HandModel
@@ -166,7 +166,9 @@ def test_rotor_forces_of_a_planned_motion_are_fed_forward_in_a_hold(model: HandM
         speed[tendons], acceleration[tendons] = (
             one.motion_at(EVALUATED_S - since)[1:] @ digit.reduced_moment_arms.T
         )
-    needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
+    needed = (
+        space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED_M_S) + space.motor_mass * acceleration
+    )
     needed += (model.motion.tension_speed + space.motor_damping) * speed
     np.testing.assert_allclose(
         force(model, estimate, goals) - force(model, estimate, still), needed, rtol=1e-9

@@ -8,11 +8,11 @@ import pytest
 
 from handctl.controller.hand_modes import (
     ARMING_TIMEOUT_S,
-    CUT_S,
+    CUT_DURATION_S,
     DISARM_TIMEOUT_S,
     INVENTORY_TIMEOUT_S,
-    LISTEN_S,
-    READY_S,
+    LISTENING_DURATION_S,
+    READY_DURATION_S,
 )
 from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
@@ -58,8 +58,12 @@ def test_a_hand_goes_through_all_modes_and_ends_disabled(model: HandModel) -> No
     run = bench(model, LiveProgram())
     run.until(HandMode.ACTIVE)
     assert run.modes == HAPPY
-    assert duration_in(run, HandMode.SILENT) == pytest.approx(LISTEN_S, abs=1.5 * model.period)
-    assert duration_in(run, HandMode.READY) == pytest.approx(READY_S, abs=1.5 * model.period)
+    assert duration_in(run, HandMode.SILENT) == pytest.approx(
+        LISTENING_DURATION_S, abs=1.5 * model.period
+    )
+    assert duration_in(run, HandMode.READY) == pytest.approx(
+        READY_DURATION_S, abs=1.5 * model.period
+    )
     for _, _, out in run.history:
         if out.mode == HandMode.SILENT:
             assert out.frames == (), "silent means silent"
@@ -155,7 +159,7 @@ def test_cut_from_every_mode(hand: Bench, mode: HandMode) -> None:
     hand.until(HandMode.DONE)
     assert hand.modes[-3:] == [HandMode.CUT, HandMode.DISARM, HandMode.DONE]
     assert duration_in(hand, HandMode.CUT) == pytest.approx(
-        CUT_S, abs=1.5 * hand.controller.model.period
+        CUT_DURATION_S, abs=1.5 * hand.controller.model.period
     )
     assert not hand.state.failure, "a person wanted it"
 

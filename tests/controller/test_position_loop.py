@@ -507,7 +507,7 @@ def test_a_hand_without_position_loops_has_no_servo_table_and_keeps_its_identity
         for one in (hand, loop)
     ]
     assert [layout.axes["servo"] for layout in layouts] == [0, 4]
-    assert layouts[1].size - layouts[0].size == 4 * s.STATE.rows("servo")
+    assert layouts[1].size - layouts[0].size == 4 * s.STATE_SCHEMA.rows("servo")
 
 
 def print_tracking(protocol: str, seeds: int) -> None:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.core.control_law.trajectory import (
-    PEAK_SPEED,
+    PEAK_SPEED_RATIO,
     CurveTrajectory,
     MinimumJerk,
     duration_for,
@@ -54,7 +54,7 @@ def test_move_stays_between_its_ends_and_below_its_peak_speed(
     assert (steps >= -1e-12).all(), "straight there"
     speed = np.abs([v for _, v, _ in course]).max(axis=0)
     np.testing.assert_allclose(
-        speed, PEAK_SPEED * np.abs(end - start) / duration, rtol=1e-6, atol=1e-12
+        speed, PEAK_SPEED_RATIO * np.abs(end - start) / duration, rtol=1e-6, atol=1e-12
     )
 
 

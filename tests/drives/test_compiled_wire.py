@@ -16,7 +16,7 @@ import pytest
 from fuzz.drives import FUZZED_DRIVES, FuzzedDrive
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import NO_STEADY_STATUS, Drive, DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import BRS, ERROR, FDF, REMOTE, Frame
+from handctl.drives.frame import BRS, ERROR_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.drives.odrive.drive import OdriveDrive
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.drives.sensors.sensor_node import SensorNode
@@ -62,7 +62,7 @@ def some_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Fr
     if way == 2:
         return frame._replace(data=bytes(data[:-1]))
     if way == 3:
-        return frame._replace(can_id=frame.can_id | chance.choice((ERROR, REMOTE)))
+        return frame._replace(can_id=frame.can_id | chance.choice((ERROR_FLAG, REMOTE_FLAG)))
     if way == 4:
         return frame._replace(flags=frame.flags ^ (FDF | BRS))
     if way == 5 and data:

@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from handctl.drives.contract import DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import BRS, EXTENDED, FDF, Frame
+from handctl.drives.frame import BRS, EXTENDED_FLAG, FDF, Frame
 from handctl.drives.protocol_registry import PROTOCOL_ENTRIES
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import Bench, hand_file
@@ -38,11 +38,11 @@ def bench(
 def extended_ids(bench: Bench, chance: random.Random) -> set[int]:
     """Return 29-bit identifiers: random ones, some of a drive and its host, and each of these with one bit changed."""
     ours = sorted(
-        one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED
+        one for one in bench.drives[0].node_ids | bench.drives[0].host_ids if one & EXTENDED_FLAG
     )
     near = chance.sample(ours, min(len(ours), 4))
     changed = {one ^ 1 << bit for one in near for bit in range(29)}
-    return {*near, *changed, *(EXTENDED | chance.getrandbits(29) for _ in range(RANDOM_IDS))}
+    return {*near, *changed, *(EXTENDED_FLAG | chance.getrandbits(29) for _ in range(RANDOM_IDS))}
 
 
 def every_frame(bench: Bench, seed: int, t_ns: int) -> Iterator[Frame]:

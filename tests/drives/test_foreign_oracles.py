@@ -8,7 +8,7 @@ import cantools.database
 import odrive_can
 import pytest
 
-from firmware_sim.bus.frame import REMOTE, Frame
+from firmware_sim.bus.frame import REMOTE_FLAG, Frame
 from firmware_sim.nodes.cia402.object_dictionary import EDS_PATH, ObjectDictionary
 from firmware_sim.programs.drive import SimulatedDriveBench
 from firmware_sim.programs.drive_types import drive_spec
@@ -78,7 +78,7 @@ def test_what_a_simulated_odrive_answers_is_a_message_of_the_vendor(
     frames = bench.take_unsolicited()
     for message in dbc.messages:
         if message.name.startswith(f"Axis{NODE}_Get_"):
-            frames += bench.receive(Frame(message.frame_id | REMOTE, b""))
+            frames += bench.receive(Frame(message.frame_id | REMOTE_FLAG, b""))
     assert {frame.can_id & 0x1F for frame in frames} >= {
         0x00,
         0x01,
@@ -110,7 +110,7 @@ def test_a_simulated_odrive_obeys_what_the_vendors_dbc_encodes(
         message = dbc.get_message_by_name(f"Axis{NODE}_{name}")
         bench.receive(Frame(message.frame_id, message.encode(values)))
     assert bench.motors[0].servo.torque == 0.125
-    (reply,) = bench.receive(Frame(codec.message_id(NODE, codec.TORQUES) | REMOTE, b""))
+    (reply,) = bench.receive(Frame(codec.message_id(NODE, codec.TORQUES) | REMOTE_FLAG, b""))
     assert dbc.decode_message(reply.can_id, reply.data)["Torque_Target"] == 0.125
     bench.receive(Frame(dbc.get_message_by_name(f"Axis{NODE}_Estop").frame_id, b""))
     assert bench.motors[0].servo.torque == 0.0

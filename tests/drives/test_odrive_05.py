@@ -11,7 +11,7 @@ import odrive_can
 import pytest
 
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.protocol_registry import make_drive
 from handctl.errors import ConfigError
@@ -61,7 +61,7 @@ def test_odrive_05_is_not_asked_for_missing_messages():
     send = place.send
     place.send = lambda frames: (sent.extend(frames), send(frames))[1]
     rig.until(DriveTarget.ENABLE, lambda state: False, 1.0)
-    asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE}
+    asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE_FLAG}
     assert asked == {0x09}
     assert rig.state.phase == DrivePhase.ENABLED
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.frame import EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.drives.motor_description import GUARDED_PROTOCOLS
 from tests.drives.protocol_bench import Bench, hand_file, servo_torques
 
@@ -129,9 +129,9 @@ def test_any_bytes_on_any_identifier_are_survived(bench: Bench, phase: DrivePhas
             if can_id not in drive.node_ids:
                 assert after is known
             drive.advance(after, bench.k * 2_000_000, DriveTarget.POLL, 0.0)
-            for other in (frame._replace(bus=1), frame._replace(can_id=can_id | EXTENDED)):
+            for other in (frame._replace(bus=1), frame._replace(can_id=can_id | EXTENDED_FLAG)):
                 assert drive.receive(known, other) is known
-            assert drive.receive(known, frame._replace(can_id=can_id | REMOTE)) is known
+            assert drive.receive(known, frame._replace(can_id=can_id | REMOTE_FLAG)) is known
 
 
 def test_simulated_nodes_survive_any_bytes(bench: Bench) -> None:
@@ -140,7 +140,7 @@ def test_simulated_nodes_survive_any_bytes(bench: Bench) -> None:
         for length in (0, 1, 3, 4, 8, 64):
             flags = FDF if length > 8 else 0
             bench.rig.world.receive(Frame(can_id, chance.randbytes(length), flags))  # type: ignore[arg-type]
-        bench.rig.world.receive(Frame(can_id | REMOTE, b""))  # type: ignore[arg-type]
+        bench.rig.world.receive(Frame(can_id | REMOTE_FLAG, b""))  # type: ignore[arg-type]
     bench.rig.world.advance(bench.rig.world.t_ns + 100_000_000)
 
 

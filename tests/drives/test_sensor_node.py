@@ -13,7 +13,7 @@ from cantools.database import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.sensors.sensor_node import (
     TENSION_MAX_N,
     TENSION_ZERO_N,
@@ -232,7 +232,7 @@ def without_unknown_counters(wired: Wired) -> bytes:
 
 @given(
     st.one_of(st.just(0x1A1), st.integers(0, 2047)),
-    st.sampled_from([0, 0, EXTENDED, REMOTE, ERROR]),
+    st.sampled_from([0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG]),
     st.binary(max_size=64),
     st.integers(0, 2),
 )
@@ -244,9 +244,9 @@ def test_any_sensor_frame_is_survived(can_id: int, mark: int, data: bytes, bus: 
     if mark or not here:
         assert without_unknown_counters(wired) == before
     assert len(wired.foreign) == (bus == 0 and not mark and can_id in node.host_ids)
-    assert wired.number("strange") == (not wired.foreign and not (here and mark in (0, ERROR)))
+    assert wired.number("strange") == (not wired.foreign and not (here and mark in (0, ERROR_FLAG)))
     fits = here and mark == 0 and len(data) == node.lengths[node.ids.index(can_id)]
-    assert wired.misread == (here and mark != ERROR and not fits)
+    assert wired.misread == (here and mark != ERROR_FLAG and not fits)
 
 
 @pytest.mark.parametrize("size", [0, 1, 7, 9, 64])

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.controller.bus_load import bus_loads
 from handctl.drives.contract import DrivePhase, DriveTarget
-from handctl.drives.frame import ERROR
+from handctl.drives.frame import ERROR_FLAG
 from handctl.hand.hand_loading import hand_path, load_hand
 from handctl.runtime.clocks.lockstep import LockstepBus, LockstepClock
 from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
@@ -84,7 +84,7 @@ def test_lockstep_matches_the_timed_wire(tmp_path: Path) -> None:
     bus.send([bench.node.sync(0)])
     for k in range(1, 5):
         clock.wait(k)
-    assert not any(frame.can_id & ERROR for frame in bus.drain())
+    assert not any(frame.can_id & ERROR_FLAG for frame in bus.drain())
     assert {"error_warning", "error_passive", "bus_off"} <= {
         kind for kind, _, _ in bus.take_events()
     }

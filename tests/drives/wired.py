@@ -10,10 +10,10 @@ from handctl.controller.controller_state import drive_values
 from handctl.core import constants as h
 from handctl.core import cyclic_frames, tick_stages
 from handctl.core import state_block as s
-from handctl.core.constants import ELEMENTS, HAND, KINDS
-from handctl.core.state_block import STATE
+from handctl.core.constants import CONSTANT_SCHEMA, DESIGN_ELEMENT_COUNT, FILTER_DESIGN_COUNT
+from handctl.core.state_block import STATE_SCHEMA
 from handctl.drives.contract import Drive, DriveState, DriveTarget
-from handctl.drives.frame import ERROR, Frame
+from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import WORDS_PER_RECORD, Frames, frames_as_records
 from handctl.drives.sensors.contract import SensorInterface
 
@@ -36,7 +36,7 @@ class Wired:
             (j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0
         )
         axes = {"tendon": n, "joint": joints, "digit": 1, "coordinate": 1, "node": n + 1}
-        self.layout = STATE.layout(
+        self.layout = STATE_SCHEMA.layout(
             {**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1}
         )
         self.tables = cyclic_frames.WireTables(drives, sensors)
@@ -85,7 +85,7 @@ class Wired:
             if at >= len(frames):
                 return self
             frame = frames[at]
-            i = self.owners.get((frame.bus, frame.can_id & ~ERROR))
+            i = self.owners.get((frame.bus, frame.can_id & ~ERROR_FLAG))
             if i is None:
                 self.foreign.append(frame)
             else:
@@ -164,7 +164,15 @@ class Wired:
         """Constants of a hand in which only the frames of the load cells are set."""
         axes = self.layout.axes
         kept = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
-        layout = HAND.layout({**kept, "kind": KINDS, "element": ELEMENTS, "place": 1, "run": 1})
+        layout = CONSTANT_SCHEMA.layout(
+            {
+                **kept,
+                "kind": FILTER_DESIGN_COUNT,
+                "element": DESIGN_ELEMENT_COUNT,
+                "place": 1,
+                "run": 1,
+            }
+        )
         block = layout.initial.copy()
         table = layout.table(block, "tendon_int")
         table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from firmware_sim.bus.frame import (
     BRS,
     ESI,
-    EXTENDED,
+    EXTENDED_FLAG,
     FDF,
     RECORD_SIZE,
     Frame,
@@ -146,7 +146,7 @@ def test_no_factors_no_change() -> None:
 @given(
     st.integers(0, (1 << 29) - 1),
     st.binary(max_size=64),
-    st.sampled_from([0, EXTENDED]),
+    st.sampled_from([0, EXTENDED_FLAG]),
     st.sampled_from([FDF, FDF | BRS, FDF | BRS | ESI]),
 )
 def test_a_record_is_a_canfd_frame(number: int, data: bytes, extended: int, flags: int) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.bus.frame import BRS, ERROR_FLAG, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from firmware_sim.wire.can_adapter import ADAPTER_CLASSES, AdapterLatency
 from firmware_sim.wire.can_controller import CanController, ErrorState
 from firmware_sim.wire.frame_bits import FD_LENGTHS, BitRates, arbitration_number
@@ -33,7 +33,9 @@ class BusMember:
         self.controller = wire.add(self._receive, queue)
 
     def _receive(self, frame: Frame, t_ns: int) -> None:
-        (self.errors if frame.can_id & ERROR else self.received).append(frame._replace(t_ns=t_ns))
+        (self.errors if frame.can_id & ERROR_FLAG else self.received).append(
+            frame._replace(t_ns=t_ns)
+        )
 
     @property
     def ids(self) -> list[int]:
@@ -70,7 +72,8 @@ def test_a_frame_whose_bits_were_counted_by_hand() -> None:
 
 def test_an_extended_identifier_takes_twenty_bits_more() -> None:
     assert (
-        WORST.frame_ns(Frame(1 | EXTENDED, bytes(8))) == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
+        WORST.frame_ns(Frame(1 | EXTENDED_FLAG, bytes(8)))
+        == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
     )
 
 
@@ -90,9 +93,9 @@ def test_the_lowest_identifier_goes_first_without_interruption() -> None:
     ("first", "second"),
     [
         (0x100, 0x101),
-        (0x100, 0x100 | REMOTE),
-        (0x100 | REMOTE, 0x100 << 18 | EXTENDED),
-        (5 | EXTENDED, 6 | EXTENDED),
+        (0x100, 0x100 | REMOTE_FLAG),
+        (0x100 | REMOTE_FLAG, 0x100 << 18 | EXTENDED_FLAG),
+        (5 | EXTENDED_FLAG, 6 | EXTENDED_FLAG),
     ],
 )
 def test_arbitration_is_bit_by_bit(first: int, second: int) -> None:

@@ -16,7 +16,7 @@ from handctl.core.tick_types import (
     TickOut,
 )
 from handctl.drives.contract import DrivePhase
-from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.frame import BRS, ERROR_FLAG, ESI, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.log.header import RunHeader
 from handctl.programs.requests import target_text
 from handctl.safety.action import SafetyAction
@@ -47,8 +47,10 @@ def ticks(run: RunHeader, number: int = 120) -> Iterator[tuple[TickIn, TickOut]]
 def _frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, ...]:
     frames = []
     for n in range(index % 7):
-        flag = (0, EXTENDED, REMOTE, ERROR, EXTENDED | REMOTE)[(index + n) % 5]
-        can_id = (0x12345678 if flag & EXTENDED else 0x123 + n) | flag
+        flag = (0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG, EXTENDED_FLAG | REMOTE_FLAG)[
+            (index + n) % 5
+        ]
+        can_id = (0x12345678 if flag & EXTENDED_FLAG else 0x123 + n) | flag
         long = (index + n) % 4 == 0
         data = random.bytes((12, 64, 3, 8)[n % 4]) if long else random.bytes((index + n) % 9)
         flags = FDF | (BRS, ESI, 0)[n % 3] if long else 0

@@ -11,10 +11,17 @@ from handctl.controller.apply_requests import clear_latched_faults
 from handctl.controller.controller_state import ControllerDecisions, ControllerState
 from handctl.core import state_block as s
 from handctl.core import tick_stages
-from handctl.core.constants import AXES, ELEMENTS, HAND, KINDS, ConstantTables, constant_tables
+from handctl.core.constants import (
+    CONSTANT_AXES,
+    CONSTANT_SCHEMA,
+    DESIGN_ELEMENT_COUNT,
+    FILTER_DESIGN_COUNT,
+    ConstantTables,
+    constant_tables,
+)
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.hand_constants import low_pass_fractions
-from handctl.core.state_block import STATE, StateTables, state_tables
+from handctl.core.state_block import STATE_SCHEMA, StateTables, state_tables
 from handctl.core.tick_types import HandMode
 from handctl.safety.faults.fault import (
     JOINT_INSTANCE,
@@ -71,11 +78,12 @@ class Monitor:
         compile_kernels()
         n = len(limits.tendons)
         self.limits = limits
-        sizes = dict.fromkeys((*s.AXES, *AXES), n) | {
-            "node": n + 1, "group": 2 * n, "instance": n + 1, "run": 1, "kind": KINDS, "element": ELEMENTS, "place": 3,
+        sizes = dict.fromkeys((*s.STATE_AXES, *CONSTANT_AXES), n) | {
+            "node": n + 1, "group": 2 * n, "instance": n + 1, "run": 1,
+            "kind": FILTER_DESIGN_COUNT, "element": DESIGN_ELEMENT_COUNT, "place": 3,
         }  # fmt: skip
-        self.layout = STATE.layout({name: sizes[name] for name in s.AXES})
-        self.hand = HAND.layout({name: sizes[name] for name in AXES})
+        self.layout = STATE_SCHEMA.layout({name: sizes[name] for name in s.STATE_AXES})
+        self.hand = CONSTANT_SCHEMA.layout({name: sizes[name] for name in CONSTANT_AXES})
         self.constants = self.hand.initial.copy()
         motor_period = np.full(n, 1.0) * motor_period
         every = SimpleNamespace(period=T, tendon_count=n)

@@ -15,7 +15,7 @@ from handctl.core.detectors.residuals import (
     BALANCE,
     COMMAND_DIFFERENCE,
     EXCESS_FRICTION,
-    FULL_FRICTION_SPEED,
+    FULL_FRICTION_SPEED_M_S,
     TENSION,
     TIME_CONSTANTS_S,
 )
@@ -236,7 +236,7 @@ def test_the_residual_filter_takes_the_exact_share_per_tick(speed):
 
 @pytest.mark.parametrize(
     ("speed", "counts"),
-    [(FULL_FRICTION_SPEED, False), (np.nextafter(FULL_FRICTION_SPEED, 1.0), True)],
+    [(FULL_FRICTION_SPEED_M_S, False), (np.nextafter(FULL_FRICTION_SPEED_M_S, 1.0), True)],
 )
 def test_friction_is_judged_above_the_speed_of_full_friction(speed, counts):
     rotor = Rotor(last_speed=speed)

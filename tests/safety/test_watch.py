@@ -20,7 +20,7 @@ from handctl.core.detectors.residuals import (
     TENSION,
     TIME_CONSTANTS_S,
 )
-from handctl.core.state_block import STATE
+from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
 from tests.safety.monitor import (
     NOW_NS,
@@ -120,7 +120,7 @@ def test_without_torque_all_history_but_the_counts_is_reset():
     monitor, _ = ticks(10)
     monitor.set({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
     assert monitor.tick(resting_tick(), mode=int(HandMode.READY)) == {}
-    for field in STATE.fields:
+    for field in STATE_SCHEMA.fields:
         first, end = {
             "tendon": (s.TENDON_FIRST, s.TENDON_END), "tendon_int": (s.TENDON_INT_FIRST, s.TENDON_INT_END),
             "joint": (s.JOINT_FIRST, s.JOINT_END), "joint_int": (s.JOINT_INT_FIRST, s.JOINT_INT_END),
@@ -533,7 +533,7 @@ def test_refused_goals_are_reported_in_their_tick():
 
 
 def test_thresholds_follow_from_the_hand():
-    assert safety_thresholds.JUMP_MARGIN == 1.5
+    assert safety_thresholds.POSITION_STEP_FACTOR == 1.5
     assert residuals.GAIN_FRACTION == 0.1
     assert TIME_CONSTANTS_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 

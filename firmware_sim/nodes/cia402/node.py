@@ -28,7 +28,7 @@ Choices where the fact sheet is not definite:
 - The host can change PDOs only while the node is pre-operational.
 """
 
-from firmware_sim.bus.frame import FDF, REMOTE, Frame
+from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
 from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.cia402.kernels import (
     CYCLIC_TORQUE_MODE,
@@ -199,7 +199,7 @@ class Cia402Node:
         can_id = frame.can_id
         data = frame.data
         self._now_ns = t_ns
-        if frame.flags & FDF or can_id & REMOTE:
+        if frame.flags & FDF or can_id & REMOTE_FLAG:
             return None
         if can_id == 0x000:
             handled = len(data) == 2 and data[1] in (0, self.node_id)

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.bus.frame import FDF, REMOTE, Frame
+from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
 from firmware_sim.hand_description import SensorSpec
 from firmware_sim.nodes.cia402.object_dictionary import (
     CLIENT_ABORTS,
@@ -165,7 +165,7 @@ class AmplifierNode:
         """
         can_id = frame.can_id
         data = frame.data
-        if frame.flags & FDF or can_id & REMOTE or can_id not in self.ids:
+        if frame.flags & FDF or can_id & REMOTE_FLAG or can_id not in self.ids:
             return None
         self._now_ns = t_ns
         if can_id == 0x000:

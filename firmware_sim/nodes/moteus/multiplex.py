@@ -32,17 +32,17 @@ PADDING_SUBFRAME = b"\x50"
 """Subframe *no operation*, which fills a payload up to a length of CAN FD."""
 
 # Value of one integer step as int8, int16 and int32, for each kind of quantity.
-PLAIN = (1.0, 1.0, 1.0)
-POSITION = (0.01, 0.0001, 0.00001)
-VELOCITY = (0.1, 0.00025, 0.00001)
-TORQUE = (0.5, 0.01, 0.001)
-TEMPERATURE = (1.0, 0.1, 0.001)
-TIME = (0.01, 0.001, 0.000001)
-CURRENT = (1.0, 0.1, 0.001)
-VOLTAGE = (0.5, 0.1, 0.001)
-POWER = (10.0, 0.05, 0.0001)
-ACCELERATION = (0.05, 0.001, 0.00001)
-FRACTION = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
+UNSCALED_STEPS = (1.0, 1.0, 1.0)
+POSITION_STEPS = (0.01, 0.0001, 0.00001)
+VELOCITY_STEPS = (0.1, 0.00025, 0.00001)
+TORQUE_STEPS = (0.5, 0.01, 0.001)
+TEMPERATURE_STEPS = (1.0, 0.1, 0.001)
+TIME_STEPS = (0.01, 0.001, 0.000001)
+CURRENT_STEPS = (1.0, 0.1, 0.001)
+VOLTAGE_STEPS = (0.5, 0.1, 0.001)
+POWER_STEPS = (10.0, 0.05, 0.0001)
+ACCELERATION_STEPS = (0.05, 0.001, 0.00001)
+FRACTION_STEPS = (1.0 / 127, 1.0 / 32767, 1.0 / 2147483647)
 
 
 class MalformedPayload(Exception):  # noqa: N818 - never leaves the node

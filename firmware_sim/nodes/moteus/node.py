@@ -22,7 +22,7 @@ Choices where the fact sheet has only an assumption:
 import math
 import struct
 
-from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.bus.frame import BRS, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.moteus import multiplex as mp
@@ -119,9 +119,9 @@ class MoteusNode:
         Returns:
             The answers, None if the frame is not for this controller.
         """
-        number = frame.can_id & ~EXTENDED
+        number = frame.can_id & ~EXTENDED_FLAG
         if (
-            frame.can_id & REMOTE
+            frame.can_id & REMOTE_FLAG
             or number >> 16
             or number & 0xFF not in (self.node_id, BROADCAST_NUMBER)
         ):
@@ -141,7 +141,7 @@ class MoteusNode:
         A reply too long for the format of the request has the format CAN FD.
         """
         number = self.node_id << 8 | host
-        can_id = number | EXTENDED if number >= 0x800 else number
+        can_id = number | EXTENDED_FLAG if number >= 0x800 else number
         classical = not frame.flags & FDF and len(data) <= 8
         flags = 0 if classical else FDF | frame.flags & BRS
         return Frame(
@@ -220,7 +220,7 @@ class MoteusNode:
         """Write a register and return an error number, 0 for no error."""
         register = reg.SHADOW_REGISTERS.get(register, register)
         if register == reg.MODE:
-            mode = mp.decode_register(raw, value_type, mp.PLAIN)
+            mode = mp.decode_register(raw, value_type, mp.UNSCALED_STEPS)
             if mode not in COMMANDABLE_MODES:
                 return reg.INVALID_VALUE_ERROR
             self._pending = int(mode)
@@ -231,7 +231,7 @@ class MoteusNode:
             )
         elif register in (reg.SET_NEAREST, reg.SET_EXACT):
             self._set_position(
-                mp.decode_register(raw, value_type, mp.POSITION), register == reg.SET_NEAREST
+                mp.decode_register(raw, value_type, mp.POSITION_STEPS), register == reg.SET_NEAREST
             )
         elif register == reg.RECAPTURE:
             self._apply_mode(self.mode, self._t_ns)
@@ -257,7 +257,7 @@ class MoteusNode:
                 else None
             )
         if register == reg.MODE:
-            return mp.encode_register(self.mode, value_type, mp.PLAIN)
+            return mp.encode_register(self.mode, value_type, mp.UNSCALED_STEPS)
         if register in reg.COMMAND_REGISTER_STEPS:
             return mp.encode_register(
                 self.command[register], value_type, reg.COMMAND_REGISTER_STEPS[register]

@@ -29,7 +29,7 @@ FACTORY_CONFIGURATION: dict[str, float] = {
 """Configuration items of a calibrated drive as delivered. The simulation has no other items."""
 INTEGER_ITEMS = {"servo.timeout_mode", "servo.fixed_voltage_mode"}
 """Configuration items whose values are integers."""
-LONGEST_LINE = 256
+MAX_COMMAND_LINE_BYTES = 256
 """Size of the drive's line buffer [bytes]. A longer line is dropped."""
 
 
@@ -63,7 +63,7 @@ class TextChannel:
                     self._execute_command_line(line.decode("latin-1").split()).encode("latin-1")
                     + b"\r\n"
                 )
-        if len(self._line) > LONGEST_LINE:
+        if len(self._line) > MAX_COMMAND_LINE_BYTES:
             self._line = b""
 
     def read(self, longest: int) -> bytes:

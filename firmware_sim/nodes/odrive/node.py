@@ -46,7 +46,7 @@ import math
 import struct
 from typing import Any
 
-from firmware_sim.bus.frame import FDF, REMOTE, Frame
+from firmware_sim.bus.frame import FDF, REMOTE_FLAG, Frame
 from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.nodes.odrive.kernels import (
@@ -175,7 +175,7 @@ class OdriveNode:
             for node in (spec.node_id, BROADCAST_NUMBER)
             for command in range(0x20)
         ]
-        self.accepted_ids = frozenset((*own_ids, *(can_id | REMOTE for can_id in own_ids)))
+        self.accepted_ids = frozenset((*own_ids, *(can_id | REMOTE_FLAG for can_id in own_ids)))
         self._serial = FIRST_SERIAL_NUMBER + spec.node_id if spec.serial is None else spec.serial
         self.gear = float(options.get("gear_ratio", 1.0))
         self.direction = spec.direction
@@ -252,7 +252,7 @@ class OdriveNode:
     @property
     def cyclic_ids(self) -> tuple[int, ...]:
         """Return the identifiers of the frames for the node in every tick."""
-        return self.node_id << 5 | 0x0E, self.node_id << 5 | 0x09 | REMOTE
+        return self.node_id << 5 | 0x0E, self.node_id << 5 | 0x09 | REMOTE_FLAG
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Process a frame from the bus, and answer it.
@@ -260,12 +260,12 @@ class OdriveNode:
         Returns:
             The answers, None if the frame is not for this axis.
         """
-        can_id = frame.can_id & ~REMOTE
+        can_id = frame.can_id & ~REMOTE_FLAG
         node = can_id >> 5
         command = can_id & 0x1F
         if node not in (self.node_id, BROADCAST_NUMBER) or frame.flags & FDF:
             return None
-        if frame.can_id & REMOTE or (not frame.data and command not in _MIN_PAYLOAD_BYTES):
+        if frame.can_id & REMOTE_FLAG or (not frame.data and command not in _MIN_PAYLOAD_BYTES):
             return self._answer_remote(node, command)
         if command not in _MIN_PAYLOAD_BYTES:
             return [] if node == self.node_id else None

@@ -29,7 +29,7 @@ Choices where the fact sheet has only an assumption:
 
 import struct
 
-from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.mit.codec import KD_MAX, KP_MAX, FrameRanges, decode_command, to_code
 from firmware_sim.nodes.protocol_spec import ProtocolSpec
@@ -83,7 +83,7 @@ class RobstrideMitNode(RobstrideNode):
         Returns:
             The answers, None if the frame is not for the motor.
         """
-        wrong = frame.can_id & (EXTENDED | REMOTE) or frame.flags & FDF
+        wrong = frame.can_id & (EXTENDED_FLAG | REMOTE_FLAG) or frame.flags & FDF
         if wrong or frame.can_id & 0xFF != self.node_id or frame.can_id >> 8 > 2:
             return None
         data = frame.data

@@ -28,7 +28,7 @@ Choices where the fact sheet has only an assumption:
 import math
 import struct
 
-from firmware_sim.bus.frame import EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.bus.frame import EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from firmware_sim.hand_description import MotorSpec
 from firmware_sim.nodes.drive_temperatures import DriveTemperatures
 from firmware_sim.plant.motor import Motor
@@ -177,10 +177,10 @@ class RobstrideNode:
         Returns:
             The answers, None if the frame is not for the motor.
         """
-        number = frame.can_id & ~EXTENDED
+        number = frame.can_id & ~EXTENDED_FLAG
         if (
-            not frame.can_id & EXTENDED
-            or frame.can_id & REMOTE
+            not frame.can_id & EXTENDED_FLAG
+            or frame.can_id & REMOTE_FLAG
             or frame.flags & FDF
             or number & 0xFF != self.node_id
         ):
@@ -224,7 +224,7 @@ class RobstrideNode:
     def _identity_frame(self, frame: Frame) -> Frame:
         """Return the frame with the identity of the motor."""
         return Frame(
-            EXTENDED | self.node_id << 8 | 0xFE, self._serial.to_bytes(8, "big"), 0, frame.bus
+            EXTENDED_FLAG | self.node_id << 8 | 0xFE, self._serial.to_bytes(8, "big"), 0, frame.bus
         )
 
     def _enable(self, _data: bytes, t_ns: int) -> None:
@@ -286,7 +286,7 @@ class RobstrideNode:
         value = self.parameters.get(number)
         if value is None and number in READ_ONLY_PARAMETERS:
             value = struct.pack("<f", self._measured_parameter(number))
-        head = EXTENDED | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
+        head = EXTENDED_FLAG | 0x11 << 24 | (value is None) << 16 | self.node_id << 8 | self._host
         return Frame(head, data[:2] + b"\0\0" + (value or bytes(4)), 0, frame.bus)
 
     def _measured_parameter(self, parameter: int) -> float:
@@ -323,7 +323,10 @@ class RobstrideNode:
         data = struct.pack(">HHHh", position, velocity, torque, int(10 * self.thermal.winding))
         status = self.mode << 6 | self.fault & FEEDBACK_FAULTS
         return Frame(
-            EXTENDED | 2 << 24 | status << 16 | self.node_id << 8 | self._host, data, 0, frame.bus
+            EXTENDED_FLAG | 2 << 24 | status << 16 | self.node_id << 8 | self._host,
+            data,
+            0,
+            frame.bus,
         )
 
     def trip(self, fault: int) -> None:
@@ -388,6 +391,6 @@ class RobstrideNode:
         )
         warning = int(self.thermal.winding > HOT_C)
         return Frame(
-            EXTENDED | 0x15 << 24 | self.node_id << 8 | self._host,
+            EXTENDED_FLAG | 0x15 << 24 | self.node_id << 8 | self._host,
             struct.pack("<II", bits, warning),
         )

@@ -14,7 +14,7 @@ from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.identity_cache import IdentityCache, SequenceCache
 from handctl.core.plain_values import plain_bytes
-from handctl.core.state_block import STATE
+from handctl.core.state_block import STATE_SCHEMA
 from handctl.core.tick_types import HandMode
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import DrivePhase, DriveState
@@ -107,7 +107,7 @@ def layout_of_state(model: HandModel, groups: int) -> BlockLayout:
     """
     n = model.tendon_count
     joints = len(model.hand.joints)
-    return BlockLayout(STATE, {
+    return BlockLayout(STATE_SCHEMA, {
         "tendon": n,
         "joint": joints,
         "digit": len(model.digits),

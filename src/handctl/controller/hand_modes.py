@@ -24,18 +24,18 @@ from handctl.drives.frame import Frame
 from handctl.errors import REMOVE_POWER
 from handctl.safety.action import SafetyAction
 
-LISTEN_S = 0.5
+LISTENING_DURATION_S = 0.5
 """Time before this host sends its first frame, in which it detects a second controller [s]."""
 INVENTORY_TIMEOUT_S = 3.0
 CLEAR_ADVICE = " (when you have looked why: --clear)"
 """Advice to the operator, in the message about a drive with a latched error."""
 LATCHED_ERROR_HINT = " (or an error that does not clear)"
-READY_S = 0.1
+READY_DURATION_S = 0.1
 """Time before arming in which the tension filter gets its first measurements [s]."""
 ARMING_TIMEOUT_S = 1.0
 RELAX_TIMEOUT_S = 1.0
 DISARM_TIMEOUT_S = 1.0
-CUT_S = 0.1
+CUT_DURATION_S = 0.1
 """Time for which the frames that cut the torque are repeated [s]."""
 
 
@@ -217,7 +217,7 @@ def _latched_faults(state: ControllerState) -> str:
 
 
 def _after_silent(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    return (HandMode.INVENTORY if inputs.elapsed >= LISTEN_S else HandMode.SILENT), ""
+    return (HandMode.INVENTORY if inputs.elapsed >= LISTENING_DURATION_S else HandMode.SILENT), ""
 
 
 def _after_inventory(state: ControllerState, inputs: ModeInputs) -> NextMode:
@@ -292,7 +292,9 @@ def _after_ready(state: ControllerState, inputs: ModeInputs) -> NextMode:
             HandMode.DONE,
             f"{strange}: the calibration is of another hand, give that of this hand or commission it",
         )
-    return (HandMode.ARMING if state.armed and inputs.elapsed >= READY_S else HandMode.READY), ""
+    return (
+        HandMode.ARMING if state.armed and inputs.elapsed >= READY_DURATION_S else HandMode.READY
+    ), ""
 
 
 def _other_drives(state: ControllerState, inputs: ModeInputs) -> str:
@@ -349,7 +351,7 @@ def _after_disarm(state: ControllerState, inputs: ModeInputs) -> NextMode:
 
 
 def _after_cut(state: ControllerState, inputs: ModeInputs) -> NextMode:
-    return (HandMode.DISARM if inputs.elapsed >= CUT_S else HandMode.CUT), ""
+    return (HandMode.DISARM if inputs.elapsed >= CUT_DURATION_S else HandMode.CUT), ""
 
 
 def _after_done(state: ControllerState, inputs: ModeInputs) -> NextMode:

@@ -47,7 +47,7 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickEvent, TickIn, TickOut, Vector
 from handctl.drives.cia404.amplifier import AmplifierState
 from handctl.drives.contract import Drive, DrivePhase, DriveState, DriveTarget
-from handctl.drives.frame import ERROR, Frame
+from handctl.drives.frame import ERROR_FLAG, Frame
 from handctl.drives.frame_records import (
     NO_FRAMES,
     PAYLOAD_WORD,
@@ -339,12 +339,12 @@ class Controller:
             if at >= len(rows):
                 return tuple(dict.fromkeys(signs))
             frame = frames[at]
-            owner = self.owners.get((frame.bus, frame.can_id & ~ERROR))
+            owner = self.owners.get((frame.bus, frame.can_id & ~ERROR_FLAG))
             if owner is not None:
                 self.store_drive_state(
                     state, owner, self.drives[owner].receive(state.drive(owner), frame)
                 )
-            elif (frame.bus, frame.can_id & ~ERROR) in self.amplifier_of:
+            elif (frame.bus, frame.can_id & ~ERROR_FLAG) in self.amplifier_of:
                 self._receive_amplifier_frame(state, frame)
             else:
                 signs.append(f"{frame.can_id:#05x}")

@@ -24,7 +24,7 @@ from handctl.core.control_law.servo_commands import command_torque_only
 from handctl.core.estimation.varying_moment_arms import carrier_excursion
 from handctl.core.state_block import StateTables, state_tables
 from handctl.drives.contract import Drive
-from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.frame_records import (
     BUS_BIT,
     HEAD_WORD,
@@ -250,11 +250,11 @@ def receive_frames(
         # The word HEAD_WORD contains the identifier with its flags in bits 0 to 31, then the flags of
         # the frame, the bus (from BUS_BIT) and the payload length (from LENGTH_BIT).
         head = np.int64(rows[r, HEAD_WORD])
-        can_id = head & ID_MASK & ~ERROR
+        can_id = head & ID_MASK & ~ERROR_FLAG
         bus = head >> BUS_BIT & BYTE_MASK
         length = head >> LENGTH_BIT & BYTE_MASK
         entry = find_key(keys, bus << 32 | can_id)
-        flagged = head & ERROR != 0
+        flagged = head & ERROR_FLAG != 0
         if entry == MISSING_ENTRY or (flagged and entries[entry, FRAME_KIND_COLUMN] == HOST_FRAMES):
             _count_unknown_frame(x, keys, entries, bus, can_id)
             continue
@@ -289,7 +289,7 @@ def _count_unknown_frame(
     those of a node.
     """
     x.run_int[s.UNKNOWN_FRAMES] += 1
-    if can_id & (EXTENDED | REMOTE) and can_id & NUMBER_MASK < STANDARD_IDS:
+    if can_id & (EXTENDED_FLAG | REMOTE_FLAG) and can_id & NUMBER_MASK < STANDARD_IDS:
         entry = find_key(keys, bus << 32 | can_id & NUMBER_MASK)
         if entry != MISSING_ENTRY and entries[entry, FRAME_KIND_COLUMN] != HOST_FRAMES:
             owner = entries[entry, OWNER_COLUMN]

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from handctl.core import constants as h
 from handctl.core.block_schema import BlockArray, BlockLayout
-from handctl.core.constants import ELEMENTS, HAND, KINDS
+from handctl.core.constants import CONSTANT_SCHEMA, DESIGN_ELEMENT_COUNT, FILTER_DESIGN_COUNT
 from handctl.core.control_law.computed_torque import (
-    MOTOR_FRICTION_SPEED,
+    MOTOR_FRICTION_SPEED_M_S,
     TRIM_TIME_S,
     UNWIND_FRACTION,
 )
@@ -29,7 +29,7 @@ from handctl.hand.digit import DigitModel
 with deferred_imports():
     from scipy.linalg import block_diag, null_space
 
-MIN_MOTION = 1e-9
+MIN_JOINT_MOTION = 1e-9
 """Entry of ``EXCURSION_TO_JOINTS`` above which a tendon moves a joint, as a fraction of the largest entry.
 
 Smaller entries are rounding errors.
@@ -38,13 +38,13 @@ Smaller entries are rounding errors.
 
 def layout_of_constants(model: HandModel) -> BlockLayout:
     """Return the layout of the block of constants for a hand."""
-    return BlockLayout(HAND, {
+    return BlockLayout(CONSTANT_SCHEMA, {
         "tendon": model.tendon_count,
         "joint": len(model.hand.joints),
         "digit": len(model.digits),
         "coordinate": model.coordinate_count,
-        "kind": KINDS,
-        "element": ELEMENTS,
+        "kind": FILTER_DESIGN_COUNT,
+        "element": DESIGN_ELEMENT_COUNT,
         "place": max(digit.joint_count for digit in model.digits) + 2,
         "run": 1,
     })  # fmt: skip
@@ -112,12 +112,14 @@ def _motor_constants(model: HandModel) -> dict[str, object]:
         "absolute": ~model.redundancy.sprung & ~model.hand.tendons_with_encoders,
         "period": model.period,
         "period_ns": round(model.period * 1e9),
-        "touch_kept": math.exp(-model.period / blocked_digits.SMOOTH_S),
-        "felt_fraction": -math.expm1(-model.period / contact_force.SMOOTH_S),
-        "usual_fraction": -math.expm1(-model.period / contact_force.MEAN_S),
-        "drift_fraction": -math.expm1(-model.period / contact_force.DRIFT_S),
-        "fast_fraction": -math.expm1(-model.period / contact_force.FAST_GRIP_S),
-        "slow_fraction": -math.expm1(-model.period / contact_force.SLOW_GRIP_S),
+        "touch_kept": math.exp(-model.period / blocked_digits.TOUCH_TIME_CONSTANT_S),
+        "felt_fraction": -math.expm1(-model.period / contact_force.TIP_FORCE_TIME_CONSTANT_S),
+        "usual_fraction": -math.expm1(-model.period / contact_force.TIP_FORCE_MEAN_TIME_CONSTANT_S),
+        "drift_fraction": -math.expm1(
+            -model.period / contact_force.TIP_FORCE_DRIFT_TIME_CONSTANT_S
+        ),
+        "fast_fraction": -math.expm1(-model.period / contact_force.FAST_GRIP_TIME_CONSTANT_S),
+        "slow_fraction": -math.expm1(-model.period / contact_force.SLOW_GRIP_TIME_CONSTANT_S),
         "arms_sum": np.abs(model.hand.own_arms).sum(axis=1),
     }
 
@@ -138,7 +140,7 @@ def _law_constants(model: HandModel) -> dict[str, object]:
         "tension_gain": model.motion.tension,
         "tension_speed_gain": model.motion.tension_speed,
         "half": half,
-        "stopping": MOTOR_FRICTION_SPEED + half * space.coulomb,
+        "stopping": MOTOR_FRICTION_SPEED_M_S + half * space.coulomb,
         "exact": [exact for digit in model.digits for exact in _has_exact_solution(digit)],
         "rejection": motion.disturbance_rejection,
         "friction_fraction": motion.friction_share,
@@ -214,7 +216,7 @@ def _structure_constants(model: HandModel) -> dict[str, object]:
     size = np.abs(model.excursion_to_joints)
     return {
         "excursion_to_joints": model.excursion_to_joints,
-        "moves": size > MIN_MOTION * size.max(initial=0.0),
+        "moves": size > MIN_JOINT_MOTION * size.max(initial=0.0),
         "moment_arms": model.hand.own_arms,
         "carrier_arms": model.hand.carrier_arms,
         "hand_passed": bool(model.hand.carrier_arms.any()),
@@ -243,7 +245,7 @@ def _posture_constants(model: HandModel) -> dict[str, object]:
     spread = block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
     read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
     fused = bool((compliance.any(axis=1) & read).any())
-    every = 1 if fused else max(1, round(posture.UPDATE_S / model.period))
+    every = 1 if fused else max(1, round(posture.POSTURE_UPDATE_PERIOD_S / model.period))
     noise = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
     return {
         "compliance": compliance,
@@ -311,4 +313,4 @@ def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: flo
     return np.asarray(1.0 - np.exp(-every / np.array(TIME_CONSTANTS_S)[:, None]))
 
 
-assert h.CELL_ERROR_OBSERVABLE_AT == ELEMENTS - 1
+assert h.CELL_ERROR_OBSERVABLE_AT == DESIGN_ELEMENT_COUNT - 1

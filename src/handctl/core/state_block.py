@@ -28,16 +28,16 @@ from handctl.compiled import borrowed_array, kernel_helper
 from handctl.core.block_schema import BlockArray, BlockSchema, TablePlaces
 
 NAN = math.nan
-AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run", "servo")
+STATE_AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run", "servo")
 """Names of the axes. ``Layout.places`` begins with their lengths, in this order."""
-TABLES = (
+STATE_TABLES = (
     "tendon", "joint", "digit", "coordinate", "run", "servo",
     "tendon_int", "joint_int", "digit_int", "node_int", "group_int", "instance_int", "run_int",
 )  # fmt: skip
 
-STATE = BlockSchema(*TABLES, optional="servo")
-_real = STATE.real_field
-_whole = STATE.integer_field
+STATE_SCHEMA = BlockSchema(*STATE_TABLES, optional="servo")
+_real = STATE_SCHEMA.real_field
+_whole = STATE_SCHEMA.integer_field
 
 # Tension filter. The seven states of each tendon are declared first, so that they form one
 # contiguous vector (7 N) for filterpy.
@@ -315,7 +315,7 @@ STALE_NOW = _whole("stale_now", "run", "",
     "1 if a sensor frame of this tick answered an older SYNC, 2 if after a fresh frame, else 0")  # fmt: skip
 
 # Memory of the fault detectors. ``reset_monitor`` resets the fields from here to _MONITOR_END.
-_MONITOR_FIRST = {table: STATE.rows(table) for table in TABLES}
+_MONITOR_FIRST = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
 ACCEPTED_POSITION = _real("accepted", "tendon", "rad",
     "latest motor position that the outlier test accepted", initial=NAN)  # fmt: skip
 ACCEPTED_GAP = _real("accepted_gap", "tendon", "",
@@ -397,7 +397,7 @@ REPORT_MOMENTS = _real("report_moments", "tendon", "N2",
     "low-passed products of the increments of commanded and reported forces", rows=5)  # fmt: skip
 REPORT_ON_TIME = _real("report_on_time", "tendon", "",
     "number of ticks in a row in which the motor replied in time")  # fmt: skip
-_MONITOR_END = {table: STATE.rows(table) for table in TABLES}
+_MONITOR_END = {table: STATE_SCHEMA.rows(table) for table in STATE_TABLES}
 
 # Memory of the fault detectors that ``reset_monitor`` does not reset.
 LOST_REPLIES = _whole("lost", "node", "",

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from handctl.drives.contract import Drive
-from handctl.drives.frame import EXTENDED, REMOTE
+from handctl.drives.frame import EXTENDED_FLAG, REMOTE_FLAG
 from handctl.drives.sensors.contract import SensorInterface
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
@@ -77,7 +77,7 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
     by_identifier: dict[int, SentMessage] = {}
     for item in sent_messages:
         in_payload = all(signal.start >= 0 for signal in item.message.signals)
-        if item.message.signals and in_payload and not item.message.can_id & REMOTE:
+        if item.message.signals and in_payload and not item.message.can_id & REMOTE_FLAG:
             by_identifier.setdefault(item.message.can_id, item)
     nodes = dict.fromkeys(
         node for item in by_identifier.values() for node in (item.sender, item.receiver)
@@ -86,7 +86,9 @@ def dbc_text(sent_messages: Iterable[SentMessage]) -> str:
     floats = list[str]()
     kinds = list[str]()
     for message, sender, receiver in by_identifier.values():
-        frame_id = message.can_id & ~EXTENDED | (EXTENDED_BIT if message.can_id & EXTENDED else 0)
+        frame_id = message.can_id & ~EXTENDED_FLAG | (
+            EXTENDED_BIT if message.can_id & EXTENDED_FLAG else 0
+        )
         lines.append(f"BO_ {frame_id} {message.name}: {message.length} {sender}")
         lines += [*(_signal_line(signal, receiver) for signal in message.signals), ""]
         real = [signal.name for signal in message.signals if signal.coding == SignalCoding.FLOAT]

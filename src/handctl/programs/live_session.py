@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
-from handctl.core.control_law.trajectory import PEAK_SPEED
+from handctl.core.control_law.trajectory import PEAK_SPEED_RATIO
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent, Vector
@@ -335,6 +335,6 @@ def _reach_problem(
         if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
             return f"{angle:g} deg, expected from {low:g} to {high:g} deg"
     travel = np.abs(end - np.degrees(coordinates_by_excursion(digit, estimate))).max()
-    peak = PEAK_SPEED * float(travel) / duration
+    peak = PEAK_SPEED_RATIO * float(travel) / duration
     too_fast = f"at up to {peak:.0f} deg/s, expected at most {FOLLOW_SPEED_DEG_S:g} deg/s: give it more time"
     return "" if peak <= FOLLOW_SPEED_DEG_S else too_fast

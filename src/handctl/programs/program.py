@@ -103,7 +103,7 @@ TIGHTEN_MARGIN_N = 1.5
 
 The margin is too small to move a finger against the springs.
 """
-TIGHTEN_S = 0.3
+TAUT_DURATION_S = 0.3
 """Time for which all tendons must be taut before the hand is ready [s]."""
 TIGHTEN_TIMEOUT_S = 4.0
 """Longest time that taking up the slack may last [s]."""
@@ -160,7 +160,7 @@ def tension_goal(
         return DigitGoal(GoalKind.TENSION, tension=tension, rate=rate)
     here = coordinates_by_excursion(model.digits[d], estimate)
     return DigitGoal(
-        GoalKind.TENSION, MinimumJerk(here, here, HOLD_STILL_S), tension=tension, rate=rate
+        GoalKind.TENSION, MinimumJerk(here, here, HOLD_STILL_DURATION_S), tension=tension, rate=rate
     )
 
 
@@ -174,7 +174,7 @@ def released_tensions(model: HandModel, d: int, tension: float) -> Vector:
     return balance if balance.all() else np.where(model.is_pair[tendons], 0.0, tension)
 
 
-HOLD_STILL_S = 1.0
+HOLD_STILL_DURATION_S = 1.0
 """Duration of the trajectory that holds sideways joints where they are [s].
 
 Any duration is possible, because these joints do not move.

@@ -175,7 +175,7 @@ Request = (
 _ACCEPTED_PREFIX = "asked: "
 _REQUEST_ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
-LONGEST_LINE = 200
+MAX_REFUSAL_TEXT_LENGTH = 200
 """Largest length of a line with the reason for refusing a request [characters]."""
 REFUSED_PREFIX = "refused: "
 """Prefix of the event of a refused request."""
@@ -278,4 +278,6 @@ def parse_request(text: str) -> Request | str:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
         line = f"request {where}: {first['msg']}" if where else f"request: {first['msg']}"
-        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line[:LONGEST_LINE])
+        return "".join(
+            c if c.isprintable() else ascii(c)[1:-1] for c in line[:MAX_REFUSAL_TEXT_LENGTH]
+        )

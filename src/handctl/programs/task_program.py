@@ -16,7 +16,7 @@ from handctl.core.tick_types import TickEvent, Vector
 from handctl.hand.digit import DigitModel
 from handctl.programs.grip import GripPlan, GripState, advance_grip
 from handctl.programs.program import (
-    TIGHTEN_S,
+    TAUT_DURATION_S,
     TIGHTEN_TIMEOUT_S,
     ProgramProgress,
     ProgressAndEvents,
@@ -127,7 +127,7 @@ class TaskProgram:
         slack = slack_tendons(model, estimate)
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
         progress = replace(progress, touching=(ticks, *progress.touching[1:]))
-        if ticks * model.period >= TIGHTEN_S:
+        if ticks * model.period >= TAUT_DURATION_S:
             return self._enter_phase(
                 model, replace(progress, touching=(0,) * len(model.digits)), estimate, t
             )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.core.tick_types import HandMode
-from handctl.drives.frame import EXTENDED, FDF
+from handctl.drives.frame import EXTENDED_FLAG, FDF
 from handctl.drives.frame_time import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.hand_tree import HandTree
@@ -251,7 +251,7 @@ def draw_bus_loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
                 bus = hand.bus[frame.bus]
                 fd = bool(frame.flags & FDF)
                 size = len(frame.data)
-                extended = bool(frame.can_id & EXTENDED)
+                extended = bool(frame.can_id & EXTENDED_FLAG)
                 busy[i, frame.bus] += frame_time_s(
                     size, fd, bus.bitrate, bus.data_bitrate, extended
                 )

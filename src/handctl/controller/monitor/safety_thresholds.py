@@ -21,7 +21,7 @@ from handctl.safety.safety_limits import (
     ticks_for,
 )
 
-JUMP_MARGIN = 1.5
+POSITION_STEP_FACTOR = 1.5
 """Largest plausible step of a position in a tick, as a multiple of the top speed times the control period."""
 JOINT_RATE_RAD_S = 60.0
 """Joint speed that no joint can reach [rad/s].
@@ -82,8 +82,8 @@ def compiled_constants(
     return HandConstants(model, {
         "tare": tare,
         "zero": zero,
-        "step_limit": JUMP_MARGIN * period * rates,
-        "joint_step_limit": JUMP_MARGIN * period * JOINT_RATE_RAD_S,
+        "step_limit": POSITION_STEP_FACTOR * period * rates,
+        "joint_step_limit": POSITION_STEP_FACTOR * period * JOINT_RATE_RAD_S,
         "residual_fraction": low_pass_fractions(model, motor_period, joint_period),
         "motor_period": motor_period,
         "joint_period": joint_period,

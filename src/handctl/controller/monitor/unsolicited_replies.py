@@ -16,7 +16,7 @@ from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
 from handctl.drives.sensors.contract import SensorInterface
 
-LATE_TICKS = 50
+LATE_ANSWER_WINDOW_TICKS = 50
 """Number of ticks for which a missing answer may still arrive.
 
 A busy node may answer its queued requests over many ticks.
@@ -89,14 +89,14 @@ def _detect_duplicate_answers(
 
 
 def _has_lost_answers(last_state: ControllerState) -> bool:
-    """Return True if answers of the load cells were missing in the last ``LATE_TICKS`` ticks.
+    """Return True if answers of the load cells were missing in the last ``LATE_ANSWER_WINDOW_TICKS`` ticks.
 
     An additional answer without a counter then counts as late, and not as a duplicate. The same
     holds after a tick without an answer, and if this host has missed a tick.
     """
     return bool(
         last_state.layout.table(last_state.block, "node_int")[s.LOST_REPLIES, -1]
-        & (1 << LATE_TICKS) - 1
+        & (1 << LATE_ANSWER_WINDOW_TICKS) - 1
     )
 
 

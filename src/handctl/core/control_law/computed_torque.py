@@ -56,12 +56,12 @@ from handctl.core.estimation.varying_moment_arms import (
     motor_speed,
 )
 from handctl.core.state_block import StateTables
-from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-MOTOR_FRICTION_SPEED = 2.5e-3
+MOTOR_FRICTION_SPEED_M_S = 2.5e-3
 """Tendon speed of fully developed motor friction [m/s]: 0.5 rad/s of a spool with a radius of 5 mm."""
 UNWIND_FRACTION = 0.3
 """Largest motor force that pays out a tendon, as a fraction of the torque limit.
@@ -79,7 +79,7 @@ HOLD_MARGIN_N = 1.0
 """Margin of the limit during a hold above the tension at its start [N], about the error of the estimate."""
 ROUNDING_FACTOR = 1.0 - 1e-12
 """Factor on the envelope of a relaxing hand, so that rounding errors cannot raise a constant envelope."""
-TAKE_UP_SPEED = 0.02
+TAKE_UP_SPEED_M_S = 0.02
 """Speed of a spool that takes up the slack of its tendon during a motion [m/s].
 
 This speed is too low for the tendon to count as snapped.
@@ -377,7 +377,7 @@ def _motion_terms(
         # Tension behind the pulleys, as a fraction of the tension before them: the efficiency while
         # the tendon is wound, and 1 / efficiency while it is paid out.
         winding = math.tanh(
-            (rate + _goal_of_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED
+            (rate + _goal_of_carriers(c, n, trajectory)[0]) / CAPSTAN_FRICTION_SPEED_M_S
         )
         passed = (1.0 - counted) + counted * math.pow(efficiency[n], winding)
         ceiling = min(c.tendon[h.TENSION_CEILING, n], limit[n])
@@ -418,7 +418,7 @@ def _is_moved_by_drive(x: StateTables, c: ConstantTables, n: int) -> bool:
 @kernel_helper
 def _take_up_speed(rate: float) -> float:
     """Return the speed of a spool that takes up slack, for a rate of the excursion on the trajectory [m/s]."""
-    return max(rate, 0.0) + TAKE_UP_SPEED
+    return max(rate, 0.0) + TAKE_UP_SPEED_M_S
 
 
 @kernel_helper
@@ -492,7 +492,7 @@ def _force_for_carriers(c: ConstantTables, n: int, rate: float, acceleration: fl
     """
     if not c.run_int[h.HAS_CARRIER_ARMS]:
         return 0.0
-    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
+    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
     return (
         friction
         + c.tendon[h.MOTOR_DAMPING, n] * rate
@@ -538,7 +538,7 @@ def _motion_force(
         * x.tendon[s.DISTURBANCE, n]
         + inner_gain * (tension - x.tendon[s.TENSION, n])
         + counted * c.tendon[h.MOTOR_DAMPING, n] * speed
-        + counted * c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED)
+        + counted * c.tendon[h.MOTOR_COULOMB, n] * math.tanh(rate / MOTOR_FRICTION_SPEED_M_S)
     )
 
 
@@ -593,7 +593,7 @@ def _feedforward_force(x: StateTables, c: ConstantTables, n: int) -> float:
         acceleration += (
             c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.TRAJECTORY + 2, k]
         )
-    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED)
+    friction = c.tendon[h.MOTOR_COULOMB, n] * math.tanh(speed / MOTOR_FRICTION_SPEED_M_S)
     feedforward = friction + c.tendon[h.MOTOR_MASS, n] * acceleration
     return feedforward + (c.tendon[h.TENSION_SPEED_GAIN, n] + c.tendon[h.MOTOR_DAMPING, n]) * speed
 

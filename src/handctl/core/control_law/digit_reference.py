@@ -14,7 +14,7 @@ from handctl.core.estimation.statics import subtract_passing_torque
 from handctl.core.estimation.varying_moment_arms import motor_speed
 from handctl.core.state_block import StateTables
 from handctl.hand.rigid_body import write_newton_euler
-from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 Matrix = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def write_required_torque(x: StateTables, c: ConstantTables, trajectory: Matrix)
     if c.run_int[h.HAS_CARRIER_ARMS]:
         winding = np.zeros(x.tendon.shape[1])
         for n in range(len(winding)):
-            winding[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED)
+            winding[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED_M_S)
         subtract_passing_torque(c, motion[0], x.tendon[s.TENSION], winding, torque)
     for d in range(x.digit.shape[1]):
         if is_digit_moving(x, c, d):

@@ -6,7 +6,7 @@ lower edge while it is paid out. At a reversal, the digit sticks while the motor
 then changes from one edge to the other, by the stiffness of the tendon, in about ten milliseconds.
 This change starts when the tendon reverses, which may be earlier or later than the reversal of the
 trajectory. At rest, the digit creeps until friction carries no load. Source: Prandtl's
-elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED``.
+elastic-plastic element, with a viscous slider below ``CAPSTAN_FRICTION_SPEED_M_S``.
 """
 
 import math
@@ -17,9 +17,9 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.spool_pair import net_tension_at_spool
 from handctl.core.state_block import StateTables
-from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
-MIN_SLIDING_SPEED = 1.3 * CAPSTAN_FRICTION_SPEED
+MIN_SLIDING_SPEED_M_S = 1.3 * CAPSTAN_FRICTION_SPEED_M_S
 """Speed from which the viscous slider has full friction [m/s].
 
 The line up to this speed approximates the tanh.
@@ -58,7 +58,12 @@ def predict_moving_tension(
         return
     now = before if before > 0.0 else tension
     planned = tension_after_period(
-        now, coming, efficiency, wound, c.tendon[h.TENDON_STIFFNESS, n], MIN_SLIDING_SPEED * period
+        now,
+        coming,
+        efficiency,
+        wound,
+        c.tendon[h.TENDON_STIFFNESS, n],
+        MIN_SLIDING_SPEED_M_S * period,
     )
     x.tendon[s.PLANNED_TENSION, n] = planned
     x.tendon[s.PLANNED_TENSION_RATE, n] = 0.0
@@ -125,7 +130,7 @@ def _predict_pair_tension(
     lower = net_tension_at_spool(coming_tension, pretension, 1.0 / efficiency)
     now = x.tendon[s.TENSION, n] if before == 0.0 else before  # 0 stands for an unknown tension
     stiffness = c.tendon[h.TENDON_STIFFNESS, n]
-    creep = stiffness * MIN_SLIDING_SPEED * period / (0.5 * (upper - lower) + MIN_FRICTION_N)
+    creep = stiffness * MIN_SLIDING_SPEED_M_S * period / (0.5 * (upper - lower) + MIN_FRICTION_N)
     sticking = (now + stiffness * wound_length + creep * coming_tension) / (1.0 + creep)
     planned = min(max(sticking, lower), upper)
     x.tendon[s.PLANNED_TENSION, n] = planned

@@ -15,7 +15,7 @@ from handctl.core.hand_constants import HandConstants
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import Vector
 from handctl.hand.dynamics import DigitModel, required_torque
-from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 
 def write_tension_goals(
@@ -111,7 +111,7 @@ def _tensions_with_friction(
     tendons = digit.tendons
     arms = digit.moment_arms
     counted = model.gains.motion.friction_share
-    winding = np.tanh(arms @ trajectory[1] / CAPSTAN_FRICTION_SPEED)
+    winding = np.tanh(arms @ trajectory[1] / CAPSTAN_FRICTION_SPEED_M_S)
     passes = arms != 0.0
     lost = digit.friction[:, None] * (
         digit.wrap[:, None] + np.cumsum(passes * trajectory[0], axis=1)

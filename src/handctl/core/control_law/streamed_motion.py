@@ -7,7 +7,7 @@ targets are not extrapolated.
 The reference follows the segment exactly if speed and acceleration stay within their limits.
 Otherwise it approaches the target as fast as the limits allow, so that it arrives with the rate of
 the targets. The range of a joint limits the speed in a similar way, so that a motion stops before
-the end of the range. The reference never leads the digit by more than ``MAX_LEAD``. It waits for a
+the end of the range. The reference never leads the digit by more than ``MAX_LEAD_RAD``. It waits for a
 digit that is held, and follows a digit that is pushed away.
 """
 
@@ -21,14 +21,14 @@ from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables, state_tables
 from handctl.core.tick_types import Vector
 
-MAX_LEAD = math.radians(8.0)
+MAX_LEAD_RAD = math.radians(8.0)
 """Largest distance of the reference from the estimated position of the digit [rad], at full stiffness.
 
 If an object holds the digit, the reference waits at this distance, so that the digit does not jump
 when the object releases it.
 """
 MIN_STIFFNESS = 0.05
-"""Smallest stiffness fraction by which ``MAX_LEAD`` is divided.
+"""Smallest stiffness fraction by which ``MAX_LEAD_RAD`` is divided.
 
 A softer digit may be pushed away further.
 """
@@ -202,7 +202,7 @@ def _allowed_rates(
     fastest = min(
         top, max_stoppable_speed(x.coordinate[s.STREAM_RANGE + 1, k] - position, gain, period)
     )
-    lead = MAX_LEAD / max(
+    lead = MAX_LEAD_RAD / max(
         x.tendon[s.STIFFNESS_FRACTION, c.digit_int[h.TENDONS_FIRST, d]], MIN_STIFFNESS
     )
     digit, digit_rate = _estimated_coordinate(x, c, d, k)

@@ -13,7 +13,7 @@ import numpy as np
 
 from handctl.core.tick_types import Vector
 
-REGULARISATION = 1e-6
+REGULARISATION_WEIGHT = 1e-6
 """Weight of squared tension against squared torque error, both in newtons.
 
 The weight is so small that it only selects one of several solutions with equal torque.
@@ -85,7 +85,7 @@ def _cached_problem(moment_arms: Vector) -> _AllocationProblem:
     n = len(moment_arms)
     mean = float(np.abs(moment_arms).mean())
     arms = moment_arms / mean
-    weight = np.ascontiguousarray(arms @ arms.T + REGULARISATION * np.eye(n))
+    weight = np.ascontiguousarray(arms @ arms.T + REGULARISATION_WEIGHT * np.eye(n))
     problem = _AllocationProblem(arms, mean, weight, np.zeros((0, n)))
     if not moment_arms.flags.writeable:
         _cached_problems[id(moment_arms)] = moment_arms, problem
@@ -109,7 +109,7 @@ def solve_bounded(
     from daqp import solve
 
     arms, mean, weight, unconstrained = _cached_problem(moment_arms)
-    linear = -(arms.dot(torque / mean) + REGULARISATION * floor)
+    linear = -(arms.dot(torque / mean) + REGULARISATION_WEIGHT * floor)
     start = np.minimum(np.maximum(preferred_tension, floor), ceiling)
     # Bounds and weights are copied, because daqp may write into its arguments.
     result = solve(

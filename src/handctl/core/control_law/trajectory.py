@@ -240,7 +240,7 @@ def _equal_coordinates(values: tuple[float, float, float], coordinates: int) -> 
     return np.array([[value] * coordinates for value in values])
 
 
-PEAK_SPEED = 1.875
+PEAK_SPEED_RATIO = 1.875
 """Ratio of peak to mean speed of a minimum-jerk move: 15 / 8."""
 
 
@@ -249,4 +249,4 @@ def duration_for(distance: float, speed: float, shortest: float) -> float:
 
     It is at least ``shortest`` [s].
     """
-    return max(PEAK_SPEED * abs(distance) / speed, shortest)
+    return max(PEAK_SPEED_RATIO * abs(distance) / speed, shortest)

@@ -26,7 +26,7 @@ TIME_CONSTANTS_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 """Time constant of the low-pass filter of each row [s]."""
 GAIN_FRACTION = 0.1
 """Error of the motor force, as a fraction, by the tolerance of the torque constant K_t that is usual for motors."""
-FULL_FRICTION_SPEED = 5e-3
+FULL_FRICTION_SPEED_M_S = 5e-3
 """Tendon speed above which friction is fully developed [m/s]."""
 
 
@@ -75,7 +75,9 @@ def update_residuals(x: StateTables, c: ConstantTables, missed: int, tared: bool
         now[JERK] = square(turned - x.tendon[s.LAST_POSITION_STEP, n])
         # Friction has the sign of the speed, so excess friction is the balance times this sign.
         now[EXCESS_FRICTION] = (
-            math.copysign(1.0, speed) * balance if abs(speed) > FULL_FRICTION_SPEED else math.nan
+            math.copysign(1.0, speed) * balance
+            if abs(speed) > FULL_FRICTION_SPEED_M_S
+            else math.nan
         )
         for row in range(8):
             low = x.tendon[s.RESIDUAL + row, n]

@@ -17,15 +17,15 @@ from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.estimation.varying_moment_arms import joint_excursion
 from handctl.core.state_block import StateTables
 
-FOLLOW_S = 0.1
+MOTOR_FOLLOWING_TIME_CONSTANT_S = 0.1
 """Time constant that is assumed for a motor that follows a jump of its goal, with a large margin [s]."""
 SLOW_GOAL_M_S = 2e-3
 """Speed of a goal below which the motor is assumed to follow without delay [m/s]."""
-ARRIVED_M = 0.2e-3
+ARRIVAL_DISTANCE_M = 0.2e-3
 """Distance between excursion and goal below which a motor has reached its goal [m]."""
-GOAL_JUMP_M = 2.0 * ARRIVED_M
+GOAL_JUMP_M = 2.0 * ARRIVAL_DISTANCE_M
 """Step of the filtered goal in a tick above which the step counts as a jump, and not as a motion of the digit [m]."""
-PRESSED_N = 8.0
+PRESSING_TENSION_N = 8.0
 """Tension in excess of its goal above which a streamed digit counts as held by an object [N]."""
 
 
@@ -129,7 +129,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
     streamed digit that presses on an object is not judged either, because a client may send targets
     beyond an object that the client does not know.
     """
-    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S)
+    fraction = 1.0 - math.exp(-c.run[h.PERIOD] / MOTOR_FOLLOWING_TIME_CONSTANT_S)
     min_step = SLOW_GOAL_M_S * c.run[h.PERIOD]
     for n in range(x.tendon.shape[1]):
         goal = 0.0
@@ -147,7 +147,7 @@ def filter_goals(x: StateTables, c: ConstantTables) -> None:
             x.tendon[s.FILTERED_GOAL, n] = before + math.copysign(
                 max(fraction * abs(change), min_step), change
             )
-        if abs(goal - present) < ARRIVED_M:
+        if abs(goal - present) < ARRIVAL_DISTANCE_M:
             x.tendon[s.FILTERED_GOAL, n] = present
             if abs(present - before) > GOAL_JUMP_M:
                 # The filtered goal jumps to the estimated excursion. No motor had to follow this
@@ -162,5 +162,5 @@ def _is_digit_pressing(x: StateTables, c: ConstantTables, n: int) -> bool:
     """Return True if a streamed digit presses: the tension of its tendon is much larger than the tension goal."""
     return (
         is_tendon_streamed(x, c, n)
-        and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSED_N
+        and x.tendon[s.TENSION, n] - x.tendon[s.TENSION_GOAL, n] > PRESSING_TENSION_N
     )

@@ -14,12 +14,12 @@ from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables
 from handctl.safety.faults.node import SWING_N
 
-SLOW_S = 0.02
+SLOW_PART_TIME_CONSTANT_S = 0.02
 """Time constant of the slow part that is subtracted from the tension error [s].
 
 It belongs to ``SWING_HZ``.
 """
-MEAN_S = 0.025
+MEAN_SQUARE_TIME_CONSTANT_S = 0.025
 """Time constant of the mean square of the remaining, fast part [s]."""
 
 
@@ -27,8 +27,8 @@ MEAN_S = 0.025
 def update_swing(x: StateTables, c: ConstantTables, tared: bool) -> None:
     """Update the mean square of the oscillation of each tension, from measured minus commanded tension."""
     period = c.run[h.PERIOD]
-    slow = 1.0 - math.exp(-period / SLOW_S)
-    mean = 1.0 - math.exp(-period / MEAN_S)
+    slow = 1.0 - math.exp(-period / SLOW_PART_TIME_CONSTANT_S)
+    mean = 1.0 - math.exp(-period / MEAN_SQUARE_TIME_CONSTANT_S)
     for n in range(x.tendon.shape[1]):
         quick = 0.0
         deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.COMMANDED_TENSION, n]

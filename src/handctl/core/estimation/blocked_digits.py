@@ -12,7 +12,7 @@ from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.state_block import StateTables
 
-SMOOTH_S = 20e-3
+TOUCH_TIME_CONSTANT_S = 20e-3
 """Time constant of the low-pass filter for the unexplained tension of a digit [s]."""
 FREE_BELOW_N = 3.0
 """Mean unexplained tension of a digit's tendons below which the digit counts as free again [N]."""

@@ -5,7 +5,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.core.estimation.kalman import MEAN_NIS_S
+from handctl.core.estimation.kalman import NIS_AVERAGING_TIME_S
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import TickEvent
 
@@ -38,7 +38,7 @@ def consistency_events(
             verdict = (
                 "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
             )
-            text = f"{name}: NIS {nis:.1f} over {MEAN_NIS_S:g} s, 2 is right: {verdict}"
+            text = f"{name}: NIS {nis:.1f} over {NIS_AVERAGING_TIME_S:g} s, 2 is right: {verdict}"
             events.append(TickEvent("warn" if doubtful[n] else "info", "estimate", name, text))
     blocked = after.view("blocked")
     was = before.view("blocked")

@@ -31,15 +31,15 @@ from handctl.core.state_block import StateTables
 
 Vector = NDArray[np.float64]
 
-SMOOTH_S = 5e-3
+TIP_FORCE_TIME_CONSTANT_S = 5e-3
 """Time constant of the smoothed tip force [s]. A contact is found within four times this time."""
-MEAN_S = 0.15
+TIP_FORCE_MEAN_TIME_CONSTANT_S = 0.15
 """Time constant of the mean tip force [s]. A contact force grows within a fraction of this time."""
-DRIFT_S = 2.0
+TIP_FORCE_DRIFT_TIME_CONSTANT_S = 2.0
 """Time constant of the mean tip force that is subtracted as drift [s], about the time in which a digit closes."""
-FAST_GRIP_S = 0.02
+FAST_GRIP_TIME_CONSTANT_S = 0.02
 """Time constant of the fast average of wound length minus stretch, while the hand holds an object [s]."""
-SLOW_GRIP_S = 0.2
+SLOW_GRIP_TIME_CONSTANT_S = 0.2
 """Time constant of the slow average of wound length minus stretch, while the hand holds an object [s]."""
 
 

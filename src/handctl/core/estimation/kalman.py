@@ -34,7 +34,7 @@ from handctl.core.estimation.take_up import (
 )
 from handctl.core.estimation.varying_moment_arms import motor_speed
 from handctl.core.state_block import StateTables
-from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
@@ -56,16 +56,16 @@ STOP_PULL_STAY = 1.05
 """Pull of a tendon below which its digit stays on the open stop, as a fraction of the springs' force."""
 SLACK_LENGTH_M = 2e-4
 """Length of slack above which a load cell certainly measures no tension, but only its error [m]."""
-OUTLIER_GATE = 5.0
+OUTLIER_GATE_SIGMAS = 5.0
 """Innovation above which a single load-cell sample is rejected, in standard deviations of the innovation."""
-STEP_GATE = 2.5
+STEP_GATE_SIGMAS = 2.5
 """Innovation above which two load-cell samples in a row count as a step of the tension, in standard deviations.
 
 Both innovations must have the same sign.
 """
 STEP_FRACTION = 0.8
 """Fraction of the second innovation of a step by which the tension is corrected at once."""
-MEAN_NIS_S = 1.0
+NIS_AVERAGING_TIME_S = 1.0
 """Averaging time of the normalised innovation squared (NIS) that judges the model [s].
 
 Its ideal mean is 2.
@@ -226,7 +226,11 @@ def _gate_and_correct(
         cell = innovation[n, 1]
         sigmas = 0.0 if math.isnan(cell) else cell / cell_sigma[n]
         before = x.tendon[s.CELL_INNOVATION_SIGMAS, n]
-        again = abs(sigmas) > STEP_GATE and before * sigmas > 0.0 and abs(before) > STEP_GATE
+        again = (
+            abs(sigmas) > STEP_GATE_SIGMAS
+            and before * sigmas > 0.0
+            and abs(before) > STEP_GATE_SIGMAS
+        )
         jump = 0.0
         if again and x.tendon_int[s.REGIME, n] != SLACK_REGIME:
             steady = 0.0
@@ -238,7 +242,7 @@ def _gate_and_correct(
             # The correction by the gain is added below, so only the rest of STEP_FRACTION is
             # computed here.
             jump = max(STEP_FRACTION - steady, 0.0) * cell
-        if abs(sigmas) > OUTLIER_GATE and not again:
+        if abs(sigmas) > OUTLIER_GATE_SIGMAS and not again:
             innovation[n, 1] = math.nan
         x.tendon[s.CELL_INNOVATION_SIGMAS, n] = sigmas
         for i in range(STATE_COUNT):
@@ -311,7 +315,7 @@ def _judge_consistency(
         nis = min(nis, MAX_NIS_SAMPLE)
         period = c.run[h.PERIOD]
         # First-order low-pass. The period is short against the averaging time.
-        x.tendon[s.NIS_MEAN, n] += period / MEAN_NIS_S * (nis - x.tendon[s.NIS_MEAN, n])
+        x.tendon[s.NIS_MEAN, n] += period / NIS_AVERAGING_TIME_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= ADDED_NOISE_MAX_PERIOD_S:
             x.tendon[s.NIS_FAST, n] += period / NOISE_NIS_S * (nis - x.tendon[s.NIS_FAST, n])
     for n in range(len(innovation)):
@@ -400,7 +404,7 @@ def _load_forces(x: StateTables, c: ConstantTables) -> Matrix:
     better = False
     for n in range(count):
         tension[n] = filtered_tension(x, c, n)
-        quick[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED)
+        quick[n] = math.tanh(motor_speed(x, c, n) / CAPSTAN_FRICTION_SPEED_M_S)
         friction_state = x.tendon[s.FRICTION_STATE, n]
         developed[n] = quick[n] if math.isnan(friction_state) else friction_state
         better |= developed[n] != quick[n]

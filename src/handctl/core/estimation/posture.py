@@ -66,7 +66,7 @@ MIN_TURN_RAD = 1e-9
 """Smallest divisor where a turn is limited to the ranges of the joints [rad]."""
 CONTACT_FADE_S = 0.15
 """Time constant with which the effect of a contact fades [s], because friction holds the joints after its end."""
-UPDATE_S = 8e-3
+POSTURE_UPDATE_PERIOD_S = 8e-3
 """Time between two estimates of the turn in the null space [s]."""
 TURN_SMOOTHING_S = 20e-3
 """Time constant of the low-pass filter for the turn by contact [s]."""

@@ -14,8 +14,8 @@ from handctl.drives.discovery import (
     ReceivedFrames,
     have_two_drives_answered,
 )
-from handctl.drives.frame import REMOTE, Frame
-from handctl.hand.file.sections import CIA404
+from handctl.drives.frame import REMOTE_FLAG, Frame
+from handctl.hand.file.sections import CIA404_PROTOCOL
 
 NODE_NUMBERS = range(1, HOST_NODE)
 """Node numbers for a scan to try."""
@@ -51,7 +51,9 @@ def probe_frames(scan_round: int, received: ReceivedFrames) -> tuple[Frame, ...]
     if scan_round == 3:
         found = discovered_nodes(received)
         asked = [(node, SERIAL_NUMBER) for node in found]
-        asked += [(node, CHANNEL_COUNT_OBJECT) for node in found if node.protocol == CIA404]
+        asked += [
+            (node, CHANNEL_COUNT_OBJECT) for node in found if node.protocol == CIA404_PROTOCOL
+        ]
         return tuple(
             Frame(codec.SDO_REQUEST + node.node_id, codec.upload_request(*entry))
             for node, entry in asked
@@ -109,7 +111,12 @@ def _describe_node(
             {"channels_per_node": channels} if channels else {}
         )
         return DiscoveredNode(
-            CIA404, node_number, state=state, options=options, notes=(*notes, text), twins=twins
+            CIA404_PROTOCOL,
+            node_number,
+            state=state,
+            options=options,
+            notes=(*notes, text),
+            twins=twins,
         )
     if profile != CIA402_PROFILE:
         notes = (*notes, f"a CANopen device of profile {profile}, not a drive of CiA 402")
@@ -126,7 +133,7 @@ def command_ids(node: DiscoveredNode) -> frozenset[int]:
 def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     """Return the received frames from another host: SYNC, NMT, and heartbeats of another handctl."""
     identifiers = (codec.NMT, codec.SYNC, codec.HEARTBEAT + HOST_NODE)
-    return tuple(frame for frame in received if frame.can_id & ~REMOTE in identifiers)
+    return tuple(frame for frame in received if frame.can_id & ~REMOTE_FLAG in identifiers)
 
 
 def ping_request(node: DiscoveredNode) -> Frame:

@@ -50,7 +50,7 @@ import struct
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from handctl.drives.frame import BRS, EXTENDED, FDF
+from handctl.drives.frame import BRS, EXTENDED_FLAG, FDF
 from handctl.drives.frame_time import FD_SIZES
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
@@ -160,13 +160,13 @@ STATUS_HEADERS = ((0, b"\x21"), (3, b"\x22"), (7, b"\x2f\x01"), (21, b"\x21\x0a"
 
 def request_id(node_id: int, source: int = 0) -> int:
     """Return the identifier of a request from a source to a node."""
-    return EXTENDED | REPLY_WANTED | source << 8 | node_id
+    return EXTENDED_FLAG | REPLY_WANTED | source << 8 | node_id
 
 
 def reply_id(node_id: int, source: int = 0) -> int:
     """Return the identifier of a node's reply to a request from a source."""
     number = node_id << 8 | source
-    return number if number < STANDARD_IDS else number | EXTENDED
+    return number if number < STANDARD_IDS else number | EXTENDED_FLAG
 
 
 def padded_payload(payload: bytes) -> bytes:

@@ -14,7 +14,7 @@ from handctl.drives.discovery import (
     ReceivedFrames,
     have_two_drives_answered,
 )
-from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.moteus import codec
 from handctl.drives.moteus.progress import error_text
 
@@ -122,9 +122,9 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     return tuple(
         frame
         for frame in received
-        if frame.can_id & EXTENDED
-        and not frame.can_id & (REMOTE | ERROR)
-        and (frame.can_id & ~EXTENDED) >> 15 == 1
+        if frame.can_id & EXTENDED_FLAG
+        and not frame.can_id & (REMOTE_FLAG | ERROR_FLAG)
+        and (frame.can_id & ~EXTENDED_FLAG) >> 15 == 1
         and 0 < frame.can_id & 0xFF <= codec.BROADCAST
         and frame.data
     )

@@ -30,7 +30,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from handctl.drives.frame import REMOTE
+from handctl.drives.frame import REMOTE_FLAG
 from handctl.drives.signals import CyclicMessage, Signal, SignalCoding, SignalQuantity
 
 # Command numbers, the low five bits of an identifier.
@@ -262,7 +262,7 @@ def velocity_message(node_id: int, ratio: float, limit: float) -> CyclicMessage:
 def request_message(node_id: int, command: int) -> CyclicMessage:
     """Return the signal table of the remote frame that requests a message."""
     return CyclicMessage(
-        f"ask_{command:#04x}", message_id(node_id, command) | REMOTE, 0, answers=False
+        f"ask_{command:#04x}", message_id(node_id, command) | REMOTE_FLAG, 0, answers=False
     )
 
 

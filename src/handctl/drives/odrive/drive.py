@@ -19,7 +19,7 @@ from handctl.drives.contract import (
     DriveTarget,
 )
 from handctl.drives.fault_causes import DriveFaultCause
-from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.frame import REMOTE_FLAG, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import settings as endpoints
@@ -178,7 +178,7 @@ class OdriveDrive:
             codec.message_id(self.node_id, command) for command in codec.HOST_COMMANDS
         )
         return commands | {
-            codec.message_id(self.node_id, command) | REMOTE
+            codec.message_id(self.node_id, command) | REMOTE_FLAG
             for command in codec.REQUESTABLE_MESSAGES
         }
 
@@ -572,4 +572,4 @@ class OdriveDrive:
 
     def _remote_frame(self, command: int) -> Frame:
         """Return a remote frame that requests a message from the drive."""
-        return Frame(codec.message_id(self.node_id, command) | REMOTE, b"", 0, self.bus)
+        return Frame(codec.message_id(self.node_id, command) | REMOTE_FLAG, b"", 0, self.bus)

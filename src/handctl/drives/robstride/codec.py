@@ -31,7 +31,7 @@ import math
 import struct
 from typing import NamedTuple
 
-from handctl.drives.frame import EXTENDED
+from handctl.drives.frame import EXTENDED_FLAG
 from handctl.drives.signals import (
     IDENTIFIER_BIT,
     CyclicMessage,
@@ -151,12 +151,12 @@ MOTOR_MODEL_RANGES = {
 
 def request_id(frame_type: int, node_id: int, host: int, data_field: int = 0) -> int:
     """Return the identifier of a request of type ``frame_type`` from a host to a motor."""
-    return EXTENDED | frame_type << 24 | data_field << 16 | host << 8 | node_id
+    return EXTENDED_FLAG | frame_type << 24 | data_field << 16 | host << 8 | node_id
 
 
 def reply_id(frame_type: int, node_id: int, host: int, data_field: int = 0) -> int:
     """Return the identifier of a frame of type ``frame_type`` from a motor to a host."""
-    return EXTENDED | frame_type << 24 | data_field << 16 | node_id << 8 | host
+    return EXTENDED_FLAG | frame_type << 24 | data_field << 16 | node_id << 8 | host
 
 
 def motor_ids(node_id: int, host: int) -> frozenset[int]:
@@ -201,7 +201,7 @@ def command_message(
         unit="N m",
     )
     return CyclicMessage(
-        "command", EXTENDED | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit
+        "command", EXTENDED_FLAG | CONTROL << 24 | node_id, 8, (torque,), 0, NO_MOTION, False, limit
     )
 
 

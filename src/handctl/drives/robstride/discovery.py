@@ -11,7 +11,7 @@ from handctl.drives.discovery import (
     ProtocolDiscovery,
     ReceivedFrames,
 )
-from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
+from handctl.drives.frame import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from handctl.drives.robstride import codec
 
 MOTOR_NUMBERS = range(1, codec.LAST_NODE + 1)
@@ -82,9 +82,9 @@ def other_host_frames(received: ReceivedFrames) -> tuple[Frame, ...]:
     return tuple(
         frame
         for frame in received
-        if frame.can_id & EXTENDED
-        and not frame.can_id & (REMOTE | ERROR)
-        and (frame.can_id & ~EXTENDED) >> 24 in HOST_REQUEST_TYPES
+        if frame.can_id & EXTENDED_FLAG
+        and not frame.can_id & (REMOTE_FLAG | ERROR_FLAG)
+        and (frame.can_id & ~EXTENDED_FLAG) >> 24 in HOST_REQUEST_TYPES
         and 0 < frame.can_id & 0xFF <= codec.LAST_NODE
         and len(frame.data) == 8
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from handctl.drives import readback
 from handctl.drives.contract import NO_STEADY_STATUS, DrivePhase, DriveState, DriveTarget
 from handctl.drives.fault_causes import DriveFaultCause
-from handctl.drives.frame import EXTENDED, Frame
+from handctl.drives.frame import EXTENDED_FLAG, Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.option_checks import (
     check_full_scale,
@@ -207,7 +207,7 @@ class RobstrideDrive:
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """Return the state after a received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
-        number = can_id & ~EXTENDED
+        number = can_id & ~EXTENDED_FLAG
         if bus != self.bus or can_id not in self.node_ids:
             return state
         if len(data) != 8:

@@ -64,9 +64,9 @@ class Bus(Section):
     """Bit rate of the data phase of CAN FD. It is absent for a classical bus."""
 
 
-HANDCTL_NODE = "handctl"
+HANDCTL_PROTOCOL = "handctl"
 """Protocol of the sensor node that handctl itself defines, see sensor_node.dbc."""
-CIA404 = "cia404"
+CIA404_PROTOCOL = "cia404"
 """Protocol of CANopen measuring amplifiers according to CiA 404."""
 HANDCTL_NODE_KEYS = ("base_id", "joint_decimation", "joint_noise_rad", "joints")
 """Keys of ``SensorNode`` that only the protocol ``handctl`` has."""
@@ -85,7 +85,7 @@ CHANNELS_PER_TPDO = 2
 class SensorNode(Section):
     """Sensors of tendon tension, between spool and first pulley, and joint encoders."""
 
-    protocol: qty.SensorProtocol = HANDCTL_NODE
+    protocol: qty.SensorProtocol = HANDCTL_PROTOCOL
     """``handctl``: one node with load cells and joint encoders.
 
     ``cia404``: CANopen measuring amplifiers.
@@ -149,7 +149,7 @@ class SensorNode(Section):
     @property
     def is_cia404(self) -> bool:
         """Return True if CANopen measuring amplifiers according to CiA 404 measure the tensions."""
-        return self.protocol == CIA404
+        return self.protocol == CIA404_PROTOCOL
 
     @property
     def amplifier_channels(self) -> tuple[int, ...]:
@@ -216,7 +216,7 @@ class StreamLimits(Section):
 
 MAX_LINKS = 8
 """Largest number of links of a digit."""
-SPRINGS = ("spring_stiffness_N_m_per_rad", "spring_preload_rad")
+SPRING_KEYS = ("spring_stiffness_N_m_per_rad", "spring_preload_rad")
 """Keys of the return springs of a digit. A digit without springs has neither of them."""
 
 
@@ -325,11 +325,11 @@ class Digit(Section):
 
         Antagonistic tendons open such a digit.
         """
-        if not isinstance(given, dict) or given.keys() & set(SPRINGS):
+        if not isinstance(given, dict) or given.keys() & set(SPRING_KEYS):
             return given
         links = given.get("link_length_m")
         return given | dict.fromkeys(
-            SPRINGS, (0.0,) * len(links) if isinstance(links, list | tuple) else ()
+            SPRING_KEYS, (0.0,) * len(links) if isinstance(links, list | tuple) else ()
         )
 
     @property

@@ -25,7 +25,7 @@ from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.hand_tree import HandTree
-from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED
+from handctl.hand.tendons import CAPSTAN_FRICTION_SPEED_M_S
 from handctl.tune.identify.data import TendonData
 from handctl.tune.identify.fit import (
     DEFAULT_PRIOR_DEVIATION,
@@ -165,7 +165,7 @@ class PairWindows:
             inertial=rigid @ to_tension,
             damping=(dq * np.array(digit.joint_damping)) @ to_tension,
             angle=digit.wrap[tendon] + q[:, passed].sum(axis=1),
-            developed=np.tanh(quick / CAPSTAN_FRICTION_SPEED) @ weights.mean,
+            developed=np.tanh(quick / CAPSTAN_FRICTION_SPEED_M_S) @ weights.mean,
             travel=travel,
             excursion=excursion,
             readings=readings,
