@@ -99,7 +99,7 @@ class LockstepHand:
         )
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
-        """Answer the host's frames of one tick, given and returned as objects. See ``tick_exchange``.
+        """Answer the host's frames of one tick, given and returned as objects. See ``exchange``.
 
         Args:
             t_ns: start of the tick [ns], not before the previous tick.

@@ -13,7 +13,7 @@ import numpy as np
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.frame_records import to_frames, to_records
-from firmware_sim.compiled import array_of, use
+from firmware_sim.compiled import structure_array, use_compiled_kernels
 from firmware_sim.faults.active_faults import ActiveFaults
 from firmware_sim.hand_description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.nodes import PROTOCOL_SPECS, noise, sensor_node
@@ -22,7 +22,7 @@ from firmware_sim.nodes.cyclic_kernels import NEVER_NS
 from firmware_sim.nodes.mit import codec as mit_codec
 from firmware_sim.nodes.protocol_spec import SENSOR_NODE_KIND, DriveNode, SimulatedNode
 from firmware_sim.nodes.sensor_node import SensorNode, SensorNodeRow, SensorStruct
-from firmware_sim.plant.mjcf import shapes
+from firmware_sim.plant.mjcf import scene_shapes
 from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import Scene
 from firmware_sim.tick_exchange import TickExchange
@@ -84,7 +84,7 @@ class SimulatedWorld:
         self.plant = Plant(hand, scene, seed, homed, compiled)
         if compiled:
             for module in (mit_codec, sensor_node, noise):
-                use(module)
+                use_compiled_kernels(module)
         self.t_ns = self._origin_ns = origin_ns
         self.foreign = 0
         rng = random.Random(f"encoders {seed}")
@@ -152,7 +152,7 @@ class SimulatedWorld:
                 nodes[motor.name] = row
                 self.row_of[id(row)] = (kind.node_kind, number)
             if compiled and kind.row:
-                rows[kind.row.layout] = array_of(memory, kind.row.layout)
+                rows[kind.row.layout] = structure_array(memory, kind.row.layout)
         return nodes
 
     def _build_sensor_node(
@@ -178,7 +178,7 @@ class SimulatedWorld:
         memory = (SensorNodeRow * 1)()
         node: SensorNodeRow = memory[0]
         node.prepare(*arguments)
-        rows[SensorStruct] = array_of(memory, SensorStruct)
+        rows[SensorStruct] = structure_array(memory, SensorStruct)
         self.row_of[id(node)] = SENSOR_NODE_KIND, 0
         return node
 
@@ -387,7 +387,7 @@ class SimulatedWorld:
             "scene": self.plant.scene.name,
             "homed": self.homed,
             "encoder_offset_rad": self.encoder_offset,
-            "shapes": shapes(self.plant.scene),
+            "shapes": scene_shapes(self.plant.scene),
         }
 
 

@@ -10,10 +10,17 @@ import numpy as np
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.frame_records import FRAME_DTYPE, to_frames, to_records
-from firmware_sim.compiled import addresses, machine_code
+from firmware_sim.compiled import array_addresses, machine_code
 from firmware_sim.nodes import cyclic_kernels
 from firmware_sim.nodes.cia402.kernels import Cia402Struct
-from firmware_sim.nodes.cyclic_kernels import ANSWERS, IN_ORDER, NEXT_FRAME, SENT, WAKE_NS, Receiver
+from firmware_sim.nodes.cyclic_kernels import (
+    ANSWERS,
+    IN_ORDER,
+    NEXT_FRAME,
+    SENT,
+    WAKE_NS,
+    ReceiverStruct,
+)
 from firmware_sim.nodes.mit.codec import MitStruct
 from firmware_sim.nodes.odrive.kernels import OdriveStruct
 from firmware_sim.nodes.protocol_spec import SENSOR_NODE_KIND
@@ -163,14 +170,14 @@ class TickExchange:
                 table[cyclic_kernels.table_index(bus, can_id)] = next_receiver
         self._identifiers_seen = self._accepted_identifiers()
         self._table = table
-        self._receivers = np.array(receivers, Receiver)
+        self._receivers = np.array(receivers, ReceiverStruct)
         rows = [
             world.row_of.get(id(node), (SENSOR_NODE_KIND, 0))
             for nodes in world.nodes
             for node in nodes
         ]
         self._drive_rows = np.array(
-            [(*row, -1) for row in rows if row[0] != SENSOR_NODE_KIND], Receiver
+            [(*row, -1) for row in rows if row[0] != SENSOR_NODE_KIND], ReceiverStruct
         )
         arrays = (
             self._progress,
@@ -181,7 +188,7 @@ class TickExchange:
             *self._sensor_arrays,
             *self._sample_arrays,
         )
-        self._addresses = np.array(addresses(arrays), np.int64)
+        self._addresses = np.array(array_addresses(arrays), np.int64)
 
     def _accepted_identifiers(self) -> list[Any]:
         """Return the identifiers that each node accepts.

@@ -115,7 +115,7 @@ class HubConnection:
             return 0
 
 
-class Hub:
+class BusHub:
     """The server of a local bus.
 
     Attributes:

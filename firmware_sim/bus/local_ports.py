@@ -4,7 +4,7 @@ import socket
 from collections.abc import Collection
 
 from firmware_sim.bus.frame import RECORD_SIZE, Frame, pack_record, unpack_record
-from firmware_sim.bus.hub import Hub, HubConnection
+from firmware_sim.bus.hub import BusHub, HubConnection
 from firmware_sim.hand_description import SimulatorError
 from firmware_sim.socket_paths import bus_path
 from firmware_sim.wire.simulated_wire import NEVER_NS
@@ -25,7 +25,7 @@ class HubPort:
         Raises:
             SimulatorError: the bus is already served.
         """
-        self._hub = Hub(name)
+        self._hub = BusHub(name)
         self._bus = bus
         self._unreadable = 0
 

@@ -17,7 +17,7 @@ from firmware_sim.bus.frame import (
     Frame,
     pack_record,
 )
-from firmware_sim.bus.hub import Hub, HubConnection
+from firmware_sim.bus.hub import BusHub, HubConnection
 from firmware_sim.bus.local_ports import split_records
 from firmware_sim.wire.can_adapter import NO_LATENCY_CLASS, AdapterLatency
 from firmware_sim.wire.can_controller import CanController
@@ -78,7 +78,7 @@ class TimedPort:
         self._late: list[tuple[int, int, HubConnection, bytes]] = []
         """Records delayed by a client's adapter: time of delivery to the client [ns], serial number, client, record."""
         self._delayed = 0
-        self._hub = Hub(name)
+        self._hub = BusHub(name)
         self.wire = SimulatedWire(rate, options)
         self._bus = bus
         self._now_ns = now_ns

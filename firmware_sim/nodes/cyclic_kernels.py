@@ -28,29 +28,29 @@ from firmware_sim.nodes.cia402.kernels import (
     apply_torque,
     follows_torque,
     heartbeat_due,
-    measure,
+    update_measured_objects,
 )
 from firmware_sim.nodes.cia402.kernels import THERMAL_PERIOD_NS as CIA402_THERMAL_PERIOD_NS
-from firmware_sim.nodes.cia402.kernels import schedule as schedule_cia402
+from firmware_sim.nodes.cia402.kernels import schedule_wake as schedule_cia402
 from firmware_sim.nodes.cia402.kernels import watchdog_expired as cia402_watchdog_expired
 from firmware_sim.nodes.mit.codec import (
     ENABLED_STATE,
     MitStruct,
     apply_command,
     feedback_word,
-    schedule,
+    schedule_wake,
 )
 from firmware_sim.nodes.mit.registers import MODE_MIT
 from firmware_sim.nodes.odrive.kernels import (
     THERMAL_PERIOD_NS,
     OdriveStruct,
     next_due,
+    position_in_turns,
     set_torque,
-    turns,
-    turns_per_s,
+    velocity_in_turns_per_s,
     watchdog_expired,
 )
-from firmware_sim.nodes.odrive.kernels import schedule as schedule_odrive
+from firmware_sim.nodes.odrive.kernels import schedule_wake as schedule_odrive
 from firmware_sim.nodes.protocol_spec import MIT_KIND, ODRIVE_KIND, SENSOR_NODE_KIND
 from firmware_sim.nodes.sensor_node import (
     CHANNELS_PER_FRAME,
@@ -62,7 +62,7 @@ from firmware_sim.nodes.sensor_node import (
     payload_size,
     read_cells,
 )
-from firmware_sim.plant.drivetrain import encoded, tensions
+from firmware_sim.plant.drivetrain import encoder_angle, tensions
 from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 
 FRAME_DURATION_NS = 135_000
@@ -92,7 +92,7 @@ _SPECIAL_COMMAND_BITS = 0xFFFFFFFFFFFFFF
 """Seven bytes of FF as an integer. Special commands of MIT motors start with these bytes."""
 
 
-class Receiver(ctypes.Structure):
+class ReceiverStruct(ctypes.Structure):
     """A node that receives an identifier.
 
     The fields are the kind of the node, the row in the array for the kind, and the index of the
@@ -172,9 +172,9 @@ def _answer_mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> No
         apply_command(node, rotor.servo_row, _payload_as_integer(frame.data))
     temperatures = node.temperatures
     word = feedback_word(
-        node, rotor, encoded(rotor.theta), temperatures.mosfet, temperatures.winding
+        node, rotor, encoder_angle(rotor.theta), temperatures.mosfet, temperatures.winding
     )
-    schedule(node)
+    schedule_wake(node)
     _fill_header(answer, node.reply_id, 8, frame.flags, frame.bus)
     data = answer.data
     for i in range(8):
@@ -207,8 +207,8 @@ def _odrive_needs_python(node: Any, rotor: Any, frame: Any) -> bool:
 def _write_encoder_frame(node: Any, rotor: Any, bus: int, answer: Any) -> None:
     """Write the frame with the encoder estimates of an ODrive."""
     _fill_header(answer, node.node_id << 5 | 0x09, 8, 0, bus)
-    _put_float(answer.data, 0, turns(node, encoded(rotor.theta)))
-    _put_float(answer.data, 4, turns_per_s(node, rotor.velocity))
+    _put_float(answer.data, 0, position_in_turns(node, encoder_angle(rotor.theta)))
+    _put_float(answer.data, 4, velocity_in_turns_per_s(node, rotor.velocity))
 
 
 @kernel_helper
@@ -255,7 +255,9 @@ def _answer_cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, c
     data = frame.data
     values = node.values
     if frame.can_id == node.sync_id:
-        measure(node, node.power_stage, encoded(rotor.theta), rotor.velocity, rotor.torque)
+        update_measured_objects(
+            node, node.power_stage, encoder_angle(rotor.theta), rotor.velocity, rotor.torque
+        )
         node.syncs += 1
         if node.syncs % node.tpdo_kind == 0:
             _fill_header(answers[count], node.tpdo_id, 8, 0, frame.bus)
@@ -387,7 +389,7 @@ def _stamp_in_sequence(
     return in_order
 
 
-DRIVE_ARGUMENTS = (Receiver, MitStruct, OdriveStruct, Cia402Struct)
+DRIVE_ARGUMENTS = (ReceiverStruct, MitStruct, OdriveStruct, Cia402Struct)
 """Types of the kernel arguments with receivers and with the rows of the drives."""
 
 
@@ -569,7 +571,7 @@ def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
 
 REAL_DTYPE = np.dtype(np.float64)
 COUNT_DTYPE = np.dtype(np.int64)
-RECEIVER_DTYPE = np.dtype(Receiver)
+RECEIVER_DTYPE = np.dtype(ReceiverStruct)
 MIT_DTYPE = np.dtype(MitStruct)
 ODRIVE_DTYPE = np.dtype(OdriveStruct)
 CIA402_DTYPE = np.dtype(Cia402Struct)

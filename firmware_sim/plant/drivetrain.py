@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import call, compiled, kernel_helper, rows_at
+from firmware_sim.compiled import call_c_function, compiled, kernel_helper, rows_at
 from firmware_sim.plant.plant_structs import RotorStruct, TendonStruct
 
 CAPSTAN_SPEED = 1e-3
@@ -191,7 +191,7 @@ def _compensate_damping(tendon: Any, joints: Any, arms: Any, dq: Any, torque: An
 
 
 @kernel_helper
-def encoded(theta: float) -> float:
+def encoder_angle(theta: float) -> float:
     """Return a spool angle rounded down to the encoder resolution [rad]."""
     return math.floor(theta / ENCODER_STEP) * ENCODER_STEP
 
@@ -199,11 +199,11 @@ def encoded(theta: float) -> float:
 @kernel_helper
 def measure_angle(rotor: Any) -> None:
     """Measure the spool angle with the encoder."""
-    rotor.angle = encoded(rotor.theta)
+    rotor.angle = encoder_angle(rotor.theta)
 
 
 @kernel_helper
-def within_speed(
+def limit_torque_by_speed(
     rotor: Any,
     command: float,
     inertia: float,
@@ -274,21 +274,23 @@ def compute_command(rotor: Any) -> None:
     elif command < -limit:
         command = -limit
     if servo.speed_gain > 0.0:
-        command = within_speed(
+        command = limit_torque_by_speed(
             rotor, command, inertia, drag, servo.speed_limit, servo.speed_gain, True
         )
     if rotor.top_speed > 0.0:
         # The back-EMF reduces the voltage that drives the current, linearly down to zero at the
         # no-load speed.
         slope = rotor.stall_torque / rotor.top_speed
-        command = within_speed(rotor, command, inertia, drag, rotor.top_speed, slope, False)
+        command = limit_torque_by_speed(
+            rotor, command, inertia, drag, rotor.top_speed, slope, False
+        )
     rotor.command = command
     rotor.drag = drag
     rotor.impedance = inertia
 
 
 @kernel_helper
-def integrate(rotor: Any) -> None:
+def integrate_motor(rotor: Any) -> None:
     """Integrate torque, rotor and velocity estimate of a motor over one step, semi-implicitly."""
     torque = rotor.torque + rotor.lag * (rotor.command - rotor.torque)
     push = rotor.impedance * rotor.omega + rotor.gain * torque - rotor.drag
@@ -364,7 +366,7 @@ def step_drivetrain(
         if all_rotors or rotor.steps_alone == 0:
             measure_angle(rotor)
             compute_command(rotor)
-            integrate(rotor)
+            integrate_motor(rotor)
 
 
 @kernel_helper
@@ -403,7 +405,7 @@ def _steps(
             return done
         step_drivetrain(tendons, joints, arms, rotors, q, dq, torque, damping, True)
         # mj_step of the engine reads and writes q, dq, torque and damping in place.
-        call(step, model, data)
+        call_c_function(step, model, data)
     return count
 
 

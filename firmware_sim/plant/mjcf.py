@@ -382,7 +382,7 @@ def _table_element(grasp_object: GraspObject, support: SinkingTable | None) -> s
     )
 
 
-def shapes(scene: Scene) -> dict[str, dict[str, object]]:
+def scene_shapes(scene: Scene) -> dict[str, dict[str, object]]:
     """Return shape and extents [m] of object and table, and the position of the table [m], for drawing them."""
     if scene.grasp_object is None:
         return {}

@@ -9,9 +9,14 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from firmware_sim.compiled import array_of
+from firmware_sim.compiled import structure_array
 from firmware_sim.hand_description import MotorSpec
-from firmware_sim.plant.drivetrain import compute_command, encoded, integrate, measure_angle
+from firmware_sim.plant.drivetrain import (
+    compute_command,
+    encoder_angle,
+    integrate_motor,
+    measure_angle,
+)
 from firmware_sim.plant.plant_structs import RotorStruct, Servo
 
 CURRENT_LAG_S = 0.3e-3
@@ -118,7 +123,7 @@ class Motor:
 
     def encoder(self) -> float:
         """Return the spool angle as the drive measures it [rad]."""
-        angle = encoded(self.theta)
+        angle = encoder_angle(self.theta)
         encoder_fault = self._encoder_fault
         return encoder_fault(angle) if encoder_fault else angle
 
@@ -135,7 +140,7 @@ class Motor:
         compute_command(self)
         if self._power_stage_fault:
             self.command = self._power_stage_fault(self.command)
-        integrate(self)
+        integrate_motor(self)
 
 
 class MotorRow(RotorStruct, Motor):
@@ -157,4 +162,4 @@ def motor_rows(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], 
     for number, (motor, spec) in enumerate(zip(motors, specs, strict=True)):
         motor._set_parameters(spec, step_s)
         motor.number = number
-    return motors, array_of(memory, RotorStruct)
+    return motors, structure_array(memory, RotorStruct)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import addresses, machine_code
+from firmware_sim.compiled import array_addresses, machine_code
 from firmware_sim.hand_description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
@@ -103,7 +103,7 @@ class Plant:
         arrays = (*self._drivetrain, *self._bodies) if self._bodies else ()
         # The kernel gets one array of addresses, because each argument costs 0.2 us in every tick.
         self._addresses = (
-            np.array([*addresses(arrays), *native], np.int64) if arrays and native else None
+            np.array([*array_addresses(arrays), *native], np.int64) if arrays and native else None
         )
         self._tensions = np.zeros(len(self.tendons))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import array_of
+from firmware_sim.compiled import structure_array
 from firmware_sim.hand_description import POWER_COUNT, TendonSpec
 from firmware_sim.plant.plant_structs import TendonStruct
 
@@ -131,7 +131,7 @@ class TendonRouting:
             passed = [name for name, arm in spec.arms.items() if arm]
             path += [(joints.index(name), _pulley_numbers(spec, name)) for name in passed]
             tendon.end = len(path)
-        self.rows: Any = array_of(memory, TendonStruct) if compiled else self.tendons
+        self.rows: Any = structure_array(memory, TendonStruct) if compiled else self.tendons
         self.joints: Any = [joint for joint, _ in path]
         self.arms: Any = [number for _, pulley in path for number in pulley]
         if compiled:

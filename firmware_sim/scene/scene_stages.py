@@ -70,7 +70,7 @@ def _parse_vector(raw_vector: Any, where: str) -> Vector:
 
 
 @dataclass(frozen=True, slots=True)
-class StageState:
+class SceneState:
     """State of a scene with stages at one time.
 
     Attributes:
@@ -104,7 +104,7 @@ class StageSequence:
         self._gravity = gravity
         self.duration = sum(stage.turn + stage.duration for stage in stages)
 
-    def state_at(self, time: float) -> StageState:
+    def state_at(self, time: float) -> SceneState:
         """Return the state at a time since the table started to sink [s].
 
         After the last stage, its final state remains.
@@ -121,7 +121,7 @@ class StageSequence:
             if since < stage.turn + stage.duration or i == len(self._stages) - 1:
                 pushing = stage.push_at <= since - stage.turn < stage.push_at + stage.push_duration
                 fraction = min(since / stage.turn, 1.0) if stage.turn > 0.0 else 1.0
-                return StageState(
+                return SceneState(
                     i,
                     _turned_vector(gravity, target, fraction),
                     stage.push if pushing else (0.0, 0.0, 0.0),
@@ -129,7 +129,7 @@ class StageSequence:
                 )
             start = start + stage.turn + stage.duration
             gravity = target
-        return StageState(-1, self._gravity, (0.0, 0.0, 0.0), None)
+        return SceneState(-1, self._gravity, (0.0, 0.0, 0.0), None)
 
 
 def _scaled_vector(v: Vector, factor: float) -> Vector:

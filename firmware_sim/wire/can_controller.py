@@ -59,7 +59,7 @@ LOC_ACK = 0x19
 """Value of data[3]: the error is in the acknowledge slot."""
 
 
-class ErrorState(enum.IntEnum):
+class CanErrorState(enum.IntEnum):
     """Error states of a CAN controller."""
 
     ACTIVE = 0
@@ -93,7 +93,7 @@ class CanController:
         """
         self.queue: deque[tuple[int, int, Frame]] = deque()
         self.tx_errors = self.rx_errors = 0
-        self.state = ErrorState.ACTIVE
+        self.state = CanErrorState.ACTIVE
         self.refused = self.sent = 0
         self.on_receive = on_receive
         self.retry_ns = 0
@@ -107,7 +107,7 @@ class CanController:
     @property
     def on_bus(self) -> bool:
         """Return True if the controller is on the bus, and not in the state bus-off."""
-        return self.state != ErrorState.BUS_OFF
+        return self.state != CanErrorState.BUS_OFF
 
     def offer(self, frame: Frame, t_ns: int) -> bool:
         """Queue a frame for sending. If the frame is refused, the owner gets an error frame.
@@ -160,7 +160,7 @@ class CanController:
         The counter of an error-passive sender does not change. A controller that is alone on a bus
         thus never goes off the bus.
         """
-        if self.state < ErrorState.PASSIVE:
+        if self.state < CanErrorState.PASSIVE:
             self.tx_errors += TX_ERROR_INCREMENT
         self._count_error(CAN_ERR_ACK, t_ns)
 
@@ -177,7 +177,7 @@ class CanController:
     def restart(self, t_ns: int) -> None:
         """Restart the controller after bus-off, with all counters at zero."""
         self.tx_errors = self.rx_errors = 0
-        self.state = ErrorState.ACTIVE
+        self.state = CanErrorState.ACTIVE
         self._last_error = 0
         self._send_error_frame(CAN_ERR_RESTARTED, t_ns)
 
@@ -204,13 +204,13 @@ class CanController:
         before = self.state
         highest = max(self.tx_errors, self.rx_errors)
         if self.tx_errors >= BUS_OFF_ERROR_COUNT:
-            self.state = ErrorState.BUS_OFF
+            self.state = CanErrorState.BUS_OFF
             self.queue.clear()
             self._send_error_frame(CAN_ERR_BUSOFF | kind, t_ns)
         else:
             # The states are ordered so that the sum of these two comparisons is the number of the
             # state.
-            self.state = ErrorState(
+            self.state = CanErrorState(
                 (highest >= WARNING_ERROR_COUNT) + (highest >= PASSIVE_ERROR_COUNT)
             )
             if self.state != before:
@@ -219,11 +219,11 @@ class CanController:
 
     def _status_bits(self) -> int:
         """Return the bits of data[1] in an error frame for the present state."""
-        if self.state == ErrorState.ACTIVE:
+        if self.state == CanErrorState.ACTIVE:
             return ERROR_ACTIVE
         limit, receive, send = (
             (WARNING_ERROR_COUNT, RX_WARNING, TX_WARNING)
-            if self.state == ErrorState.WARNING
+            if self.state == CanErrorState.WARNING
             else (PASSIVE_ERROR_COUNT, RX_PASSIVE, TX_PASSIVE)
         )
         return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)

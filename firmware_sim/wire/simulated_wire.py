@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.wire.can_controller import CanController, ErrorState
+from firmware_sim.wire.can_controller import CanController, CanErrorState
 from firmware_sim.wire.frame_bits import BitRates
 
 NEVER_NS = 1 << 62
@@ -174,7 +174,7 @@ class SimulatedWire:
     def _has_receiver(self) -> bool:
         """Check whether any controller except the senders is on the bus."""
         for controller in self._controllers:
-            if controller.state != ErrorState.BUS_OFF and controller not in self._senders:
+            if controller.state != CanErrorState.BUS_OFF and controller not in self._senders:
                 return True
         return False
 
@@ -234,7 +234,7 @@ class SimulatedWire:
 
     def _suspend_sender(self, controller: CanController, t_ns: int) -> None:
         """Delay the next frame of an error-passive sender."""
-        if controller.state == ErrorState.PASSIVE:
+        if controller.state == CanErrorState.PASSIVE:
             controller.retry_ns = t_ns + self.rate.bits_ns(SUSPEND_BITS)
 
     def _restart_controllers(self, t_ns: int) -> None:

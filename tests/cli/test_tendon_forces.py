@@ -9,7 +9,7 @@ from handctl.cli.main import main
 from handctl.controller.gain_change import DesignCache, gain_change_events
 from handctl.controller.pending_gains import PendingGains
 from handctl.core.gains.gain_bounds import (
-    checked_bound,
+    bounds_after_check,
     different_values,
     values_by_key,
     with_values,
@@ -115,7 +115,7 @@ def test_a_wrong_entry_is_refused_in_one_line(
 )
 def test_a_key_that_no_tendon_can_have_is_unknown(key: str) -> None:
     with pytest.raises(ConfigError, match="no such gain"):
-        checked_bound(key, 5.0, "test")
+        bounds_after_check(key, 5.0, "test")
 
 
 def test_a_running_controller_refuses_a_tendon_of_another_hand(jamia: HandModel) -> None:

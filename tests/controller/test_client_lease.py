@@ -12,7 +12,12 @@ import pytest
 from handctl.controller.state_snapshot import snapshot_bytes
 from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode
-from handctl.programs.requests import AliveRequest, alive_text, is_routine, parse_request
+from handctl.programs.requests import (
+    AliveRequest,
+    alive_request_text,
+    is_routine_request,
+    parse_request,
+)
 from tests.controller.test_stream import Client, check_ticks_repeat, live
 
 LEASE_S = 0.5
@@ -26,7 +31,7 @@ def lease_events(client: Client) -> list[str]:
 def wait_alive(client: Client, seconds: float, every_s: float = 0.1) -> None:
     """Run ticks for a time. The client sends its sign of life every ``every_s`` seconds."""
     for _ in range(round(seconds / every_s)):
-        client.tick(alive_text(client.name))
+        client.tick(alive_request_text(client.name))
         client.wait(every_s - client.model.period)
 
 
@@ -64,7 +69,7 @@ def test_a_moving_digit_comes_to_rest_and_goes_on_with_the_next_command(jamia: H
         assert at < 60.0, "on the way"
         client.wait(0.2 * LEASE_S)
         assert np.degrees(client.goals("q_goal")[-1]) == pytest.approx(at, abs=1e-9)
-        client.tick(alive_text("one"))
+        client.tick(alive_request_text("one"))
         assert lease_events(client)[-1] == "one answers again"
         assert client.ask("move", angle_deg={"index": 70.0}, lease_s=LEASE_S) == "move index 70"
         wait_alive(client, 1.2)
@@ -90,7 +95,7 @@ def test_a_lease_ends(jamia: HandModel, after: str) -> None:
         else:
             client.name = "two" if after == "another" else "one"
             client.ask("stay", take_over=True)
-        client.tick(alive_text("one"))
+        client.tick(alive_request_text("one"))
         client.wait(3.0 * LEASE_S)
         assert lease_events(client) == []
         assert client.outs[-1].mode == HandMode.ACTIVE
@@ -130,8 +135,10 @@ def test_the_ticks_of_a_lost_client_repeat_to_the_last_bit(jamia: HandModel) -> 
 
 
 def test_alive_messages_are_requests() -> None:
-    assert parse_request(alive_text("client-1-2")) == AliveRequest(do="alive", client="client-1-2")
-    assert is_routine(alive_text("client-1-2"))
-    assert not is_routine(json.dumps({"do": "stop"}))
+    assert parse_request(alive_request_text("client-1-2")) == AliveRequest(
+        do="alive", client="client-1-2"
+    )
+    assert is_routine_request(alive_request_text("client-1-2"))
+    assert not is_routine_request(json.dumps({"do": "stop"}))
     assert isinstance(parse_request('{"do": "alive"}'), str)
     assert isinstance(parse_request('{"do": "stay", "lease_s": 0.1}'), str)

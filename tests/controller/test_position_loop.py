@@ -18,7 +18,7 @@ import pytest
 from firmware_sim.nodes.mit.codec import FrameRanges, decode_command
 from handctl.campaign.scenarios import FREE_STAGE, GRASP_STAGE
 from handctl.campaign.stage import advance_to, hand_with_protocol, homed_run
-from handctl.controller.monitor.safety_thresholds import servo_steps
+from handctl.controller.monitor.safety_thresholds import servo_resolutions
 from handctl.controller.run_setup import make_controller, make_drives
 from handctl.core import state_block as s
 from handctl.core.control_law.servo_commands import LIMIT_MARGIN_N
@@ -454,7 +454,7 @@ def test_fractions_of_the_gains_of_a_moteus_are_at_most_1(gain: float, rate_hz: 
         hand, packaged_gains("jamia"), rate_hz, to_and_fro(hand, 1, 1.0), None, True
     )
     drives = make_drives(hand)
-    steps, loop = servo_steps(model, drives), servo_constants(model)
+    steps, loop = servo_resolutions(model, drives), servo_constants(model)
     wire = WireTables(drives, controller.sensors, [True] * 4, model.torque_gain)
     for n in range(4):
         rows = wire.servo_reals[wire.servos[n, 0] : wire.servos[n, 1]]

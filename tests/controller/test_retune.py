@@ -14,7 +14,12 @@ from handctl.controller.gain_change import CACHE_SIZE, DesignCache
 from handctl.controller.pending_gains import PendingGains
 from handctl.controller.tick import Controller
 from handctl.core import state_block as s
-from handctl.core.gains.gain_bounds import checked_bound, gain_bounds, values_by_key, with_values
+from handctl.core.gains.gain_bounds import (
+    bounds_after_check,
+    gain_bounds,
+    values_by_key,
+    with_values,
+)
 from handctl.core.gains.gains import Gains, TensionGains
 from handctl.core.gains.motion_design import design_motion, design_piece_count
 from handctl.core.hand_model import HandModel
@@ -272,9 +277,9 @@ def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> Non
     assert len(known) > 20
     for key, bound in known.items():
         assert np.isfinite([bound.low, bound.high]).all(), key
-        assert checked_bound(key, bound.default, "test") is bound
+        assert bounds_after_check(key, bound.default, "test") is bound
         with pytest.raises(ConfigError):
-            checked_bound(key, bound.high * 1.01, "test")
+            bounds_after_check(key, bound.high * 1.01, "test")
 
 
 @pytest.mark.parametrize("high", [False, True])

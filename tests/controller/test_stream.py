@@ -20,12 +20,12 @@ from handctl.core.hand_model import HandModel
 from handctl.core.tick_types import HandMode, TickOut
 from handctl.hand.dynamics import static_torque
 from handctl.programs.live_session import LiveProgram
-from handctl.programs.requests import is_target, parse_target, target_text
+from handctl.programs.requests import is_stream_target, parse_target, target_request_text
 from handctl.programs.stream_plans import (
     continued_move,
-    horizon_s,
     mapping_of_stream,
     nearest_holdable_posture,
+    target_horizon_s,
 )
 from handctl.programs.task import Task
 from handctl.programs.task_program import TaskProgram
@@ -82,7 +82,7 @@ class Client:
     def target(self, *values: float, number: int | None = None, age_s: float = 0.0) -> str:
         """Return the request of a streamed target. It was sent ``age_s`` seconds ago."""
         self.sent += number is None
-        return target_text(
+        return target_request_text(
             "s", self.sent if number is None else number, self.t_ns - round(1e9 * age_s), values
         )
 
@@ -136,7 +136,7 @@ def test_a_streamed_sine_is_followed_like_a_trajectory(jamia: HandModel) -> None
                 "stream digit of 1 values at 100 Hz"
             )
             client.outs.clear()
-            began_ns, horizon = client.t_ns, horizon_s(RATE_HZ, jamia.period)
+            began_ns, horizon = client.t_ns, target_horizon_s(RATE_HZ, jamia.period)
             missed = []
             for _ in range(3):
                 for i in range(round(1.0 / jamia.period)):
@@ -329,7 +329,7 @@ def test_invalid_target_is_counted_without_effect(
 )  # fmt: skip
 def test_a_text_that_is_no_target_is_counted(text: str) -> None:
     whole = '{"do": "target", ' + text
-    assert is_target(whole)
+    assert is_stream_target(whole)
     target = parse_target(whole)
     assert target is None or target.values == (1.0,)
 
@@ -381,7 +381,7 @@ def test_a_jittering_stream_is_smooth(jamia: HandModel) -> None:
             waiting = [(at, text) for at, text in waiting if at > client.t_ns]
             client.tick(*due)
         late = np.degrees(client.goals("q_goal"))[250:] - sine(
-            np.arange(250, 1000) * jamia.period - horizon_s(RATE_HZ, jamia.period)
+            np.arange(250, 1000) * jamia.period - target_horizon_s(RATE_HZ, jamia.period)
         )
         assert np.sqrt(np.mean(late**2)) < 0.6
         assert client.faults == set()

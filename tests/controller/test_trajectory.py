@@ -9,7 +9,7 @@ from handctl.core.control_law.trajectory import (
     PEAK_SPEED_RATIO,
     CurveTrajectory,
     MinimumJerk,
-    duration_for,
+    minimum_jerk_duration,
 )
 from handctl.core.plain_values import plain_bytes
 
@@ -73,7 +73,7 @@ def test_no_admissible_bump_has_less_jerk() -> None:
 
 @pytest.mark.parametrize(("distance", "speed"), [(1.0, 2.0), (-0.5, 0.1), (0.0, 1.0)])
 def test_duration_keeps_the_peak_speed(distance: float, speed: float) -> None:
-    duration = duration_for(distance, speed, 0.05)
+    duration = minimum_jerk_duration(distance, speed, 0.05)
     assert duration >= 0.05
     move = MinimumJerk(np.array([0.0]), np.array([distance]), duration)
     fastest = max(abs(move.motion_at(t)[1][0]) for t in np.linspace(0.0, duration, 1001))

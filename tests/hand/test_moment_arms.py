@@ -13,7 +13,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.hand_loading import hand_from_content, load_hand, packaged_hands, parse_toml
-from handctl.hand.moment_arms import polynomial_of_arm, table_residual
+from handctl.hand.moment_arms import arm_table_residual, polynomial_of_arm
 from handctl.hand.tendons import excursions
 from handctl.programs.default_task import grasp_warnings
 from handctl.report.hand_graph import text_graph
@@ -99,9 +99,9 @@ def test_a_table_becomes_a_polynomial_of_degree_three_with_its_residual() -> Non
         "arm_m": np.polynomial.polynomial.polyval(np.radians(angle), cubic).tolist(),
     }
     np.testing.assert_allclose(polynomial_of_arm(arm), [*cubic, 0.0, 0.0], atol=1e-12)
-    assert table_residual(arm) < 1e-12
+    assert arm_table_residual(arm) < 1e-12
     arm["arm_m"][4] += 1e-4
-    assert 2e-5 < table_residual(arm) < 1e-4
+    assert 2e-5 < arm_table_residual(arm) < 1e-4
     assert (
         polynomial_of_arm({"angle_deg": [0.0, 90.0], "arm_m": [0.002, 0.004]})[2:].tolist()
         == [0.0] * 4

@@ -18,7 +18,7 @@ from handctl.core.tick_types import (
 from handctl.drives.contract import DrivePhase
 from handctl.drives.frame import BRS, ERROR_FLAG, ESI, EXTENDED_FLAG, FDF, REMOTE_FLAG, Frame
 from handctl.log.header import RunHeader
-from handctl.programs.requests import target_text
+from handctl.programs.requests import target_request_text
 from handctl.safety.action import SafetyAction
 
 BUSES = ("main", "a_second_bus")
@@ -67,7 +67,7 @@ def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) ->
     if index == 50:
         requests += (OPEN_STREAM,)
     if index > 50:
-        requests += (target_text("s", index, t_ns - 10**6, (10.0, index / 7)),)
+        requests += (target_request_text("s", index, t_ns - 10**6, (10.0, index / 7)),)
     return TickIn(
         k, t_ns, int(random.integers(0, 10**7)), _frames(index, t_ns, random), io_events, requests
     )

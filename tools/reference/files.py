@@ -10,7 +10,7 @@ from handctl.core.gains.gain_bounds import (
     GAIN_SECTIONS,
     SHARED_KEYS,
     TENDON_SECTION,
-    bound_of,
+    bounds_of_key,
     gain_bounds,
 )
 from handctl.core.gains.gains import Gains, TendonForces
@@ -157,7 +157,7 @@ def gains() -> str:
     ]
     forces = []
     for field, shared in SHARED_KEYS.items():
-        if bound := bound_of(f"{TENDON_SECTION}.NAME.{field}"):
+        if bound := bounds_of_key(f"{TENDON_SECTION}.NAME.{field}"):
             forces.append((code(bound.key), code(shared), str(bound), prose(bound.why)))
     parts.append(table(("gain", "default", "bounds", "meaning"), forces))
     return "\n\n".join(parts)

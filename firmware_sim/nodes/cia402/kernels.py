@@ -11,7 +11,7 @@ import ctypes
 from typing import Any
 
 from firmware_sim.compiled import kernel_helper
-from firmware_sim.nodes.cia402.power_stage import ENABLED_STATE, PowerStruct, status
+from firmware_sim.nodes.cia402.power_stage import ENABLED_STATE, PowerStruct, status_word
 
 OPERATIONAL_STATE = 0x05
 """NMT state: operational."""
@@ -85,7 +85,9 @@ def _saturated(value: int, limit: int) -> int:
 
 
 @kernel_helper
-def measure(node: Any, power: Any, angle: float, velocity: float, torque: float) -> None:
+def update_measured_objects(
+    node: Any, power: Any, angle: float, velocity: float, torque: float
+) -> None:
     """Update the objects of a drive with measured values.
 
     Args:
@@ -99,7 +101,7 @@ def measure(node: Any, power: Any, angle: float, velocity: float, torque: float)
     sign = node.direction
     gear = node.gear
     shaft = sign * gear * angle + node.offset
-    word = status(power)
+    word = status_word(power)
     if node.mode_bits >= 0:
         # Bits 10 to 13 depend on the mode of operation.
         word = word & ~0x3C00 | node.mode_bits
@@ -162,7 +164,7 @@ def watchdog_expired(node: Any, t_ns: int) -> bool:
 
 
 @kernel_helper
-def schedule(node: Any, t_ns: int, frame_pending: bool) -> None:
+def schedule_wake(node: Any, t_ns: int, frame_pending: bool) -> None:
     """Schedule the next wake of a drive, for temperatures, heartbeat, timeout of the master or motion.
 
     Args:

@@ -38,8 +38,8 @@ from firmware_sim.nodes.cia402.kernels import (
     apply_torque,
     follows_torque,
     heartbeat_due,
-    measure,
-    schedule,
+    schedule_wake,
+    update_measured_objects,
     watchdog_expired,
 )
 from firmware_sim.nodes.cia402.motion_modes import MOTION_MODES, MotionModes, check_write
@@ -216,7 +216,7 @@ class Cia402Node:
             self.watchdog_fed_ns = t_ns
         else:
             handled = self._process_rpdo(can_id, data)
-        schedule(self, t_ns, bool(self._unsolicited))
+        schedule_wake(self, t_ns, bool(self._unsolicited))
         return self._take_unsolicited() if handled else None
 
     def _take_unsolicited(self) -> list[Frame]:
@@ -419,7 +419,9 @@ class Cia402Node:
 
     def _update_measured_objects(self) -> None:
         """Update the objects of the drive with measured values."""
-        measure(self, self.power, self.motor.encoder(), self.motor.velocity, self.motor.torque)
+        update_measured_objects(
+            self, self.power, self.motor.encoder(), self.motor.velocity, self.motor.torque
+        )
 
     def _apply_torque(self) -> None:
         """Follow the target torque or a motion mode, if the power stage and the mode of operation allow it."""
@@ -453,7 +455,7 @@ class Cia402Node:
         if watchdog_expired(self, t_ns):
             self.watchdog_fed_ns = -1
             self._connection_lost(HEARTBEAT_LOST)
-        schedule(self, t_ns, bool(self._unsolicited))
+        schedule_wake(self, t_ns, bool(self._unsolicited))
         return self._take_unsolicited()
 
     def _update_thermal(self, t_ns: int) -> None:

@@ -22,7 +22,7 @@ _STATUS_WORD_BITS = (0x40, 0x21, 0x23, 0x27, 0x08)
 
 
 @kernel_helper
-def status(power: Any) -> int:
+def status_word(power: Any) -> int:
     """Return the status word of a drive.
 
     Bit 4 is *voltage enabled*, bit 9 *remote*, and bit 12 *drive follows the target torque*. The

@@ -212,7 +212,7 @@ def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: f
 
 
 @kernel_helper
-def schedule(node: Any) -> None:
+def schedule_wake(node: Any) -> None:
     """Schedule the next wake of a drive: at the update of temperatures, or earlier if the watchdog must be checked."""
     node.wake_ns = node.thermal_ns + THERMAL_PERIOD_NS
     if node.timeout_ns != 0 and node.state == ENABLED_STATE:

@@ -38,7 +38,7 @@ from firmware_sim.nodes.mit.codec import (
     MitStruct,
     apply_command,
     feedback_word,
-    schedule,
+    schedule_wake,
 )
 from firmware_sim.nodes.mit.motion_modes import MotionModes
 from firmware_sim.plant.motor import Motor
@@ -134,7 +134,7 @@ class MitNode:
         """
         self.motor = motor
         self.offset = offset
-        self.registers = reg.Registers(spec)
+        self.registers = reg.MitRegisters(spec)
         self.thermal = self._temperatures(spec.torque_constant)
         self.state = FeedbackState.DISABLED
         self.malformed = 0
@@ -376,7 +376,7 @@ class MitNode:
 
         Compiled code does not handle motion modes.
         """
-        schedule(self)
+        schedule_wake(self)
         self.wake_ns = min(self.wake_ns, self._motion_modes.due_ns)
 
     def _update_thermal(self, t_ns: int) -> None:

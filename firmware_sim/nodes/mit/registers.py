@@ -72,7 +72,7 @@ MODE_MIT, MODE_POSITION, MODE_VELOCITY, MODE_FORCE = range(1, 5)
 """Values of the register CTRL_MODE: MIT, position-velocity, velocity and force-position mode."""
 
 
-class Registers:
+class MitRegisters:
     """The registers of one motor.
 
     A written value acts at once, but is lost at power-off unless saved.

@@ -30,7 +30,7 @@ from firmware_sim.nodes.odrive.kernels import (
     TORQUE_RAMP,
     TURN_RAD,
     follow_torque,
-    turns,
+    position_in_turns,
 )
 
 VELOCITY_CONTROL = 2
@@ -140,7 +140,7 @@ class MotionModes:
         All inputs start from the present position, zero velocity and zero torque.
         """
         node = self._node
-        self.input_position = turns(node, node.motor.encoder())
+        self.input_position = position_in_turns(node, node.motor.encoder())
         self.input_velocity = 0.0
         node.setpoint = self._torque = 0.0
         self._setpoint.jump(self.input_position)

@@ -57,10 +57,10 @@ from firmware_sim.nodes.odrive.kernels import (
     TURN_RAD,
     OdriveStruct,
     next_due,
-    schedule,
+    position_in_turns,
+    schedule_wake,
     set_torque,
-    turns,
-    turns_per_s,
+    velocity_in_turns_per_s,
     watchdog_expired,
 )
 from firmware_sim.nodes.odrive.motion_modes import (
@@ -298,7 +298,9 @@ class OdriveNode:
             return bytes((self.node_id,)) + self._serial.to_bytes(6, "little") + b"\0"
         if command == 0x09:
             return struct.pack(
-                "<ff", turns(self, self.motor.encoder()), turns_per_s(self, self.motor.velocity)
+                "<ff",
+                position_in_turns(self, self.motor.encoder()),
+                velocity_in_turns_per_s(self, self.motor.velocity),
             )
         current = sign * self.motor.torque / self.torque_constant
         pairs = {
@@ -335,7 +337,7 @@ class OdriveNode:
         elif command == 0x18:
             self.active_errors = self.disarm_reason = 0
             self.result = SUCCESS_RESULT
-        schedule(self)
+        schedule_wake(self)
         return []
 
     def _set_state(self, state: int, t_ns: int) -> None:
@@ -509,7 +511,7 @@ class OdriveNode:
         if t_ns >= self.encoder_due_ns:
             frames.append(Frame(self.node_id << 5 | 0x09, self._get_payload(0x09)))
             self.encoder_due_ns = next_due(self.encoder_due_ns, t_ns, self.encoder_period_ns)
-        schedule(self)
+        schedule_wake(self)
         return frames
 
     def _heartbeat_payload(self) -> bytes:

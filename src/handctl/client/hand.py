@@ -38,7 +38,7 @@ from handctl.programs.requests import (
     MoveDigits,
     OpenStream,
 )
-from handctl.programs.stream_plans import horizon_s
+from handctl.programs.stream_plans import target_horizon_s
 from handctl.programs.task import HoldPhase
 from handctl.runtime.confirm import (
     CONFIRMATION_TIMEOUT_S,
@@ -354,7 +354,7 @@ class HandClient:
             self._set_goal(goal)
             undo.pop_all()
         constants = self._open_reader().description
-        horizon = horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
+        horizon = target_horizon_s(goal["rate_Hz"], 1.0 / constants["rate_Hz"])
         if tips is not None:
             return FingertipStream(self, sender, goal, tips, horizon, constants["time_scale"])
         return TargetStream(self, sender, goal, unit, horizon, constants["time_scale"])

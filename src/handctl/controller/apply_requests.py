@@ -13,7 +13,7 @@ from handctl.controller.target_streams import (
     bring_to_rest,
     close_stream,
     open_stream,
-    reference_of,
+    present_references,
 )
 from handctl.core import state_block as s
 from handctl.core.hand_model import HandModel
@@ -44,12 +44,12 @@ from handctl.programs.requests import (
     SetGains,
     StopRequest,
     describe_request,
-    is_routine,
-    is_target,
+    is_routine_request,
+    is_stream_target,
     parse_request,
     parse_target,
 )
-from handctl.programs.stream_plans import digits_of
+from handctl.programs.stream_plans import streamed_digits
 from handctl.safety.faults.table import DEBOUNCE_TICKS, FAULT_BY_ID
 
 BEFORE_READY = (HandMode.SILENT, HandMode.INVENTORY)
@@ -75,14 +75,14 @@ def apply_requests(
     operator = OperatorRequests()
     events = list[TickEvent]()
     for text in requests:
-        if is_target(text):
+        if is_stream_target(text):
             events += apply_target(model, state, parse_target(text), state.run_integer(s.T_NS))
             continue
         request = parse_request(text)
         if isinstance(request, str):
             events.append(TickEvent("warn", "request", "", request))
             continue
-        if not is_routine(text):
+        if not is_routine_request(text):
             events.append(TickEvent("info", "request", "", describe_request(request)))
         if isinstance(request, StopRequest):
             operator = replace(operator, stop=True)
@@ -195,7 +195,7 @@ def _set_goal(
     model: HandModel, state: ControllerState, request: MoveDigits | HoldTension
 ) -> tuple[TickEvent, ...]:
     """Set the goal of a request for its digits. A stream that includes one of these digits ends."""
-    reference = reference_of(model, state)
+    reference = present_references(model, state)
     progress, events = apply_goal(
         model, state.progress, request, state.estimate, state.goal_time, reference
     )
@@ -203,7 +203,7 @@ def _set_goal(
         return events
     stream, goals = state.decisions.stream, state.progress.goals
     if stream is not None and any(
-        progress.goals[d] is not goals[d] for d in digits_of(model, stream)
+        progress.goals[d] is not goals[d] for d in streamed_digits(model, stream)
     ):
         close_stream(model, state)
         progress, _ = apply_goal(

@@ -16,15 +16,15 @@ from handctl.programs.stream_plans import (
     TARGET_UNIT_BY_SPACE,
     StreamPlan,
     StreamStatus,
-    digits_of,
     is_plausible,
     loop_fractions,
     mapping_of_stream,
     nearest_holdable_posture,
     plan_of_request,
     progress_at_rest,
+    streamed_digits,
     streamed_goals,
-    tensions_of,
+    target_tensions,
 )
 
 MAX_TARGET_AGE_S = 0.1
@@ -42,13 +42,13 @@ OPEN_STREAM, RUNNING_STREAM = 1, 2
 """Values of the field ``block.STREAMING``."""
 
 
-def reference_of(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
+def present_references(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
     """Return the present motion reference of each digit, (3, n): position, rate, and acceleration."""
     rows = state.layout.table(state.block, "coordinate")[s.TRAJECTORY : s.TRAJECTORY + 3]
     return tuple(rows[:, places] for places in model.digit_coordinates)
 
 
-def setpoints_of(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
+def present_setpoints(model: HandModel, state: ControllerState) -> tuple[Vector, ...]:
     """Return the present tension setpoints of each digit [N]."""
     return tuple(state.tendon[s.SETPOINT, tendons] for tendons in model.digit_tendons)
 
@@ -59,7 +59,7 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -
     if isinstance(stream, str):
         return TickEvent("info", "request", "", f"refused: {stream}")
     close_stream(model, state)
-    digits = digits_of(model, stream)
+    digits = streamed_digits(model, stream)
     if stream.moves:
         _prepare_motion(model, state, digits)
     for row in (s.STREAM_ACCEPTED, s.STREAM_CLIPPED, s.STREAM_LATE, s.STREAM_REFUSED):
@@ -69,7 +69,7 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -
     state.tendon[s.STIFFNESS_FRACTION], state.tendon[s.DAMPING_FRACTION] = loop_fractions(
         model, stream
     )
-    tension = None if stream.moves else setpoints_of(model, state)
+    tension = None if stream.moves else present_setpoints(model, state)
     state.decide(stream=stream, progress=streamed_goals(state.progress, digits, tension))
     text = f"stream {stream.space} of {len(stream.names)} values at {request.rate_Hz:g} Hz, {stream.interpolation}"
     if stream.softness is not None:
@@ -83,7 +83,7 @@ def open_stream(model: HandModel, state: ControllerState, request: OpenStream) -
 def _prepare_motion(model: HandModel, state: ControllerState, digits: tuple[int, ...]) -> None:
     """Start a stream of joint angles at the present reference of its digits."""
     rows = state.layout.table(state.block, "coordinate")
-    reference = reference_of(model, state)
+    reference = present_references(model, state)
     for d in digits:
         if state.progress.goals[d].kind != GoalKind.MOTION:
             # A digit without a reference starts its motion at the present angles, at rest.
@@ -110,9 +110,14 @@ def bring_to_rest(
 ) -> ProgramProgress:
     """Return the program's progress with new goals that bring moving digits to rest."""
     reach = tuple(digit.reach for digit in model.digits)
-    setpoints = setpoints_of(model, state)
+    setpoints = present_setpoints(model, state)
     return progress_at_rest(
-        state.progress, reference_of(model, state), setpoints, state.goal_time, reach, only_streamed
+        state.progress,
+        present_references(model, state),
+        setpoints,
+        state.goal_time,
+        reach,
+        only_streamed,
     )
 
 
@@ -186,7 +191,7 @@ def _begin_ramp(
     Arguments: see ``_begin_segment``.
     """
     setpoint = state.tendon[s.SETPOINT]
-    aim = tensions_of(model, stream, values, setpoint, state.estimate.q)
+    aim = target_tensions(model, stream, values, setpoint, state.estimate.q)
     inside = np.clip(aim, model.floor, model.ceiling)
     reached = np.minimum(
         inside, np.maximum(state.tendon[s.TENSION], model.floor) + MAX_SETPOINT_LEAD_N
@@ -194,7 +199,7 @@ def _begin_ramp(
     reached = np.maximum(np.minimum(reached, model.ceiling - MAX_SETPOINT_LEAD_N), model.floor)
     step = model.hand.stream.tension_rate_N_per_s * model.period
     ticks = max((sent_ns - t_ns) / 1e9 + stream.horizon, model.period) / model.period
-    for d in digits_of(model, stream):
+    for d in streamed_digits(model, stream):
         tendons = model.digit_tendons[d]
         state.tendon[s.TENSION_TARGET, tendons] = reached[tendons]
         state.tendon[s.SETPOINT_STEP, tendons] = np.minimum(

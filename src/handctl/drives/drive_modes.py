@@ -59,6 +59,6 @@ def check_limits(limits: MotionLimits) -> None:
             raise ConfigError(f"{value:g}", name, "more than 0")
 
 
-def init_fields(drive: Any) -> dict[str, Any]:
+def constructor_arguments(drive: Any) -> dict[str, Any]:
     """Return the arguments with which a drive was constructed, to construct a drive in another mode from them."""
     return {field.name: getattr(drive, field.name) for field in fields(drive) if field.init}

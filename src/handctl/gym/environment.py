@@ -33,8 +33,8 @@ from handctl.gym.observed import (
 )
 from handctl.hand.hand_loading import load_hand
 from handctl.programs.live_session import LiveProgram
-from handctl.programs.requests import REFUSED_PREFIX, target_text
-from handctl.programs.stream_plans import horizon_s
+from handctl.programs.requests import REFUSED_PREFIX, target_request_text
+from handctl.programs.stream_plans import target_horizon_s
 from handctl.session.plan import check_hand_ready, default_rate
 from handctl.session.simulate import SimulatedRun, SimulatorSettings, homed_controller
 
@@ -108,7 +108,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         self.ticks = max(1, round(rate / RATE_HZ))
         self.step_s = self.ticks * self.model.period
         self.longest = max(1, round(duration_s / self.step_s))
-        self.horizon_s = horizon_s(1.0 / self.step_s, self.model.period)
+        self.horizon_s = target_horizon_s(1.0 / self.step_s, self.model.period)
         self._space = space
         self._largest_step_deg = speed_deg_s * self.step_s
         self._target_deg = self.low_deg
@@ -319,7 +319,7 @@ class HandEnv(gymnasium.Env[Float32Array, Float32Array]):
         angles = dict(zip(self.names, self._target_deg.tolist(), strict=True))
         number = self._number
         self._number += 1
-        return target_text(
+        return target_request_text(
             STREAM_NAME,
             number,
             self.run.k * self.run.period_ns,

@@ -30,7 +30,7 @@ def runaway_tension(force: float) -> float:
     return RUNAWAY_OVERSHOOT * force
 
 
-def largest_force(strength: float) -> float:
+def largest_safe_force(strength: float) -> float:
     """Return the largest force of a drive [N] at which a tendon of this strength [N] has ``STRENGTH_MARGIN``."""
     return strength / (RUNAWAY_OVERSHOOT * STRENGTH_MARGIN)
 
@@ -65,7 +65,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 def _runaway_text(key: str, force: float, strength: float, spool: float) -> str:
     """Describe a runaway with a given force, and the torque limit that the drive should have."""
     peak = runaway_tension(force)
-    right = largest_force(strength)
+    right = largest_safe_force(strength)
     factor = strength / peak
     return (
         f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway. The strength of {strength:g} N is "

@@ -97,7 +97,7 @@ class StreamStatus(NamedTuple):
     limited: int = 0
 
 
-def horizon_s(rate_Hz: float, period: float) -> float:
+def target_horizon_s(rate_Hz: float, period: float) -> float:
     """Return the time from the sending of a target to the moment at which the hand shall reach it [s].
 
     Args:
@@ -183,7 +183,7 @@ def plan_of_request(model: HandModel, request: OpenStream) -> StreamPlan | str:
         return f"{request.rate_Hz:g} Hz, expected {slowest:g} to {fastest:g} Hz ({limits})"
     return StreamPlan(
         request.stream, request.client, request.space, request.names, request.interpolation, 1.0 / request.rate_Hz,
-        horizon_s(request.rate_Hz, model.period), request.stiffness_N_m_per_rad, request.damping_ratio,
+        target_horizon_s(request.rate_Hz, model.period), request.stiffness_N_m_per_rad, request.damping_ratio,
     )  # fmt: skip
 
 
@@ -228,7 +228,7 @@ def _is_held_by_each_tendon(digit: DigitModel) -> bool:
     return bool(tendons == count and count > 1)
 
 
-def digits_of(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
+def streamed_digits(model: HandModel, stream: StreamPlan) -> tuple[int, ...]:
     """Return the indices of the digits that a stream commands."""
     if stream.moves:
         return mapping_of_stream(model, stream.space, stream.names).digits
@@ -249,7 +249,7 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
     damping = np.ones(model.tendon_count)
     if stream.softness is None:
         return stiffness, damping
-    for d in digits_of(model, stream):
+    for d in streamed_digits(model, stream):
         digit = model.digits[d]
         arms = (digit.reduced_moment_arms**2).sum(axis=1)
         mass = (model.space.motor_mass + model.space.load_mass)[digit.tendons]
@@ -261,7 +261,7 @@ def loop_fractions(model: HandModel, stream: StreamPlan) -> tuple[Vector, Vector
     return stiffness, damping
 
 
-def tensions_of(
+def target_tensions(
     model: HandModel, stream: StreamPlan, values: Vector, present: Vector, q: Vector
 ) -> Vector:
     """Return the tensions (N,) for a target [N], before they are limited.

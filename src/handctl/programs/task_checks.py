@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from handctl.core.control_law.trajectory import duration_for
+from handctl.core.control_law.trajectory import minimum_jerk_duration
 from handctl.core.tick_types import Vector
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -88,7 +88,8 @@ def check_speed(task: Task, models: Sequence[DigitModel], where: str) -> None:
             if isinstance(phase, MovePhase):
                 travel = float(np.maximum(np.abs(from_low - low), np.abs(high - from_high)).max())
                 min_duration = (
-                    math.ceil(100.0 * duration_for(travel, FOLLOW_SPEED_DEG_S, 0.0)) / 100.0
+                    math.ceil(100.0 * minimum_jerk_duration(travel, FOLLOW_SPEED_DEG_S, 0.0))
+                    / 100.0
                 )
                 if phase.duration_s < min_duration:
                     distance = (

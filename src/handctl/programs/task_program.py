@@ -8,7 +8,7 @@ import numpy as np
 
 from handctl.core.control_law.digit_goal import DigitGoal, GoalKind
 from handctl.core.control_law.tension_allocation import tensions_for_torque
-from handctl.core.control_law.trajectory import CurveTrajectory, duration_for
+from handctl.core.control_law.trajectory import CurveTrajectory, minimum_jerk_duration
 from handctl.core.estimation.tip_force import joint_lever, reduced_tip_lever
 from handctl.core.hand_estimate import HandEstimate, TickMeasurements
 from handctl.core.hand_model import HandModel
@@ -208,7 +208,9 @@ class TaskProgram:
             travel = float(
                 np.abs(np.radians(angle) - coordinates_by_excursion(digit, estimate)).max()
             )
-            duration = duration_for(travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S)
+            duration = minimum_jerk_duration(
+                travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S
+            )
             return motion_to(digit, estimate, np.radians(angle), duration, t)
         if not progress.contact[d]:
             return previous

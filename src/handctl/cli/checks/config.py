@@ -37,7 +37,7 @@ from handctl.hand.hand_loading import (
     parse_toml,
     read_toml,
 )
-from handctl.hand.readiness import table_fits
+from handctl.hand.readiness import arm_table_fit_lines
 from handctl.hand.tendon_strength import strength_warnings
 from handctl.output import FIGURE_SUFFIXES, check_output, path_with_suffix, write_text_atomically
 from handctl.programs.default_task import grasp_warnings
@@ -198,7 +198,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
                 "bus_load": load,
                 "caveats": list(unverified_protections(make_drives(hand))),
                 "warnings": warnings,
-                "moment_arm_tables": list(table_fits(hand)),
+                "moment_arm_tables": list(arm_table_fit_lines(hand)),
                 "hand": hand.content,
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
@@ -216,7 +216,7 @@ def _show_or_check(args: argparse.Namespace, hand: Hand) -> int:
         print(f"# caution: {text}")
     for text in warnings:
         print(f"# warning: {text}")
-    for text in table_fits(hand):
+    for text in arm_table_fit_lines(hand):
         print(f"# {text}")
     bus_loads_text = ", ".join(
         f"bus {name} {100 * fraction:.0f} %" for name, fraction in load.items()

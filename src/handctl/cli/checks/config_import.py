@@ -30,7 +30,7 @@ from handctl.hand.file.imported_file import (
 )
 from handctl.hand.file.new_file import check_name, options_line
 from handctl.hand.file.quantities import NAME_PATTERN, UNMEASURED_PLACEHOLDER
-from handctl.hand.formats.link_meshes import path_from, read_triangles
+from handctl.hand.formats.link_meshes import read_triangles, relative_path
 from handctl.hand.formats.model_tree import ModelLink, ModelMesh, digits_of_links
 from handctl.hand.hand_loading import inspect_content, parse_toml
 from handctl.session.model_file import read_model_file
@@ -161,7 +161,7 @@ def _mesh_of(
             f"mesh {Path(meshes[i]['file']).name} of {link} is left out: a link can have only one mesh"
         )
     chosen = ModelMesh.from_values(meshes[largest])
-    return replace(chosen, file=path_from(Path(chosen.file), output))
+    return replace(chosen, file=relative_path(Path(chosen.file), output))
 
 
 def _ask_questions(answers: TendonAnswers, known: set[str]) -> TendonAnswers:

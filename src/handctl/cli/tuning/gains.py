@@ -11,7 +11,7 @@ from handctl.cli.console.plan import layered_gains, print_notice
 from handctl.cli.console.verbosity import is_quiet
 from handctl.core.gains.gain_bounds import (
     GainBounds,
-    checked_bound,
+    bounds_after_check,
     different_values,
     values_by_key,
     with_values,
@@ -48,7 +48,7 @@ def _show_gains(args: argparse.Namespace, hand: Hand) -> int:
     """Print value, origin, meaning and bounds of every gain."""
     layers = layered_gains(args, hand)
     values = values_by_key(layers.gains)
-    gain_bounds = {key: checked_bound(key, value, "gains") for key, value in values.items()}
+    gain_bounds = {key: bounds_after_check(key, value, "gains") for key, value in values.items()}
     provenance = layers.provenance
     if args.json:
         rows = {

@@ -90,7 +90,7 @@ def compiled_constants(
         "tension_trip": limits.tension_trip,
         "drive_limit": limits.drive_limit,
         "torque_step": [torque_resolution(drive) for drive in drives] / model.space.spool,
-        **servo_steps(model, drives),
+        **servo_resolutions(model, drives),
         "noise_limit": limits.noise,
         "temperature_soft": limits.temperature_soft,
         "temperature_hard": limits.temperature_hard,
@@ -111,7 +111,7 @@ def compiled_constants(
     })  # fmt: skip
 
 
-def servo_steps(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
+def servo_resolutions(model: HandModel, drives: tuple[Drive, ...]) -> dict[str, object]:
     """Return the constants of the drives' position loops that depend on their frames.
 
     These are one count and the largest value of kp [N m/rad] and of kd [N m s/rad], the force that

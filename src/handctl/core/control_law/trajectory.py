@@ -244,7 +244,7 @@ PEAK_SPEED_RATIO = 1.875
 """Ratio of peak to mean speed of a minimum-jerk move: 15 / 8."""
 
 
-def duration_for(distance: float, speed: float, shortest: float) -> float:
+def minimum_jerk_duration(distance: float, speed: float, shortest: float) -> float:
     """Return the duration [s] of a minimum-jerk move over ``distance`` [rad] with peak speed ``speed`` [rad/s].
 
     It is at least ``shortest`` [s].

@@ -27,8 +27,8 @@ from handctl.core import constants as h
 from handctl.core import state_block as s
 from handctl.core.constants import ConstantTables
 from handctl.core.estimation.statics import (
-    first_wrap,
     link_poses_of_hand,
+    wrap_before_digit,
     write_static_torque,
     write_tip_levers,
 )
@@ -292,7 +292,7 @@ def _write_free_errors(x: StateTables, c: ConstantTables, turn: Matrix) -> None:
     write_static_torque(c, x.joint[s.Q], torque[1])
     for n in range(x.tendon.shape[1]):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrapped = first_wrap(c, n, x.joint[s.Q])
+        wrapped = wrap_before_digit(c, n, x.joint[s.Q])
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:

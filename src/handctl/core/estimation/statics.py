@@ -98,7 +98,7 @@ def subtract_passing_torque(
 
 
 @kernel_helper
-def first_wrap(c: ConstantTables, n: int, q: Vector) -> float:
+def wrap_before_digit(c: ConstantTables, n: int, q: Vector) -> float:
     """Return the wrap angle of tendon n before the joints of its digit [rad].
 
     Args:
@@ -159,7 +159,7 @@ def write_tensions_at_joints(
     torque = np.zeros(len(q))
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-        wrapped = first_wrap(c, n, q)
+        wrapped = wrap_before_digit(c, n, q)
         for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
             arm = c.tendon_joint[h.MOMENT_ARMS, n, j]
             if arm != 0.0:
@@ -223,7 +223,7 @@ def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
         q: (J,) joint angles [rad].
     """
     d = c.tendon_int[h.DIGIT_OF_TENDON, n]
-    wrapped = first_wrap(c, n, q)
+    wrapped = wrap_before_digit(c, n, q)
     efficiency = 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:

@@ -113,7 +113,7 @@ def _range_of_field(metadata: list[Any]) -> tuple[float, float, bool]:
     return low, high, open_low
 
 
-def bound_of(key: str) -> GainBounds | None:
+def bounds_of_key(key: str) -> GainBounds | None:
     """Return the bounds of a key for the whole hand or for a single tendon, or None for an unknown key."""
     parts = tendon_key(key)
     if parts is None:
@@ -175,7 +175,7 @@ def with_values(
     """
     content = gains.model_dump(by_alias=True)
     for key, value in values.items():
-        bound = checked_bound(key, value, source_name)
+        bound = bounds_after_check(key, value, source_name)
         if live and not bound.live:
             right = f"a key of {', '.join(LIVE_SECTIONS)}, or handctl gains apply and a new run"
             raise ConfigError(
@@ -218,13 +218,13 @@ def check_tendon_names(gains: Gains, tendons: Sequence[str]) -> None:
             raise ConfigError(f"no tendon {one.name!r}", f"gains: {TENDON_SECTION}", right)
 
 
-def checked_bound(key: str, value: float, source_name: str) -> GainBounds:
+def bounds_after_check(key: str, value: float, source_name: str) -> GainBounds:
     """Return the bounds of a key after checking a value.
 
     Raises:
         ConfigError: for an unknown key, or a value out of bounds.
     """
-    known = bound_of(key)
+    known = bounds_of_key(key)
     if known is None:
         near = similar_name(key, gain_bounds(), cutoff=0.5)
         right = f"{near}?" if near else "one of those that handctl gains show lists"

@@ -16,7 +16,7 @@ from handctl.drives.cia402 import codec
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import DriveState
-from handctl.drives.drive_modes import DriveMode, MotionLimits, init_fields
+from handctl.drives.drive_modes import DriveMode, MotionLimits, constructor_arguments
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.signals import SignalTable
@@ -95,7 +95,9 @@ def make_mode_drive(
     where = f"motor[{motor.name}]"
     if unit not in VELOCITY_UNITS:
         raise ConfigError(repr(unit), f"{where}.options.velocity_unit", " or ".join(VELOCITY_UNITS))
-    fields = init_fields(Cia402Drive.from_motor(motor, bus, options, _OPERATION_MODES[mode]))
+    fields = constructor_arguments(
+        Cia402Drive.from_motor(motor, bus, options, _OPERATION_MODES[mode])
+    )
     ratio = abs(fields["ratio"])
     speed = math.ceil(limits.speed * ratio / RAD_S_PER_RPM)
     window = math.ceil(FOLLOWING_ERROR_RAD * ratio / math.tau * fields["counts"])

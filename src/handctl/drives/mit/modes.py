@@ -10,7 +10,7 @@ the torque in the other modes. In force-position mode each command contains a cu
 
 from dataclasses import dataclass
 
-from handctl.drives.drive_modes import DriveMode, MotionLimits, init_fields
+from handctl.drives.drive_modes import DriveMode, MotionLimits, constructor_arguments
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
@@ -110,7 +110,9 @@ def make_mode_drive(
     fraction = checked_positive(options.pop("current_fraction", 1.0), where, 1.0)
     base = MitDrive.from_motor(motor, bus, options)
     try:
-        return MitModeDrive(**init_fields(base), mode=mode, limits=limits, fraction=fraction)
+        return MitModeDrive(
+            **constructor_arguments(base), mode=mode, limits=limits, fraction=fraction
+        )
     except ValueError as error:
         raise ConfigError(
             str(error), f"motor[{motor.name}]", "a limit that the command can carry"

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 
 from handctl.drives.contract import DriveState
-from handctl.drives.drive_modes import DriveMode, MotionLimits, init_fields
+from handctl.drives.drive_modes import DriveMode, MotionLimits, constructor_arguments
 from handctl.drives.frame import Frame
 from handctl.drives.motor_description import MotorDescription
 from handctl.drives.odrive import codec
@@ -79,7 +79,7 @@ def make_mode_drive(
     """
     if mode not in _CONTROL_MODES:
         raise ConfigError(mode.value, "mode", "position, velocity or torque for an ODrive")
-    fields = init_fields(OdriveDrive.from_motor(motor, bus))
+    fields = constructor_arguments(OdriveDrive.from_motor(motor, bus))
     _, current = codec.decode_float_pair(fields["limits"]) or (0.0, 0.0)
     fields["limits"] = codec.encode_floats(limits.speed * abs(fields["ratio"]) / math.tau, current)
     fields["torque_limit"] = (

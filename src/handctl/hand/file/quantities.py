@@ -285,7 +285,7 @@ Name = Annotated[
 ]
 Text = Annotated[str, CheckedType(_check_text, {"type": "string"})]
 Direction = Annotated[int, CheckedType(_check_direction, {"enum": [1, -1]})]
-Options = Annotated[
+ProtocolOptions = Annotated[
     dict[str, bool | int | float | str],
     CheckedType(
         _check_options,
@@ -325,9 +325,9 @@ Armature = Annotated[float, in_range(0.0, 1e-3, "kg m2", "in kg m2?")]
 MotorInertia = Annotated[float, in_range(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
 JointAngle = Annotated[float, in_range(-180.0, 180.0, "deg")]
 MountAngle = Annotated[float, in_range(-360.0, 360.0, "deg")]
-Preload = Annotated[float, in_range(0.0, 6.3, "rad", "in radians?")]
-Wrap = Annotated[float, in_range(0.0, 20.0, "rad", "in radians?")]
-Zero = Annotated[float, in_range(-100.0, 100.0, "rad", "in radians?")]
+SpringPreload = Annotated[float, in_range(0.0, 6.3, "rad", "in radians?")]
+WrapAngle = Annotated[float, in_range(0.0, 20.0, "rad", "in radians?")]
+MotorZeroAngle = Annotated[float, in_range(-100.0, 100.0, "rad", "in radians?")]
 PositionRange = Annotated[float, in_range(0.1, 1000.0, "rad", "in radians?")]
 SpeedRange = Annotated[float, in_range(0.1, 1000.0, "rad/s", "in rad/s?")]
 Damping = Annotated[float, in_range(0.0, 0.1, "N m s/rad")]
@@ -361,6 +361,6 @@ AmplifierId = Annotated[int, whole_in_range(1, 0x7E)]
 """Node number of a CANopen device. 0x7F is the node number of handctl itself."""
 ChannelCount = Annotated[int, whole_in_range(1, 8)]
 DecimalDigits = Annotated[int, whole_in_range(0, 6)]
-Decimation = Annotated[int, whole_in_range(1, 256)]
-Watchdog = Annotated[int, whole_in_range(1, 10_000)]
+JointDecimation = Annotated[int, whole_in_range(1, 256)]
+WatchdogTimeout = Annotated[int, whole_in_range(1, 10_000)]
 SchemaNumber = Annotated[int, whole_in_range(1, 1)]

@@ -115,7 +115,7 @@ class SensorNode(Section):
 
     In schema 2, ``"all"`` stands for all joints. CiA 404: the key is absent.
     """
-    joint_decimation: qty.Decimation = 1
+    joint_decimation: qty.JointDecimation = 1
     """Number of ticks from one frame of the joint encoders to the next, required.
 
     CiA 404: the key is absent.
@@ -282,7 +282,7 @@ class Digit(Section):
     """Inertia of each joint itself, for example of pulley and pin."""
     spring_stiffness_N_m_per_rad: tuple[qty.SpringStiffness, ...]
     """Stiffness k of the return spring of each joint."""
-    spring_preload_rad: tuple[qty.Preload, ...]
+    spring_preload_rad: tuple[qty.SpringPreload, ...]
     """Spring torque is k (q + preload), against flexion."""
     coupling: tuple[tuple[qty.Coupling, ...], ...] | None = None
     """Matrix B of q = B theta, with a row for each joint, for a digit with fewer tendons than joints.
@@ -368,7 +368,7 @@ class Tendon(Section):
     """Length over which the stiffness changes."""
     friction_coefficient: qty.FrictionCoefficient
     """Friction coefficient of the pulleys."""
-    wrap_angle_rad: qty.Wrap
+    wrap_angle_rad: qty.WrapAngle
     """Wrap angle between spool and first joint. The joint angles add to it."""
     rated_breaking_force_N: qty.PositiveForce
     """Breaking force of the tendon according to its data sheet."""
@@ -436,11 +436,11 @@ class Motor(Section):
     """Largest absolute velocity that the drive's frames can represent."""
     direction: qty.Direction
     """1 if positive torque of the drive winds the tendon, else -1."""
-    zero_rad: qty.Zero
+    zero_rad: qty.MotorZeroAngle
     """Spool angle of the open hand, until a calibration replaces it."""
-    watchdog_ms: qty.Watchdog
+    watchdog_ms: qty.WatchdogTimeout
     """Time without a command after which the drive removes its torque."""
-    options: qty.Options = Field(default_factory=dict)
+    options: qty.ProtocolOptions = Field(default_factory=dict)
     """Options of the protocol, such as ``reply_id``."""
     control: qty.MotorControl | None = None
     """``position`` if the drive closes the position loop of a motion.

@@ -200,12 +200,12 @@ def exported_meshes(hand: Hand, folder: Path, output: Path) -> dict[str, LinkMes
         output: folder of the exported file.
     """
     return {
-        mesh.link: replace(mesh, file=path_from(folder / mesh.file, output))
+        mesh.link: replace(mesh, file=relative_path(folder / mesh.file, output))
         for mesh in meshes_of_hand(hand)
     }
 
 
-def path_from(path: Path, folder: Path) -> str:
+def relative_path(path: Path, folder: Path) -> str:
     """Return a path as seen from a folder."""
     return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
 
