@@ -60,7 +60,10 @@ def test_torque_is_within_its_limits_for_any_finite_input(
 ) -> None:
     n = jamia.tendon_count
     column = st.lists(number, min_size=n, max_size=n).map(np.array)
-    names = ("tension", "travel", "speed", "excursion", "rate", "disturbance", "external", "offset")
+    names = (
+        "tension", "travel", "tendon_speed", "excursion", "excursion_rate", "motor_disturbance", "external_tension",
+        "stretch_offset",
+    )  # fmt: skip
     estimate = exact_estimate(jamia, np.zeros((n, STATE_COUNT)))._replace(
         **{name: data.draw(column) for name in names}
     )

@@ -51,9 +51,9 @@ def test_motion_feedback_applies_each_gain(
     mass = space.motor_mass + space.load_mass
     before = force(model, estimate, way)
     for name, size, slope in (
-        ("disturbance", 0.5, -gains.disturbance_rejection),
+        ("motor_disturbance", 0.5, -gains.disturbance_rejection),
         ("tension", 0.4, -gains.tension_feedback),
-        ("speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
+        ("tendon_speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
         ("excursion", 2e-5, -mass * design.stiffness),
     ):
         after = force(model, estimate._replace(**{name: getattr(estimate, name) + size}), way)
@@ -142,7 +142,7 @@ def test_the_hold_law_opposes_speed_and_tension_error(model: HandModel) -> None:
     before = step(model, state, estimate, goals, EVALUATED_S)[1].torque / model.space.spool
     integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
     for name, size, slope in (
-        ("speed", 1e-3, -design.tension_speed),
+        ("tendon_speed", 1e-3, -design.tension_speed),
         ("tension", 0.4, -design.tension * integral),
     ):
         off = estimate._replace(**{name: getattr(estimate, name) + size})
